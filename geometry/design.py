@@ -1,0 +1,166 @@
+"""The sensor as numbers: frozen dataclasses for unit, array, pad and materials, each refusing nonsense by name.
+
+Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
+"""
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from geometry.errors import DesignError
+
+
+def quantity(default: Any, meaning: str) -> Any:
+    """A dataclass field with its meaning, which also becomes the comment in the design file."""
+    return field(default=default, metadata={"meaning": meaning})
+
+
+def group(default_factory: Any, meaning: str) -> Any:
+    """As `quantity`, for a field that is itself a group of quantities: a table of the design file."""
+    return field(default_factory=default_factory, metadata={"meaning": meaning})
+
+
+def _require_numbers(values: Any) -> None:
+    """Refuse whatever is not a finite number in a float field, or not a whole number in an int field."""
+    for spec in fields(values):
+        value = getattr(values, spec.name)
+        if spec.type is int and (not isinstance(value, int) or isinstance(value, bool)):
+            raise DesignError(f"{spec.name}={value!r} must be a whole number; {spec.metadata['meaning']}.")
+        if spec.type is float:
+            if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+                raise DesignError(f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}.")
+            object.__setattr__(values, spec.name, float(value))
+
+
+def _require_positive(values: Any, *names: str) -> None:
+    for name in names:
+        if not getattr(values, name) > 0:
+            meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
+            raise DesignError(f"{name}={getattr(values, name):g} must be above 0; {meaning}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """One sensing unit: an upright pillar z and two oblique pillars x and y between four electrodes."""
+
+    span_mm: float = quantity(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
+    height_mm: float = quantity(10.0, "height h of the pillars and of the slab; the top z = h is touched")
+    pillar_width_mm: float = quantity(2.0, "side of a pillar's square section, perpendicular to its axis")
+    electrode_mm: float = quantity(2.0, "side of the square electrodes")
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "span_mm", "height_mm", "pillar_width_mm", "electrode_mm")
+        reach = (self.pillar_width_mm + self.oblique_width_mm) / 2
+        if self.span_mm <= max(reach, self.electrode_mm):
+            raise DesignError(
+                f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above "
+                f"{max(reach, self.electrode_mm):.4g} for pillar_width_mm={self.pillar_width_mm:g} and "
+                f"electrode_mm={self.electrode_mm:g}; widen the span or thin the pillars."
+            )
+
+    @property
+    def oblique_width_mm(self) -> float:
+        """Width of an oblique pillar's horizontal section along its tilt [mm]: w·l/h, 2√2 for the paper's."""
+        return self.pillar_width_mm * math.hypot(self.span_mm, self.height_mm) / self.height_mm
+
+    @property
+    def footprint_mm(self) -> float:
+        """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
+        return self.span_mm + max(self.oblique_width_mm, self.electrode_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Array:
+    """A rows × cols grid of identical units on one slab."""
+
+    rows: int = quantity(6, "units along y")
+    cols: int = quantity(6, "units along x")
+    pitch_mm: float = quantity(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "rows", "cols", "pitch_mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pad:
+    """The square on a unit's top through which it is loaded."""
+
+    size_mm: float = quantity(12.0, "side of the contact pad; 12 covers both upper electrodes")
+    offset_x_mm: float = quantity(0.0, "pad centre along x, from the unit's centre")
+    offset_y_mm: float = quantity(0.0, "pad centre along y, from the unit's centre")
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "size_mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """A linear elastic, isotropic material; the paper's rubber by default."""
+
+    young_mpa: float = quantity(6.1, "Young's modulus E")
+    poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "young_mpa")
+        if not 0 <= self.poisson < 0.5:
+            raise DesignError(
+                f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
+                "write 0.49 (the paper's) or up to 0.4999."
+            )
+
+    @property
+    def lame_mpa(self) -> tuple[float, float]:
+        """Lamé's λ and μ [MPa]: λ = Eν/((1+ν)(1−2ν)), μ = E/(2(1+ν))."""
+        E, nu = self.young_mpa, self.poisson
+        return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorDesign:
+    """Everything that defines a sensor; the default is the paper's."""
+
+    resistivity_ohm_mm: float = quantity(4000.0, "resistivity ρ of the conductive rubber; 4000 rests z at 10 kΩ")
+    unit: Unit = group(Unit, "one sensing unit: three pillars between four electrodes")
+    array: Array = group(Array, "the grid of units on one slab of cols·pitch × rows·pitch × height")
+    pad: Pad = group(Pad, "the square on each unit's top through which it is loaded")
+    pillar_material: Material = group(Material, "the conductive rubber of the pillars (paper, table 1)")
+    matrix_material: Material = group(Material, "the insulating rubber around them; the paper gives no value")
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "resistivity_ohm_mm")
+        pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
+        if pitch_mm < footprint_mm:
+            raise DesignError(
+                f"pitch_mm={pitch_mm:g} is smaller than the unit, whose pillars take {footprint_mm:.4g} mm: "
+                f"raise pitch_mm to at least {footprint_mm:.4g} or shrink span_mm or pillar_width_mm."
+            )
+        reach_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
+        if reach_mm > pitch_mm / 2:
+            raise DesignError(
+                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {reach_mm:g} mm from the unit's centre, "
+                f"past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
+                "shrink the pad or raise pitch_mm."
+            )
+
+    @property
+    def n_units(self) -> int:
+        return self.array.rows * self.array.cols
+
+    @property
+    def slab_mm(self) -> tuple[float, float, float]:
+        """Extent of the matrix slab along x, y and z [mm]; x and y centred on the origin, z from 0."""
+        return (
+            self.array.cols * self.array.pitch_mm,
+            self.array.rows * self.array.pitch_mm,
+            self.unit.height_mm,
+        )
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """True if pillars and matrix are of one rubber, so that pillars need no mesh of their own."""
+        return self.pillar_material == self.matrix_material

@@ -1,0 +1,62 @@
+"""Writing files whole or not at all, and knowing what made them.
+
+Every file that a stage hands over carries a *recipe*: a short hash of all that its content depends on. A file whose
+recipe equals the wanted one need not be made again.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def digest(*parts: Any) -> str:
+    """Hash of dataclasses, arrays and plain values, as 16 hexadecimal digits.
+
+    >>> digest("mesh", 1, {"edge_mm": 2.0}) == digest("mesh", 1, {"edge_mm": 2.0})
+    True
+    """
+    sha = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            sha.update(f"{part.dtype}{part.shape}".encode())
+            sha.update(np.ascontiguousarray(part).tobytes())
+        else:
+            plain = asdict(part) if is_dataclass(part) and not isinstance(part, type) else part
+            sha.update(json.dumps(plain, sort_keys=True).encode())
+        sha.update(b"\0")
+    return sha.hexdigest()[:16]
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; rename it to `path` on success, remove it on any failure.
+
+    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. The temporary
+    name keeps the suffix, by which many writers choose their format.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes private files; give these the usual permissions
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def cache_folder() -> Path:
+    """Where meshes and responses are kept by their recipe: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
+    return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))

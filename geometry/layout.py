@@ -1,0 +1,66 @@
+"""Where everything of a design is: unit centres, electrodes, pillars and pads as plain arrays (mm).
+
+Units run k = i·cols + j over rows i (along y) and columns j (along x); electrodes and pillars in the order of
+`ELECTRODES` and `PILLARS`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.design import SensorDesign, Unit
+
+FloatArray = NDArray[np.float64]
+
+AXES = ("x", "y", "z")  #: displacement, traction and force components
+ELECTRODES = ("U1", "U2")  #: upper electrodes, the paper's "2" and "7"
+PILLARS = ("z", "x", "y")  #: the paper's "1", "4" and "6", named after the force each senses
+PILLAR_TOP = (0, 0, 1)  #: upper electrode (index into ELECTRODES) at the top of each pillar
+
+
+def unit_centres(design: SensorDesign) -> FloatArray:
+    """Centre of every unit on the base plane, shape (n_units, 2) [mm]."""
+    rows, cols, pitch_mm = design.array.rows, design.array.cols, design.array.pitch_mm
+    x = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
+    y = (np.arange(rows) - (rows - 1) / 2) * pitch_mm
+    return np.stack([np.tile(x, rows), np.repeat(y, cols)], axis=1)
+
+
+def upper_electrodes(unit: Unit) -> FloatArray:
+    """Centres of U1 and U2 in the unit's frame, shape (2, 3) [mm]."""
+    s, h = unit.span_mm / 2, unit.height_mm
+    return np.array([[-s, -s, h], [-s, s, h]])
+
+
+def pillar_ends(unit: Unit) -> FloatArray:
+    """Bottom and top of the z, x and y pillars in the unit's frame, shape (3, 2, 3) [mm]."""
+    s = unit.span_mm / 2
+    L1, L2 = np.array([-s, -s, 0.0]), np.array([s, -s, 0.0])
+    U1, U2 = upper_electrodes(unit)
+    return np.array([[L1, U1], [L2, U1], [L1, U2]])
+
+
+def rest_lengths(unit: Unit) -> FloatArray:
+    """Undeformed length of the z, x and y pillars, shape (3,) [mm]; 10, 10√2, 10√2 for the paper's."""
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    return np.linalg.norm(top - bottom, axis=1)
+
+
+def pillar_volumes(unit: Unit) -> FloatArray:
+    """Volume of the z, x and y pillars, V = S·l exactly, shape (3,) [mm³]."""
+    return unit.pillar_width_mm**2 * rest_lengths(unit)
+
+
+def electrode_squares(design: SensorDesign) -> FloatArray:
+    """Upper electrodes as rectangles of the top face, shape (n_units·2, 4): x0, y0, x1, y1 [mm]; unit-major."""
+    centres = unit_centres(design)[:, None, :] + upper_electrodes(design.unit)[None, :, :2]
+    return _squares(centres.reshape(-1, 2), design.unit.electrode_mm)
+
+
+def pad_squares(design: SensorDesign) -> FloatArray:
+    """Contact pads as rectangles of the top face, shape (n_units, 4): x0, y0, x1, y1 [mm]."""
+    offset = np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
+    return _squares(unit_centres(design) + offset, design.pad.size_mm)
+
+
+def _squares(centres: FloatArray, side_mm: float) -> FloatArray:
+    return np.hstack([centres - side_mm / 2, centres + side_mm / 2])
