@@ -1,0 +1,22 @@
+"""From an array's response to labelled training data.
+
+In: a response (influence matrix) and a load protocol. Out: tractions, forces, displacements, pillar lengths and
+resistances of any number of samples, in memory (`SimulatedData`) and as a NetCDF file. Open `protocols.py` for the loads,
+`simulate.py` for the samples, `labelled.py` for the file.
+"""
+
+from dataset.labelled import LabelledData, SimulatedData, read_labelled, write_dataset
+from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
+from dataset.resistance import pillar_lengths, pillar_resistances
+
+__all__ = [
+    "LabelledData",
+    "SimulatedData",
+    "counts_from_resistance",
+    "measured",
+    "pillar_lengths",
+    "pillar_resistances",
+    "read_labelled",
+    "resistance_from_counts",
+    "write_dataset",
+]

@@ -1,0 +1,109 @@
+"""The dataset file: loads, displacements, lengths and resistances of many samples, as NetCDF.
+
+`SimulatedData` is what a simulation knows and writes; `LabelledData` is what training and evaluation need of it, read
+from any file that follows the contract, whoever made it.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geometry import files
+from geometry.design import SensorDesign
+from geometry.design_file import design_from_toml, design_to_toml
+from geometry.errors import FileFormatError
+from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
+from geometry.netcdf import read_netcdf, write_netcdf
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: every variable of a dataset file: its dims and attributes
+VARIABLES = {
+    "traction_mpa": (("sample", "row", "col", "axis"), {"units": "MPa", "note": "as applied: z < 0 pushes down"}),
+    "force_n": (("sample", "row", "col", "axis"), {"units": "N", "note": "z > 0 is compression"}),
+    "displacement_mm": (("sample", "row", "col", "electrode", "axis"), {"units": "mm", "note": "upper electrodes"}),
+    "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
+    "resistance_ohm": (("sample", "row", "col", "pillar"), {"units": "ohm", "note": "as measured, noise included"}),
+}
+COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedData:
+    """Samples as simulated; arrays in the order of `VARIABLES`, float64."""
+
+    design: SensorDesign
+    traction_mpa: FloatArray  #: (n_samples, rows, cols, 3), z negative when pushing down
+    force_n: FloatArray  #: (n_samples, rows, cols, 3), z positive in compression
+    displacement_mm: FloatArray  #: (n_samples, rows, cols, 2, 3)
+    length_mm: FloatArray  #: (n_samples, rows, cols, 3)
+    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3), with measurement noise if asked
+    made_from: dict[str, Any] = field(default_factory=dict)  #: seed, protocol, hashes, residual: file attributes
+
+    def to_xarray(self) -> "xr.Dataset":
+        import xarray as xr
+
+        return xr.Dataset(
+            {name: (dims, getattr(self, name), notes) for name, (dims, notes) in VARIABLES.items()},
+            coords=COORDINATES,
+            attrs={"design": design_to_toml(self.design), **self.made_from},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelledData:
+    """Measured resistances and the forces that caused them."""
+
+    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3): pillars z, x, y
+    force_n: FloatArray  #: (n_samples, rows, cols, 3): axes x, y, z; Fz positive in compression
+    design: SensorDesign | None  #: None if the file does not say
+    content_hash: str  #: of both arrays
+
+
+def write_dataset(data: SimulatedData, path: Path) -> None:
+    """Write a dataset file, whole or not at all."""
+    write_netcdf(data.to_xarray(), path)
+
+
+def read_labelled(path: Path) -> LabelledData:
+    """Read forces and resistances of a dataset file.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is truncated or foreign, lacks an axis or a pillar, or holds a NaN, an infinity or a resistance
+        not above 0.
+    """
+    wanted = {name: VARIABLES[name][0] for name in ("force_n", "resistance_ohm")}
+    data = read_netcdf(path, wanted, made_by="tripillar dataset")
+    for dim in ("axis", "pillar"):
+        labels = COORDINATES[dim]
+        given = [str(label) for label in data[dim].values] if dim in data.coords else None
+        if given is None or sorted(given) != sorted(labels):
+            raise FileFormatError(f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension.")
+        data = data.sel({dim: labels})
+    force_n = data["force_n"].to_numpy().astype(np.float64, copy=False)
+    resistance_ohm = data["resistance_ohm"].to_numpy().astype(np.float64, copy=False)
+    _require_sane(path, "force_n", force_n, np.isfinite(force_n), "a finite number")
+    sound = np.isfinite(resistance_ohm) & (resistance_ohm > 0)
+    _require_sane(path, "resistance_ohm", resistance_ohm, sound, "finite and above 0")
+    text = data.attrs.get("design")
+    return LabelledData(
+        resistance_ohm=resistance_ohm,
+        force_n=force_n,
+        design=None if text is None else design_from_toml(text, f"{path}, attribute 'design'"),
+        content_hash=files.digest(force_n, resistance_ohm),
+    )
+
+
+def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, allowed: str) -> None:
+    if not sound.all():
+        sample, row, col, last = np.argwhere(~sound)[0]
+        label = VARIABLES[name][0][-1], COORDINATES[VARIABLES[name][0][-1]][last]
+        raise FileFormatError(
+            f"{path}: {name} is {values[sample, row, col, last]} at sample {sample}, row {row}, col {col}, "
+            f"{label[0]} {label[1]}; it must be {allowed}: remove that sample or measure it again."
+        )

@@ -1,0 +1,46 @@
+"""What a measurement does to a resistance: relative noise, and the steps of an analogue-to-digital converter.
+
+The converter sees a voltage divider: the pillar between the supply and the input, a sense resistor between the input
+and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.layout import FloatArray
+
+SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
+
+
+def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:
+    """Counts that a `bits`-bit converter reads for each resistance; any shape.
+
+    >>> counts_from_resistance(np.array([0.0, 10_000.0]), bits=10)
+    array([1023,  512])
+    """
+    return np.rint((2**bits - 1) * sense_ohm / (resistance_ohm + sense_ohm)).astype(np.int64)
+
+
+def resistance_from_counts(counts: NDArray[np.int64], bits: int, sense_ohm: float = SENSE_OHM) -> FloatArray:
+    """Resistance in the middle of each count's step, the inverse of `counts_from_resistance`; any shape.
+
+    Count 0 stands for an open circuit and gives infinity; full scale gives 0 Ω.
+    """
+    with np.errstate(divide="ignore"):
+        return sense_ohm * ((2**bits - 1) / np.asarray(counts, dtype=np.float64) - 1.0)
+
+
+def measured(
+    resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator
+) -> FloatArray:
+    """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then the converter's steps.
+
+    ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number per
+    resistance, so that what `generator` gives next does not depend on the setting.
+    """
+    disturbance = generator.standard_normal(resistance_ohm.shape)
+    if noise:
+        resistance_ohm = resistance_ohm * (1.0 + noise * disturbance)
+    if bits is not None:
+        resistance_ohm = resistance_from_counts(counts_from_resistance(resistance_ohm, bits), bits)
+    return resistance_ohm

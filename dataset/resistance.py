@@ -1,0 +1,68 @@
+"""From displaced electrodes to pillar lengths and resistances, geometrically exact."""
+
+import numpy as np
+
+from geometry.design import Unit
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
+
+
+def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
+    """Length of every pillar when its upper electrode has moved; the lower ones are clamped.
+
+    Parameters
+    ----------
+    displacement_mm : array, shape (..., 2, 3)
+        Displacement of U1 and U2 along x, y, z [mm].
+    unit : Unit
+        Gives the undeformed ends.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        Distance between the electrode centroids of the z, x and y pillars [mm]; not linearised.
+
+    Examples
+    --------
+    >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
+    np.float64(9.0)
+    """
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    along = (top - bottom) + displacement_mm[..., PILLAR_TOP, :]
+    return np.sqrt(np.einsum("...k,...k->...", along, along))
+
+
+def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
+    """Resistance of conductive pillars that keep their volume as they deform.
+
+    Parameters
+    ----------
+    length_mm : array, shape (..., 3)
+        Distance between the two electrode centroids of the z, x and y pillars [mm].
+    volume_mm3 : array, shape (3,)
+        Volume of each pillar at rest [mm³].
+    resistivity_ohm_mm : float
+        Resistivity of the conductive rubber [Ω mm].
+
+    Returns
+    -------
+    array, shape (..., 3)
+        Resistance [Ω]; falls in compression.
+
+    Raises
+    ------
+    ValueError
+        If a length is not above zero: the pillar has collapsed and the model no longer holds.
+
+    Notes
+    -----
+    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236. No piezoresistive change of ρ and no
+    contact resistance.
+
+    Examples
+    --------
+    >>> pillar_resistances(np.array([[10.0, 20.0, 20.0]]), np.array([40.0, 80.0, 80.0]), 4000.0)
+    array([[10000., 20000., 20000.]])
+    """
+    if not np.all(length_mm > 0):
+        raise ValueError(f"length_mm has a value of {np.min(length_mm):g}, must be above 0: lower the load.")
+    return resistivity_ohm_mm / volume_mm3 * length_mm**2
