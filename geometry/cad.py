@@ -1,0 +1,122 @@
+"""The sensor as solids: pillars, unit, array and matrix drawn by build123d, and written as STEP and STL.
+
+Coordinates: a unit's frame has its origin in the unit's centre on the base plane; the array is centred on the origin,
+z from 0 to h. Importing this module takes seconds, build123d's own.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
+
+from geometry.design import SensorDesign, Unit
+from geometry.files import replacing
+from geometry.layout import PILLARS, pillar_ends, unit_centres
+from geometry.surface import check_surface, surface_from_solid, write_surface
+
+Point = Sequence[float]
+
+STEP_TIME = "2018-05-14T00:00:00"  #: stamp of every STEP file, so that one design always gives the same bytes
+
+
+def prism(outline: Sequence[Point], along: Point) -> Solid:
+    """A flat outline of points (x, y, z) swept along a vector, square to it or not."""
+    return Solid.extrude(Face(Wire.make_polygon([Vector(*point) for point in outline])), Vector(*along))
+
+
+def box(size_x_mm: float, size_y_mm: float, bottom_mm: float, top_mm: float) -> Solid:
+    """A box centred on the z axis."""
+    corner = Location((-size_x_mm / 2, -size_y_mm / 2, bottom_mm))
+    return Solid.make_box(size_x_mm, size_y_mm, top_mm - bottom_mm).moved(corner)
+
+
+def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
+    """Copies of a solid drawn in the unit's frame, one at every unit of the array."""
+    return [solid.moved(Location((x, y, 0.0))) for x, y in unit_centres(design)]
+
+
+def pillar_solids(unit: Unit) -> list[Solid]:
+    """The z, x and y pillars in the unit's frame, each ending flush with z = 0 and z = h.
+
+    The section is width × width perpendicular to the axis. Seen along z it is therefore width × width·l/h, longer
+    along the tilt, and a horizontal rectangle moved along the axis is the whole pillar: V = S·l exactly.
+    """
+    w, ow = unit.pillar_width_mm, unit.oblique_width_mm
+    solids = []
+    for (bottom, top), (size_x, size_y) in zip(pillar_ends(unit), [(w, w), (ow, w), (w, ow)], strict=True):
+        x, y, z = bottom
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        solids.append(prism([(x + a * size_x / 2, y + b * size_y / 2, z) for a, b in signs], top - bottom))
+    return solids
+
+
+def unit_solid(unit: Unit) -> Solid:
+    """The conductive body of one unit, in its own frame: three pillars grown together at their common electrodes."""
+    first, *others = pillar_solids(unit)
+    return first.fuse(*others)
+
+
+def array_solid(design: SensorDesign) -> Compound:
+    """The conductive bodies of all units, k = i·cols + j; they do not touch, whatever the pitch."""
+    unit = unit_solid(design.unit)
+    unit.label = "unit"
+    return Compound(children=at_units(unit, design), label="array")
+
+
+def slab_solid(design: SensorDesign) -> Solid:
+    """Pillars and matrix together, as one block."""
+    x, y, h = design.slab_mm
+    return box(x, y, 0.0, h)
+
+
+def matrix_solid(design: SensorDesign) -> Solid:
+    """The insulating rubber: the slab without the pillars."""
+    return slab_solid(design).cut(*at_units(unit_solid(design.unit), design))
+
+
+def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
+    """Everything that makes up the sensor, by the name of its files."""
+    pillars = zip(PILLARS, pillar_solids(design.unit), strict=True)
+    return {f"pillar_{name}": pillar for name, pillar in pillars} | {
+        "unit": unit_solid(design.unit),
+        "array": array_solid(design),
+        "slab": slab_solid(design),
+        "matrix": matrix_solid(design),
+    }
+
+
+def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
+    """Write ``NAME.step`` and ``NAME.stl`` of every solid; the same solids give the same bytes.
+
+    The STEP file is the master: exact faces, mm. Every surface is checked before the first file is written.
+
+    Raises
+    ------
+    GeometryError
+        If a surface is not closed, outward and as large as its solid.
+    """
+    surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
+    for name, surface in surfaces.items():
+        check_surface(surface, solids[name].volume, name)
+    written = []
+    for name, solid in solids.items():
+        step, stl = folder / f"{name}.step", folder / f"{name}.stl"
+        _write_step(solid, name, step)
+        write_surface(surfaces[name], stl)
+        written += [step, stl]
+    return written
+
+
+def _write_step(solid: Shape, name: str, path: Path) -> None:
+    solid.label = name
+    with replacing(path) as temporary:
+        export_step(solid, temporary, timestamp=STEP_TIME)
+        text = temporary.read_text(encoding="utf-8")
+        temporary.write_text(_with_own_numbering(text), encoding="utf-8")
+
+
+def _with_own_numbering(step: str) -> str:
+    """Count the parts of an assembly from 1: the CAD kernel counts on from file to file as long as it runs."""
+    head, *uses = re.split(r"(?<=NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+", step)
+    return head + "".join(f"{number}{use}" for number, use in enumerate(uses, start=1))

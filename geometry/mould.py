@@ -1,0 +1,118 @@
+"""The casting mould: three printed parts in which a sensor is made from conductive and insulating rubber.
+
+The paper prints "the model", puts conductive units "into the meshes of the model" and fills the rest with insulating
+silicone (section 2.2), but shows no drawing of it. This mould does the same in a way that needs no loose parts:
+
+1. Spread conductive rubber into the troughs of ``mould_pillars`` and press ``mould_lid`` on. Its wedges reach down to
+   the upper faces of the oblique pillars; the surplus leaves through a vent over each upper electrode. Cure.
+2. Lift the lid. The rubber in the vents holds every unit on it, upright and in its place of the array.
+3. Fill ``mould_tray`` with insulating silicone and set the lid on, outer faces flush. Surplus and air leave through
+   the windows, the meshes of the lid. Cure.
+4. Cut the rubber in the vents, lift the lid, fill the pits of its wedges with the same silicone, strike off at z = h.
+
+Why it opens: every vertical line meets a unit in a single piece. The oblique pillars are no undercut for a lid lifted
+straight up: below each is a ramp of the one part, above it a wedge of the other. The one exception is the heel of the
+y pillar, (oblique width − width)/2 = 0.41 mm of the paper's rubber that must bend past the wall above it. A plug for
+it would be thinner than a printer's nozzle.
+
+Parts are drawn closed, in the sensor's coordinates; turn the lid over for printing. No such mould has been printed yet.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from build123d import Location, Solid
+
+from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
+from geometry.design import SensorDesign, Unit, _require_numbers, _require_positive, quantity
+from geometry.errors import DesignError
+from geometry.layout import upper_electrodes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mould:
+    """How the mould's parts are printed. Lengths in mm."""
+
+    wall_mm: float = quantity(5.0, "width of the rim around the slab, on every part")
+    plate_mm: float = quantity(3.0, "thickness of the lid and of the floors")
+    clearance_mm: float = quantity(
+        0.15, "gap between a wedge of the lid and the walls of its trough, on each side"
+    )
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_positive(self, "wall_mm", "plate_mm")
+        if self.clearance_mm < 0:
+            raise DesignError(
+                f"clearance_mm={self.clearance_mm:g} must not be below 0: the wedges would jam."
+            )
+
+
+def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
+    """The mould's three parts, by the name of their files; `DesignError` if the clearance leaves no wedges."""
+    limit_mm = design.unit.pillar_width_mm / 2
+    if mould.clearance_mm >= limit_mm:
+        raise DesignError(
+            f"clearance_mm={mould.clearance_mm:g} leaves no wedges on the lid: it must be below half of "
+            f"pillar_width_mm, {limit_mm:g}; 0.1 to 0.2 suits most printers."
+        )
+    return {
+        "mould_tray": _tray(design, mould),
+        "mould_pillars": _pillar_mould(design, mould),
+        "mould_lid": _lid(design, mould),
+    }
+
+
+def write_cad(design: SensorDesign, folder: Path, mould: Mould | None = None) -> list[Path]:
+    """Write STEP and STL of the sensor's parts and of the mould to cast it in; see `cad.write_solids`."""
+    return write_solids(sensor_solids(design) | mould_solids(design, mould or Mould()), folder)
+
+
+def _block(design: SensorDesign, mould: Mould, bottom_mm: float, top_mm: float) -> Solid:
+    """What every part is cut from: the slab's outline with the rim around it."""
+    x, y, _ = design.slab_mm
+    return box(x + 2 * mould.wall_mm, y + 2 * mould.wall_mm, bottom_mm, top_mm)
+
+
+def _tray(design: SensorDesign, mould: Mould) -> Solid:
+    """An open box around the slab."""
+    x, y, h = design.slab_mm
+    return _block(design, mould, -mould.plate_mm, h).cut(box(x, y, 0.0, h))
+
+
+def _pillar_mould(design: SensorDesign, mould: Mould) -> Solid:
+    """A block with a trough for every unit: the unit and the space above it, through which rubber and wedges enter."""
+    trough = unit_solid(design.unit).fuse(*_wedges(design.unit, clearance_mm=0.0))
+    return _block(design, mould, -mould.plate_mm, design.unit.height_mm).cut(*at_units(trough, design))
+
+
+def _lid(design: SensorDesign, mould: Mould) -> Solid:
+    """A plate with wedges below; for every unit two vents over its electrodes, and a window to pour silicone through.
+
+    The window is centred on the unit and half as wide as the room between the pillars, so it meets no wedge or vent.
+    """
+    unit, h = design.unit, design.unit.height_mm
+    top = h + mould.plate_mm
+    vent = box(unit.pillar_width_mm, unit.pillar_width_mm, h, top)
+    room_mm = unit.span_mm - unit.pillar_width_mm
+    openings = [box(room_mm / 2, room_mm / 2, h, top)]
+    openings += [vent.moved(Location((x, y, 0.0))) for x, y, _ in upper_electrodes(unit)]
+    plate = _block(design, mould, h, top).cut(*(hole for part in openings for hole in at_units(part, design)))
+    wedges = _wedges(unit, mould.clearance_mm)
+    return plate.fuse(*(wedge for part in wedges for wedge in at_units(part, design)))
+
+
+def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
+    """The space above the x and the y pillar up to z = h, beside the z pillar: two right-angled prisms.
+
+    `clearance_mm` is taken off the faces that slide along the walls of a trough, not off those that shape rubber.
+    """
+    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
+    side, end = w / 2 - clearance_mm, s + ow / 2 - clearance_mm
+    # (distance from the z pillar's axis, z); along x the upper face falls from (ow/2, h), along y it rises to it
+    above_x = [(ow / 2, h), (end, h), (end, h * clearance_mm / s)]
+    above_y = [(w / 2, h), (s - ow / 2, h), (w / 2, h * (w + ow) / 2 / s)]
+    corner = Location((-s / 2, -s / 2, 0.0))
+    wedge_x = prism([(r, -side, z) for r, z in above_x], (0.0, 2 * side, 0.0))
+    wedge_y = prism([(-side, r, z) for r, z in above_y], (2 * side, 0.0, 0.0))
+    return [wedge_x.moved(corner), wedge_y.moved(corner)]

@@ -1,0 +1,124 @@
+"""Triangulated surfaces of CAD solids, checked before anything is made of them.
+
+A surface that leaks or faces inward makes a mesher fill the wrong side, often without a word; `check_surface` is the
+gate in front of it and of every STL file.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from geometry.errors import GeometryError
+from geometry.files import replacing
+from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from build123d import Shape
+
+CHORD_MM = (
+    1e-3  #: how far a triangle may leave a curved face; the bodies drawn here are flat-faced, so none does
+)
+COINCIDENT_MM = 1e-7  #: points closer than this are one point: the CAD kernel's own precision
+VOLUME_TOLERANCE = 1e-6  #: relative; see `check_surface`
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles around one or more bodies."""
+
+    vertices: FloatArray  #: shape (n, 3) [mm]
+    triangles: NDArray[np.int32]  #: shape (m, 3), indices of vertices, anticlockwise seen from outside
+
+    @property
+    def volume_mm3(self) -> float:
+        """Enclosed volume, negative if the triangles face inward; means nothing unless the surface is closed."""
+        return float(_as_trimesh(self).volume)
+
+
+def _as_trimesh(surface: Surface) -> trimesh.Trimesh:
+    return trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
+
+
+def surface_from_solid(solid: "Shape") -> Surface:
+    """Triangulate a solid, or several that do not touch, and join the triangles of neighbouring faces.
+
+    Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions. Faces do
+    not share their vertices, though: those closer than `COINCIDENT_MM` become one here.
+    """
+    points, corners = solid.tessellate(CHORD_MM)
+    scattered = np.array([tuple(point) for point in points])
+    pairs = cKDTree(scattered).query_pairs(COINCIDENT_MM, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(scattered), len(scattered)))
+    _, group = connected_components(links, directed=False)
+    _, first = np.unique(group, return_index=True)
+    return Surface(scattered[first], group[np.array(corners)].astype(np.int32))
+
+
+def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> None:
+    """Refuse a surface that is not closed, not outward, or not the solid it was made from.
+
+    Parameters
+    ----------
+    surface : Surface
+        What is about to be meshed or written.
+    expected_volume_mm3 : float
+        Volume of the solid, from the CAD kernel or a closed form [mm³].
+    name : str
+        What the message calls the surface.
+
+    Raises
+    ------
+    GeometryError
+        If a triangle has no area, an edge does not belong to exactly two triangles, neighbours are wound against each
+        other, the triangles face inward, or the volume differs by more than `VOLUME_TOLERANCE`.
+
+    Notes
+    -----
+    Bodies with flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double precision,
+    1e-7 once coordinates went through an STL file's single precision. The tolerance lies above both, and far below the
+    smallest real fault: one pillar of a 6 × 6 array is a hundredth of its volume.
+    """
+    body = _as_trimesh(surface)
+    corners = surface.vertices[surface.triangles]
+    edges_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    flat = 2 * body.area_faces <= COINCIDENT_MM * edges_mm.max(
+        axis=1
+    )  # its least height is 2·area / longest edge
+    if flat.any():
+        raise GeometryError(
+            f"surface '{name}': {flat.sum()} of {len(flat)} triangles have no area (first: {flat.argmax()}): "
+            "drop them and join their ends, or triangulate the solid anew."
+        )
+    if not body.is_watertight:
+        _, shares = np.unique(body.edges_sorted, axis=0, return_counts=True)
+        raise GeometryError(
+            f"surface '{name}' is not watertight: {(shares != 2).sum()} of {len(shares)} edges do not belong to "
+            "exactly two triangles; triangulate the solid anew or mend the holes."
+        )
+    if not body.is_winding_consistent:
+        raise GeometryError(
+            f"surface '{name}' is not consistently wound: some triangles face in while their neighbours face out; "
+            "turn them over."
+        )
+    if body.volume < 0:
+        raise GeometryError(
+            f"surface '{name}' faces inward (volume {body.volume:g} mm³): turn its triangles over."
+        )
+    if not abs(body.volume - expected_volume_mm3) <= VOLUME_TOLERANCE * expected_volume_mm3:
+        raise GeometryError(
+            f"surface '{name}' encloses {body.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³; they may "
+            f"differ by {VOLUME_TOLERANCE:g} of that: make the surface anew from the solid."
+        )
+
+
+def write_surface(surface: Surface, path: Path) -> None:
+    """Write a surface as STL (binary, single precision) or OBJ (text), by the suffix; whole or not at all."""
+    with replacing(path) as temporary:
+        _as_trimesh(surface).export(temporary)
