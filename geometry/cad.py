@@ -1,7 +1,7 @@
 """The sensor as solids: pillars, unit, array and matrix drawn by build123d, and written as STEP and STL.
 
-Coordinates: a unit's frame has its origin in the unit's centre on the base plane; the array is centred on the origin,
-z from 0 to h. Importing this module takes seconds, build123d's own.
+Coordinates: a unit's frame has its origin in the unit's centre on the base plane; the array is centred on the
+origin, z from 0 to h. Importing this module takes seconds, build123d's own.
 """
 
 import re
@@ -39,8 +39,11 @@ def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
 def pillar_solids(unit: Unit) -> list[Solid]:
     """The z, x and y pillars in the unit's frame, each ending flush with z = 0 and z = h.
 
-    The section is width × width perpendicular to the axis. Seen along z it is therefore width × width·l/h, longer
-    along the tilt, and a horizontal rectangle moved along the axis is the whole pillar: V = S·l exactly.
+    The section is width × width perpendicular to the axis, so that a horizontal cut is width × width·l/h,
+    longer along the tilt. Such a rectangle swept along the axis is the whole pillar, and V = S·l exactly.
+
+    >>> [round(pillar.volume, 6) for pillar in pillar_solids(Unit())]
+    [40.0, 56.568542, 56.568542]
     """
     w, ow = unit.pillar_width_mm, unit.oblique_width_mm
     solids = []
@@ -52,7 +55,7 @@ def pillar_solids(unit: Unit) -> list[Solid]:
 
 
 def unit_solid(unit: Unit) -> Solid:
-    """The conductive body of one unit, in its own frame: three pillars grown together at their common electrodes."""
+    """The conductive body of one unit, in its own frame: its pillars, grown together at common electrodes."""
     first, *others = pillar_solids(unit)
     return first.fuse(*others)
 
@@ -89,7 +92,8 @@ def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
 def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
     """Write ``NAME.step`` and ``NAME.stl`` of every solid; the same solids give the same bytes.
 
-    The STEP file is the master: exact faces, mm. Every surface is checked before the first file is written.
+    The STEP file is the master: exact faces, in mm, labelled NAME. Every surface is checked before any file
+    is written.
 
     Raises
     ------
@@ -117,6 +121,6 @@ def _write_step(solid: Shape, name: str, path: Path) -> None:
 
 
 def _with_own_numbering(step: str) -> str:
-    """Count the parts of an assembly from 1: the CAD kernel counts on from file to file as long as it runs."""
+    """Count the parts of an assembly from 1: the CAD kernel counts on from one file to the next."""
     head, *uses = re.split(r"(?<=NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+", step)
     return head + "".join(f"{number}{use}" for number, use in enumerate(uses, start=1))

@@ -1,21 +1,22 @@
 """The casting mould: three printed parts in which a sensor is made from conductive and insulating rubber.
 
-The paper prints "the model", puts conductive units "into the meshes of the model" and fills the rest with insulating
-silicone (section 2.2), but shows no drawing of it. This mould does the same in a way that needs no loose parts:
+The paper prints "the model", puts conductive units "into the meshes of the model" and fills the rest with
+insulating silicone (section 2.2), but gives no drawing. This mould is one way to do so, without loose parts:
 
-1. Spread conductive rubber into the troughs of ``mould_pillars`` and press ``mould_lid`` on. Its wedges reach down to
-   the upper faces of the oblique pillars; the surplus leaves through a vent over each upper electrode. Cure.
+1. Spread conductive rubber into the troughs of ``mould_pillars`` and press ``mould_lid`` on. Its wedges reach
+   down to the upper faces of the oblique pillars; surplus leaves by a vent over each upper electrode. Cure.
 2. Lift the lid. The rubber in the vents holds every unit on it, upright and in its place of the array.
-3. Fill ``mould_tray`` with insulating silicone and set the lid on, outer faces flush. Surplus and air leave through
-   the windows, the meshes of the lid. Cure.
-4. Cut the rubber in the vents, lift the lid, fill the pits of its wedges with the same silicone, strike off at z = h.
+3. Fill ``mould_tray`` with insulating silicone and set the lid on, outer faces flush. Surplus and air leave
+   by the windows, the meshes of the lid. Cure.
+4. Cut the rubber in the vents, lift the lid, fill the pits of its wedges with the same silicone and strike it
+   off at z = h.
 
-Why it opens: every vertical line meets a unit in a single piece. The oblique pillars are no undercut for a lid lifted
-straight up: below each is a ramp of the one part, above it a wedge of the other. The one exception is the heel of the
-y pillar, (oblique width − width)/2 = 0.41 mm of the paper's rubber that must bend past the wall above it. A plug for
-it would be thinner than a printer's nozzle.
+Why it opens: every vertical line meets a unit in a single piece. So oblique pillars are no undercut for a lid
+that is lifted straight up: below each is a ramp of one part, above it a wedge of the other. The one exception
+is the heel of the y pillar, which juts out by (oblique width − width)/2 under the wall of its trough; rubber
+bends past these 0.41 mm, and a plug above them would be thinner than a printer's nozzle.
 
-Parts are drawn closed, in the sensor's coordinates; turn the lid over for printing. No such mould has been printed yet.
+Parts are drawn closed, in the sensor's coordinates; print the lid upside down. None has been printed yet.
 """
 
 from dataclasses import dataclass
@@ -35,21 +36,17 @@ class Mould:
 
     wall_mm: float = quantity(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = quantity(3.0, "thickness of the lid and of the floors")
-    clearance_mm: float = quantity(
-        0.15, "gap between a wedge of the lid and the walls of its trough, on each side"
-    )
+    clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
 
     def __post_init__(self) -> None:
         _require_numbers(self)
         _require_positive(self, "wall_mm", "plate_mm")
         if self.clearance_mm < 0:
-            raise DesignError(
-                f"clearance_mm={self.clearance_mm:g} must not be below 0: the wedges would jam."
-            )
+            raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
-    """The mould's three parts, by the name of their files; `DesignError` if the clearance leaves no wedges."""
+    """The mould's parts, by the name of their files; `DesignError` if the clearance leaves no wedges."""
     limit_mm = design.unit.pillar_width_mm / 2
     if mould.clearance_mm >= limit_mm:
         raise DesignError(
@@ -81,15 +78,15 @@ def _tray(design: SensorDesign, mould: Mould) -> Solid:
 
 
 def _pillar_mould(design: SensorDesign, mould: Mould) -> Solid:
-    """A block with a trough for every unit: the unit and the space above it, through which rubber and wedges enter."""
+    """A block with a trough for every unit: the unit, and the space above it that the lid's wedges fill."""
     trough = unit_solid(design.unit).fuse(*_wedges(design.unit, clearance_mm=0.0))
     return _block(design, mould, -mould.plate_mm, design.unit.height_mm).cut(*at_units(trough, design))
 
 
 def _lid(design: SensorDesign, mould: Mould) -> Solid:
-    """A plate with wedges below; for every unit two vents over its electrodes, and a window to pour silicone through.
+    """A plate with wedges below and, for every unit, a vent over each upper electrode and a window.
 
-    The window is centred on the unit and half as wide as the room between the pillars, so it meets no wedge or vent.
+    The window is centred on the unit and half as wide as the room beside its pillars, so it meets no wedge.
     """
     unit, h = design.unit, design.unit.height_mm
     top = h + mould.plate_mm
@@ -105,13 +102,14 @@ def _lid(design: SensorDesign, mould: Mould) -> Solid:
 def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
     """The space above the x and the y pillar up to z = h, beside the z pillar: two right-angled prisms.
 
-    `clearance_mm` is taken off the faces that slide along the walls of a trough, not off those that shape rubber.
+    `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.
     """
     s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
     side, end = w / 2 - clearance_mm, s + ow / 2 - clearance_mm
-    # (distance from the z pillar's axis, z); along x the upper face falls from (ow/2, h), along y it rises to it
+    # Corners (distance from the z pillar's axis, z). The x pillar's upper face falls from (ow/2, h) to
+    # (s + ow/2, 0); the y pillar's rises from (-ow/2, 0) to (s - ow/2, h) and is cut off at the z pillar.
     above_x = [(ow / 2, h), (end, h), (end, h * clearance_mm / s)]
-    above_y = [(w / 2, h), (s - ow / 2, h), (w / 2, h * (w + ow) / 2 / s)]
+    above_y = [(w / 2, h), (s - ow / 2, h), (w / 2, h * (w + ow) / (2 * s))]
     corner = Location((-s / 2, -s / 2, 0.0))
     wedge_x = prism([(r, -side, z) for r, z in above_x], (0.0, 2 * side, 0.0))
     wedge_y = prism([(-side, r, z) for r, z in above_y], (2 * side, 0.0, 0.0))

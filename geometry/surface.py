@@ -1,7 +1,7 @@
 """Triangulated surfaces of CAD solids, checked before anything is made of them.
 
-A surface that leaks or faces inward makes a mesher fill the wrong side, often without a word; `check_surface` is the
-gate in front of it and of every STL file.
+A surface that leaks or faces inward makes a mesher fill the wrong side, often without a word; `check_surface`
+is the gate in front of it and of every STL file.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Surface:
 
     @property
     def volume_mm3(self) -> float:
-        """Enclosed volume, negative if the triangles face inward; means nothing unless the surface is closed."""
+        """Enclosed volume, negative if the triangles face inward; for closed surfaces only."""
         return float(_as_trimesh(self).volume)
 
 
@@ -49,8 +49,8 @@ def _as_trimesh(surface: Surface) -> trimesh.Trimesh:
 def surface_from_solid(solid: "Shape") -> Surface:
     """Triangulate a solid, or several that do not touch, and join the triangles of neighbouring faces.
 
-    Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions. Faces do
-    not share their vertices, though: those closer than `COINCIDENT_MM` become one here.
+    Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions.
+    But faces do not share their vertices: those closer than `COINCIDENT_MM` become one here.
     """
     points, corners = solid.tessellate(CHORD_MM)
     scattered = np.array([tuple(point) for point in points])
@@ -76,14 +76,15 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
     Raises
     ------
     GeometryError
-        If a triangle has no area, an edge does not belong to exactly two triangles, neighbours are wound against each
-        other, the triangles face inward, or the volume differs by more than `VOLUME_TOLERANCE`.
+        If a triangle has no area, an edge does not belong to exactly two triangles, neighbours are wound
+        against each other, the triangles face inward, or the volume differs by more than `VOLUME_TOLERANCE`.
 
     Notes
     -----
-    Bodies with flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double precision,
-    1e-7 once coordinates went through an STL file's single precision. The tolerance lies above both, and far below the
-    smallest real fault: one pillar of a 6 × 6 array is a hundredth of its volume.
+    Bodies with flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double
+    precision, 1e-7 once coordinates went through an STL file's single precision. The tolerance lies above
+    both, and far below what a wrong body does: a pillar of a 6 × 6 array is a hundredth of its volume. That a
+    surface cuts through itself is seen by its volume only: overlapping pillars hold more than their union.
     """
     body = _as_trimesh(surface)
     corners = surface.vertices[surface.triangles]
@@ -99,13 +100,13 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
     if not body.is_watertight:
         _, shares = np.unique(body.edges_sorted, axis=0, return_counts=True)
         raise GeometryError(
-            f"surface '{name}' is not watertight: {(shares != 2).sum()} of {len(shares)} edges do not belong to "
-            "exactly two triangles; triangulate the solid anew or mend the holes."
+            f"surface '{name}' is not watertight: {(shares != 2).sum()} of {len(shares)} edges do not belong "
+            "to exactly two triangles; triangulate the solid anew or mend the holes."
         )
     if not body.is_winding_consistent:
         raise GeometryError(
-            f"surface '{name}' is not consistently wound: some triangles face in while their neighbours face out; "
-            "turn them over."
+            f"surface '{name}' is not consistently wound: some triangles face in while their neighbours face "
+            "out; turn them over."
         )
     if body.volume < 0:
         raise GeometryError(
@@ -113,8 +114,8 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
         )
     if not abs(body.volume - expected_volume_mm3) <= VOLUME_TOLERANCE * expected_volume_mm3:
         raise GeometryError(
-            f"surface '{name}' encloses {body.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³; they may "
-            f"differ by {VOLUME_TOLERANCE:g} of that: make the surface anew from the solid."
+            f"surface '{name}' encloses {body.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³, "
+            f"which may differ by {VOLUME_TOLERANCE:g} of that: make the surface anew from the solid."
         )
 
 

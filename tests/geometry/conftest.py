@@ -1,0 +1,27 @@
+"""Designs that stretch the geometry, for every test that draws one."""
+
+import pytest
+
+from geometry import Array, Pad, SensorDesign, Unit
+
+FLAT = Unit(span_mm=12.0, height_mm=8.0, pillar_width_mm=1.5)  # oblique pillars at 56° to z
+NARROW = Unit(span_mm=4.0)  # so narrow that the x and y pillars meet each other at half height
+
+DESIGNS = {
+    "paper": SensorDesign(),
+    "flat": SensorDesign(unit=FLAT, array=Array(rows=2, cols=3, pitch_mm=16.5)),
+    "narrow": SensorDesign(unit=NARROW, array=Array(rows=2, cols=1, pitch_mm=7.0), pad=Pad(size_mm=6.0)),
+    "dense": SensorDesign(array=Array(rows=2, cols=2, pitch_mm=Unit().footprint_mm)),  # least pitch allowed
+}
+
+
+@pytest.fixture(params=DESIGNS)
+def design(request: pytest.FixtureRequest) -> SensorDesign:
+    """Each of `DESIGNS` in turn."""
+    return DESIGNS[request.param]
+
+
+@pytest.fixture
+def small_design() -> SensorDesign:
+    """The paper's unit, twice, for tests of what does not depend on the size of the array."""
+    return SensorDesign(array=Array(rows=1, cols=2))

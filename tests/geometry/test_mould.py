@@ -1,0 +1,109 @@
+"""The mould's volumes in closed form, and that its parts fit, fill and open."""
+
+import numpy as np
+import pytest
+from build123d import Location
+
+from geometry import DesignError
+from geometry.cad import array_solid, unit_solid
+from geometry.mould import Mould, mould_solids, write_cad
+
+MOULD = Mould(wall_mm=4.0, plate_mm=2.5, clearance_mm=0.2)
+EXACT = 1e-9  # rounding of the CAD kernel's integrals
+
+
+def overlap_mm3(a, b) -> float:
+    common = a & b
+    return sum(solid.volume for solid in common.solids()) if common else 0.0
+
+
+def rim_area(design) -> float:
+    x, y, _ = design.slab_mm
+    return (x + 2 * MOULD.wall_mm) * (y + 2 * MOULD.wall_mm)
+
+
+def test_volumes_follow_their_closed_forms(design):
+    unit, n, c, t = design.unit, design.n_units, MOULD.clearance_mm, MOULD.plate_mm
+    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
+    parts = mould_solids(design, MOULD)
+
+    def wedges(c: float) -> float:
+        """Right-angled prisms: legs s − c along x, s − (w + ow)/2 along y, both as steep as the pillars."""
+        return (w - 2 * c) * ((s - c) ** 2 + (s - (w + ow) / 2) ** 2) * h / (2 * s)
+
+    expected = {
+        "mould_tray": rim_area(design) * (h + t) - np.prod(design.slab_mm),
+        "mould_pillars": rim_area(design) * (h + t) - n * (unit_solid(unit).volume + wedges(0.0)),
+        "mould_lid": rim_area(design) * t - n * (2 * w**2 + ((s - w) / 2) ** 2) * t + n * wedges(c),
+    }
+    assert {name: part.volume for name, part in parts.items()} == pytest.approx(expected, rel=EXACT)
+    assert all(part.is_valid and len(part.solids()) == 1 for part in parts.values())
+
+
+def test_closed_mould_without_clearance_leaves_room_for_the_units_and_nothing_else(small_design):
+    parts = mould_solids(small_design, Mould(wall_mm=4.0, plate_mm=2.5, clearance_mm=0.0))
+    unit, n, h = small_design.unit, small_design.n_units, small_design.unit.height_mm
+    block = rim_area(small_design) * (h + 2 * MOULD.plate_mm)
+    openings = (
+        n * MOULD.plate_mm * (2 * unit.pillar_width_mm**2 + ((unit.span_mm - unit.pillar_width_mm) / 2) ** 2)
+    )
+    rubber = block - openings - parts["mould_pillars"].volume - parts["mould_lid"].volume
+    assert rubber == pytest.approx(array_solid(small_design).volume, rel=EXACT)
+
+
+def test_lid_lifts_straight_off(small_design):
+    parts, units = mould_solids(small_design, MOULD), array_solid(small_design)
+    for lift_mm in (0.0, 0.5, 3.0, 9.0):
+        lid = parts["mould_lid"].moved(Location((0, 0, lift_mm)))
+        assert overlap_mm3(lid, parts["mould_pillars"]) == pytest.approx(0.0, abs=EXACT)
+        assert sum(overlap_mm3(lid, unit) for unit in units.solids()) == pytest.approx(0.0, abs=EXACT)
+    assert overlap_mm3(parts["mould_lid"], parts["mould_tray"]) == pytest.approx(0.0, abs=EXACT)
+
+
+def test_units_lift_out_but_for_the_heel_of_the_y_pillar(small_design):
+    """The heel is a prism of width w, as far out as the oblique pillar is wider than z, and as steep."""
+    unit = small_design.unit
+    depth = (unit.oblique_width_mm - unit.pillar_width_mm) / 2
+    heel = unit.pillar_width_mm * depth**2 * unit.height_mm / (2 * unit.span_mm)
+    pillar_mould = mould_solids(small_design, MOULD)["mould_pillars"]
+    for lift_mm in (1.0, 4.0, 8.0):
+        for lifted in array_solid(small_design).moved(Location((0, 0, lift_mm))).solids():
+            assert overlap_mm3(lifted, pillar_mould) == pytest.approx(heel, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"wall_mm": 0.0}, "wall_mm=0 must be above 0"),
+        ({"plate_mm": -3.0}, "plate_mm=-3 must be above 0"),
+        ({"plate_mm": float("nan")}, "plate_mm=nan must be a finite number"),
+        ({"clearance_mm": -0.1}, "clearance_mm=-0.1 must be 0 or more"),
+    ],
+)
+def test_nonsense_is_refused_by_name(values, words):
+    with pytest.raises(DesignError, match=words):
+        Mould(**values)
+
+
+def test_clearance_that_leaves_no_wedge_is_refused(small_design):
+    with pytest.raises(DesignError, match=r"clearance_mm=1 leaves no wedges .* pillar_width_mm, 1;"):
+        mould_solids(small_design, Mould(clearance_mm=1.0))
+
+
+def test_everything_is_written_as_step_and_stl(small_design, tmp_path):
+    parts = [
+        "pillar_z",
+        "pillar_x",
+        "pillar_y",
+        "unit",
+        "array",
+        "slab",
+        "matrix",
+        "mould_tray",
+        "mould_pillars",
+        "mould_lid",
+    ]
+    written = write_cad(small_design, tmp_path / "cad", MOULD)
+    assert [path.name for path in written] == [f"{part}.{kind}" for part in parts for kind in ("step", "stl")]
+    assert {path.name for path in (tmp_path / "cad").iterdir()} == {path.name for path in written}
+    assert all(path.stat().st_size > 0 for path in written)

@@ -1,0 +1,121 @@
+"""Surfaces: closed as the solids are, and every kind of damage refused by name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry import GeometryError, SensorDesign
+from geometry.cad import array_solid, matrix_solid, pillar_solids, unit_solid
+from geometry.layout import pillar_volumes
+from geometry.surface import Surface, check_surface, surface_from_solid, write_surface
+
+UNIT = SensorDesign().unit
+
+
+@pytest.fixture(scope="module")
+def unit_surface() -> Surface:
+    return surface_from_solid(unit_solid(UNIT))
+
+
+@pytest.fixture(scope="module")
+def volume_mm3() -> float:
+    return unit_solid(UNIT).volume
+
+
+def test_surfaces_enclose_what_their_solids_do(design):
+    for solid in (
+        *pillar_solids(design.unit),
+        unit_solid(design.unit),
+        array_solid(design),
+        matrix_solid(design),
+    ):
+        surface = surface_from_solid(solid)
+        check_surface(surface, solid.volume, "body")
+        assert surface.volume_mm3 == pytest.approx(
+            solid.volume, rel=1e-12
+        )  # flat faces: exact but for rounding
+
+
+def test_surfaces_have_the_topology_of_their_solids(design):
+    """Euler: V − F/2 is 2 a body and 2 less a tunnel; a unit, open at four ends, bores three."""
+    array, matrix = surface_from_solid(array_solid(design)), surface_from_solid(matrix_solid(design))
+    assert len(array.vertices) - len(array.triangles) / 2 == 2 * design.n_units
+    assert len(matrix.vertices) - len(matrix.triangles) / 2 == 2 - 2 * 3 * design.n_units
+
+
+def test_array_types_and_shapes(unit_surface):
+    assert unit_surface.vertices.dtype == np.float64
+    assert unit_surface.triangles.dtype == np.int32
+    assert unit_surface.vertices.shape == (24, 3)
+    assert unit_surface.triangles.shape == (44, 3)
+
+
+def test_surface_with_a_hole_is_refused(unit_surface, volume_mm3):
+    broken = replace(unit_surface, triangles=unit_surface.triangles[1:])
+    with pytest.raises(GeometryError, match="'unit' is not watertight: 3 of 66 edges"):
+        check_surface(broken, volume_mm3, "unit")
+
+
+def test_t_junction_is_refused(unit_surface, volume_mm3):
+    """A corner on a neighbour's edge, unknown to the neighbour: no hole in space, no volume lost."""
+    a, b, c = unit_surface.triangles[0]
+    middle = unit_surface.vertices[[a, b]].mean(axis=0)
+    n = len(unit_surface.vertices)
+    split = np.vstack([unit_surface.triangles[1:], [[a, n, c], [n, b, c]]])
+    broken = Surface(np.vstack([unit_surface.vertices, middle]), split)
+    assert broken.volume_mm3 == pytest.approx(volume_mm3, rel=1e-12)
+    with pytest.raises(GeometryError, match="not watertight"):
+        check_surface(broken, volume_mm3, "unit")
+
+
+def test_triangle_turned_over_is_refused(unit_surface, volume_mm3):
+    triangles = unit_surface.triangles.copy()
+    triangles[0] = triangles[0, ::-1]
+    with pytest.raises(GeometryError, match="not consistently wound"):
+        check_surface(replace(unit_surface, triangles=triangles), volume_mm3, "unit")
+
+
+def test_surface_inside_out_is_refused(unit_surface, volume_mm3):
+    broken = replace(unit_surface, triangles=unit_surface.triangles[:, ::-1])
+    with pytest.raises(GeometryError, match=r"faces inward \(volume -141.823 mm³\)"):
+        check_surface(broken, volume_mm3, "unit")
+
+
+def test_triangle_without_area_is_refused(unit_surface, volume_mm3):
+    vertices = unit_surface.vertices.copy()
+    a, b, c = unit_surface.triangles[7]
+    vertices[c] = (vertices[a] + vertices[b]) / 2
+    with pytest.raises(GeometryError, match="1 of 44 triangles have no area"):
+        check_surface(replace(unit_surface, vertices=vertices), volume_mm3, "unit")
+
+
+@pytest.mark.parametrize(
+    "factor", [1 + 1e-6, 1 - 1e-6, np.nan]
+)  # a volume three times as far off as is allowed
+def test_surface_of_another_size_is_refused(unit_surface, volume_mm3, factor):
+    broken = replace(unit_surface, vertices=unit_surface.vertices * factor)
+    with pytest.raises(GeometryError, match=r"encloses .* mm³, its solid 141.823376 mm³"):
+        check_surface(broken, volume_mm3, "unit")
+
+
+def test_pillars_that_overlap_instead_of_being_one_body_are_refused(volume_mm3):
+    pillars = [surface_from_solid(pillar) for pillar in pillar_solids(UNIT)]
+    offsets = np.cumsum([0, *(len(p.vertices) for p in pillars[:-1])])
+    heap = Surface(
+        np.vstack([p.vertices for p in pillars]),
+        np.vstack([p.triangles + offset for p, offset in zip(pillars, offsets, strict=True)]),
+    )
+    check_surface(heap, pillar_volumes(UNIT).sum(), "heap")  # closed, outward: only the union's volume tells
+    with pytest.raises(GeometryError, match="encloses"):
+        check_surface(heap, volume_mm3, "heap")
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_written_surface_passes_the_same_check_when_read(design, tmp_path, suffix):
+    solid = array_solid(design)
+    write_surface(surface_from_solid(solid), tmp_path / f"array.{suffix}")
+    body = trimesh.load_mesh(tmp_path / f"array.{suffix}")
+    check_surface(Surface(body.vertices, body.faces), solid.volume, "array")
+    assert [path.name for path in tmp_path.iterdir()] == [f"array.{suffix}"]
