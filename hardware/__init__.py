@@ -1,0 +1,52 @@
+"""From a board's bytes to forces.
+
+In: a recording (`read_recording`), the bytes a board sent. Out: `replay` gives the forces over time that a
+trained model finds in it. Without a board, `recording_from_resistances` makes one. Open `docs/frames.md` for
+what is on the wire, then `frames.py` (the codec), `wiring.py` (which crossing reads which pillar),
+`recording.py` and `replay.py`.
+"""
+
+from hardware.frames import (
+    INFO_REQUEST,
+    PROTOCOL,
+    Frame,
+    FrameDecoder,
+    FrameError,
+    Info,
+    ScanMode,
+    Statistics,
+    encode,
+)
+from hardware.recording import (
+    Recording,
+    parse_recording,
+    read_recording,
+    recording_from_resistances,
+    write_recording,
+)
+from hardware.replay import ForceModel, Replay, replay, resistances
+from hardware.wiring import crossings, crossings_from_pillars, pillars_from_crossings
+
+__all__ = [
+    "INFO_REQUEST",
+    "PROTOCOL",
+    "ForceModel",
+    "Frame",
+    "FrameDecoder",
+    "FrameError",
+    "Info",
+    "Recording",
+    "Replay",
+    "ScanMode",
+    "Statistics",
+    "crossings",
+    "crossings_from_pillars",
+    "encode",
+    "parse_recording",
+    "pillars_from_crossings",
+    "read_recording",
+    "recording_from_resistances",
+    "replay",
+    "resistances",
+    "write_recording",
+]
