@@ -9,6 +9,7 @@ from build123d import GeomType, import_step
 
 from geometry import GeometryError, SensorDesign, Unit
 from geometry.cad import (
+    STEP_TIME,
     array_solid,
     matrix_solid,
     pillar_solids,
@@ -153,6 +154,7 @@ def test_one_design_gives_the_same_bytes_twice(small_design, tmp_path):
     assert len(write_solids(sensor_solids(small_design), first)) == 14
     write_solids(sensor_solids(small_design), second)
     assert contents(first) == contents(second)
+    assert STEP_TIME.encode() in contents(first)["unit.step"]  # the two may be written within a second
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -6,6 +6,7 @@ from build123d import Location
 
 from geometry import DesignError
 from geometry.cad import array_solid, unit_solid
+from geometry.layout import unit_centres, upper_electrodes
 from geometry.mould import Mould, mould_solids, write_cad
 
 MOULD = Mould(wall_mm=4.0, plate_mm=2.5, clearance_mm=0.2)
@@ -58,6 +59,21 @@ def test_lid_lifts_straight_off(small_design):
         assert overlap_mm3(lid, parts["mould_pillars"]) == pytest.approx(0.0, abs=EXACT)
         assert sum(overlap_mm3(lid, unit) for unit in units.solids()) == pytest.approx(0.0, abs=EXACT)
     assert overlap_mm3(parts["mould_lid"], parts["mould_tray"]) == pytest.approx(0.0, abs=EXACT)
+
+
+def test_lid_is_open_over_upper_electrodes_and_at_the_centre_of_every_unit(design):
+    lid_top = max(mould_solids(design, MOULD)["mould_lid"].faces(), key=lambda face: face.center().Z)
+    boxes = [wire.bounding_box(optimal=True) for wire in lid_top.inner_wires()]
+    openings = [(b.center().X, b.center().Y, b.size.X, b.size.Y) for b in boxes]
+    w, room = design.unit.pillar_width_mm, design.unit.span_mm - design.unit.pillar_width_mm
+    vents = [
+        (*(centre + top[:2]), w, w)
+        for centre in unit_centres(design)
+        for top in upper_electrodes(design.unit)
+    ]
+    windows = [(*centre, room / 2, room / 2) for centre in unit_centres(design)]
+    found, expected = (sorted(np.round(o, 6).tolist()) for o in (openings, vents + windows))
+    assert found == expected
 
 
 def test_units_lift_out_but_for_the_heel_of_the_y_pillar(small_design):
