@@ -1,0 +1,80 @@
+"""Every pillar has a crossing of its own, in the order that docs/frames.md gives."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.layout import PILLARS
+from hardware.wiring import crossings, crossings_from_pillars, pillar_of_crossing, pillars_from_crossings
+
+SIZES = [(1, 1), (1, 2), (2, 1), (3, 5), (6, 6)]
+PAGE = Path(__file__).parents[2] / "docs" / "frames.md"
+
+# The 1 × 2 array by hand: row wires 0 (U1) and 1 (U2), column wires 0 and 1 (L1 and L2 of unit 0), 2 and 3.
+ONE_BY_TWO = [
+    # row wire, column wire, array row, array column, pillar
+    (0, 0, 0, 0, "z"),
+    (0, 1, 0, 0, "x"),
+    (0, 2, 0, 1, "z"),
+    (0, 3, 0, 1, "x"),
+    (1, 0, 0, 0, "y"),
+    (1, 2, 0, 1, "y"),
+]
+
+
+def test_order_of_a_1_by_2_array_is_the_hand_written_one():
+    assert crossings(1, 2).tolist() == [[r, c] for r, c, *_ in ONE_BY_TWO]
+    pillars = pillars_from_crossings(np.arange(6), 1, 2)
+    for place, (*_, row, col, pillar) in enumerate(ONE_BY_TWO):
+        assert pillars[row, col, PILLARS.index(pillar)] == place
+
+
+def test_page_lists_the_same_order():
+    listed = re.findall(
+        r"^\| (\d) \| (\d) \| (\d) \| (\d) \| (\d) \| ([xyz]) \|$", PAGE.read_text(), re.MULTILINE
+    )
+    assert [(*map(int, line[1:5]), line[5]) for line in listed] == ONE_BY_TWO
+
+
+@pytest.mark.parametrize(("rows", "cols"), SIZES)
+def test_every_pillar_has_a_crossing_of_its_own(rows, cols):
+    wires = crossings(rows, cols)
+    assert len({tuple(pair) for pair in wires}) == len(wires) == 3 * rows * cols
+    assert sorted(pillar_of_crossing(rows, cols)) == list(range(3 * rows * cols))
+
+
+@pytest.mark.parametrize(("rows", "cols"), SIZES)
+def test_sent_crossings_are_row_major_and_never_u2_l2(rows, cols):
+    row_wire, column_wire = crossings(rows, cols).T
+    assert (np.diff(row_wire * 2 * cols + column_wire) > 0).all()
+    assert row_wire.max() == 2 * rows - 1
+    assert column_wire.max() == 2 * cols - 1
+    assert not ((row_wire % 2 == 1) & (column_wire % 2 == 1)).any()
+
+
+@pytest.mark.parametrize(("rows", "cols"), SIZES)
+def test_pillars_sit_where_their_electrodes_wires_cross(rows, cols):
+    """The design's table read the other way: from unit and pillar to two wires, then to the place sent."""
+    place = {tuple(pair): k for k, pair in enumerate(crossings(rows, cols).tolist())}
+    pillars = pillars_from_crossings(np.arange(3 * rows * cols), rows, cols)
+    for i in range(rows):
+        for j in range(cols):
+            U1, U2, L1, L2 = 2 * i, 2 * i + 1, 2 * j, 2 * j + 1
+            assert pillars[i, j].tolist() == [place[U1, L1], place[U1, L2], place[U2, L1]]
+
+
+@pytest.mark.parametrize(("rows", "cols"), SIZES)
+def test_rearranging_there_and_back_changes_nothing(rows, cols):
+    pillars = np.random.default_rng(0).random((4, rows, cols, 3))
+    sent = crossings_from_pillars(pillars)
+    assert sent.shape == (4, 3 * rows * cols)
+    assert (pillars_from_crossings(sent, rows, cols) == pillars).all()
+
+
+def test_wrong_shapes_are_refused_by_name():
+    with pytest.raises(ValueError, match=r"shape \(4, 107\), expected \(..., 108\) for 6 × 6 units"):
+        pillars_from_crossings(np.zeros((4, 107)), 6, 6)
+    with pytest.raises(ValueError, match=r"shape \(4, 108\), expected \(..., rows, cols, 3\)"):
+        crossings_from_pillars(np.zeros((4, 108)))
