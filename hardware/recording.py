@@ -35,7 +35,11 @@ class Recording:
 
 def read_recording(path: Path) -> Recording:
     """Read a recording; `parse_recording` says what is refused."""
-    return parse_recording(Path(path).read_bytes(), source=str(path))
+    try:
+        stream = Path(path).read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path}: {error.strerror}: give a recording.") from error
+    return parse_recording(stream, source=str(path))
 
 
 def write_recording(stream: bytes, path: Path) -> None:

@@ -1,7 +1,7 @@
 """The decoder under damage: it never raises, accepts only what was sent, and resumes at the next frame.
 
 A wrong CRC-16 passes once in 65536 damaged frames, and must then also have a right type, length and range of
-values. The some ten thousand damaged frames below would meet one by bad luck at most; seeds are fixed, so luck
+values. The some ten thousand damaged frames below meet one by bad luck at most; seeds are fixed, so that luck
 never changes.
 """
 

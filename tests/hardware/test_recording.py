@@ -115,6 +115,11 @@ def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, stream, m
     assert "\n" not in str(refusal.value)
 
 
+def test_a_missing_file_is_refused_in_one_line(tmp_path):
+    with pytest.raises(FileFormatError, match=r"nothing\.frames: No such file or directory: give"):
+        read_recording(tmp_path / "nothing.frames")
+
+
 def test_resistances_of_another_array_are_refused():
     with pytest.raises(ValueError, match=r"shape \(5, 6, 6, 3\), expected \(n, 2, 3, 3\)"):
         recording_from_resistances(resistances_of(5, 6, 6), INFO)
