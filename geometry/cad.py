@@ -12,7 +12,7 @@ from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, expo
 
 from geometry.design import SensorDesign, Unit
 from geometry.files import replacing
-from geometry.layout import PILLARS, pillar_ends, unit_centres
+from geometry.layout import PILLARS, pillar_ends, pillar_sections, unit_centres
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
 Point = Sequence[float]
@@ -45,9 +45,8 @@ def pillar_solids(unit: Unit) -> list[Solid]:
     >>> [round(pillar.volume, 6) for pillar in pillar_solids(Unit())]
     [40.0, 56.568542, 56.568542]
     """
-    w, ow = unit.pillar_width_mm, unit.oblique_width_mm
     solids = []
-    for (bottom, top), (size_x, size_y) in zip(pillar_ends(unit), [(w, w), (ow, w), (w, ow)], strict=True):
+    for (bottom, top), (size_x, size_y) in zip(pillar_ends(unit), pillar_sections(unit), strict=True):
         x, y, z = bottom
         signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
         solids.append(prism([(x + a * size_x / 2, y + b * size_y / 2, z) for a, b in signs], top - bottom))

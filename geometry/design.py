@@ -20,7 +20,7 @@ def group(default_factory: Any, meaning: str) -> Any:
     return field(default_factory=default_factory, metadata={"meaning": meaning})
 
 
-def _require_numbers(values: Any) -> None:
+def require_numbers(values: Any) -> None:
     """Refuse whatever is not a finite number in a float field, or not a whole number in an int field."""
     for spec in fields(values):
         value = getattr(values, spec.name)
@@ -32,7 +32,7 @@ def _require_numbers(values: Any) -> None:
             object.__setattr__(values, spec.name, float(value))
 
 
-def _require_positive(values: Any, *names: str) -> None:
+def require_positive(values: Any, *names: str) -> None:
     for name in names:
         if not getattr(values, name) > 0:
             meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
@@ -49,8 +49,8 @@ class Unit:
     electrode_mm: float = quantity(2.0, "side of the square electrodes")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "span_mm", "height_mm", "pillar_width_mm", "electrode_mm")
+        require_numbers(self)
+        require_positive(self, "span_mm", "height_mm", "pillar_width_mm", "electrode_mm")
         reach = (self.pillar_width_mm + self.oblique_width_mm) / 2
         if self.span_mm <= max(reach, self.electrode_mm):
             raise DesignError(
@@ -79,8 +79,8 @@ class Array:
     pitch_mm: float = quantity(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "rows", "cols", "pitch_mm")
+        require_numbers(self)
+        require_positive(self, "rows", "cols", "pitch_mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +92,8 @@ class Pad:
     offset_y_mm: float = quantity(0.0, "pad centre along y, from the unit's centre")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "size_mm")
+        require_numbers(self)
+        require_positive(self, "size_mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +104,8 @@ class Material:
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "young_mpa")
+        require_numbers(self)
+        require_positive(self, "young_mpa")
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -131,8 +131,8 @@ class SensorDesign:
     matrix_material: Material = group(Material, "the insulating rubber around them; the paper gives no value")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "resistivity_ohm_mm")
+        require_numbers(self)
+        require_positive(self, "resistivity_ohm_mm")
         pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
         if pitch_mm < footprint_mm:
             raise DesignError(

@@ -25,7 +25,7 @@ from pathlib import Path
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, _require_numbers, _require_positive, quantity
+from geometry.design import SensorDesign, Unit, require_numbers, require_positive, quantity
 from geometry.errors import DesignError
 from geometry.layout import upper_electrodes
 
@@ -39,8 +39,8 @@ class Mould:
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
-        _require_positive(self, "wall_mm", "plate_mm")
+        require_numbers(self)
+        require_positive(self, "wall_mm", "plate_mm")
         if self.clearance_mm < 0:
             raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 

@@ -1,0 +1,252 @@
+"""From checked surfaces to a tetrahedral mesh with region labels, by pytetwild (fTetWild).
+
+The mesher moves every surface by up to its envelope, gives another mesh at every run and knows no regions. So plane faces
+are snapped back onto their planes, regions are found from the geometry, the volume of each is held against the CAD's, and
+meshes are cached by the hash of what made them.
+"""
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import chdir, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.design import SensorDesign, quantity, require_numbers, require_positive
+from geometry.errors import DesignError, FileFormatError, GeometryError
+from geometry.files import cache_folder, digest, replacing
+from geometry.layout import FloatArray, inside_pillars
+from geometry.surface import Surface, check_surface
+
+REGIONS = ("matrix", "pillar")  #: meaning of a cell's region number
+METHOD = 1  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
+VOLUME_TOLERANCE = 2e-3  #: relative, of each region's volume against the CAD's
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSettings:
+    """How fine a mesh is. Edges in mm, never a share of the bounding box, so that they mean the same in any array."""
+
+    edge_top_mm: float = quantity(1.5, "wanted edge length at the touched surface, where loads begin and end")
+    edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base; linear in z between")
+    envelope_mm: float = quantity(0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time")
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        require_positive(self, "edge_top_mm", "edge_base_mm", "envelope_mm")
+        if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
+            raise DesignError(
+                f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
+                f"({self.edge_top_mm:g} and {self.edge_base_mm:g} mm), or surfaces lose their shape: lower it."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """Tetrahedra with region labels. Lengths in mm."""
+
+    points_mm: FloatArray  #: shape (n, 3)
+    cells: NDArray[np.int64]  #: shape (m, 4), each of positive volume
+    region: NDArray[np.int64]  #: shape (m,), index into REGIONS
+    recipe: str = ""  #: hash of what it was asked to be; two meshes of one recipe differ in their points
+
+    @property
+    def content_hash(self) -> str:
+        return digest(self.points_mm, self.cells, self.region)
+
+    def region_volumes(self) -> FloatArray:
+        """Volume of each region, shape (len(REGIONS),) [mm³]."""
+        return np.bincount(self.region, weights=cell_volumes(self.points_mm, self.cells), minlength=len(REGIONS))
+
+
+def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
+    """Signed volume of every tetrahedron, shape (m,) [mm³]."""
+    corners = points_mm[cells]
+    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+
+
+def sensor_mesh(design: SensorDesign, settings: MeshSettings | None = None) -> tuple[TetMesh, bool]:
+    """Mesh of a sensor, from the cache if it is there.
+
+    Pillars get a region of their own only where their rubber differs from the matrix.
+
+    Returns the mesh, and whether it came from the cache.
+
+    Raises
+    ------
+    GeometryError
+        If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
+    """
+    settings = settings or MeshSettings()
+    recipe = digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
+    path = cache_folder() / f"mesh-{recipe}.vtu"
+    try:
+        return read_mesh(path), True
+    except FileFormatError:
+        mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
+        write_mesh(mesh, path)
+        return mesh, False
+
+
+def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
+    from geometry.cad import array_solid, slab_solid  # build123d takes seconds to load: only when a mesh is made
+    from geometry.surface import surface_from_solid
+
+    solids = {"slab": slab_solid(design)} | ({} if design.is_homogeneous else {"array": array_solid(design)})
+    surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
+    for name, surface in surfaces.items():
+        check_surface(surface, solids[name].volume, name)
+
+    x, y, h = design.slab_mm
+    points, cells = tetrahedra(list(surfaces.values()), settings, h)
+    points = snap_to_box(points, cells, np.array([-x / 2, -y / 2, 0.0]), np.array([x / 2, y / 2, h]), settings.envelope_mm)
+    cells = outward(points, cells)
+    if design.is_homogeneous:
+        region = np.zeros(len(cells), dtype=np.int64)
+    else:
+        region = inside_pillars(points[cells].mean(axis=1), design).astype(np.int64)
+    mesh = TetMesh(points, cells, region)
+    pillars_mm3 = 0.0 if design.is_homogeneous else solids["array"].volume
+    check_volumes(mesh, np.array([solids["slab"].volume - pillars_mm3, pillars_mm3]))
+    return mesh
+
+
+def tetrahedra(
+    surfaces: Sequence[Surface], settings: MeshSettings, height_mm: float
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Fill the outermost of nested surfaces with tetrahedra whose faces follow all of them.
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+        The body's own, and any of inclusions inside it.
+    settings : MeshSettings
+        Edge lengths and envelope.
+    height_mm : float
+        The z of the top, where edges are `edge_top_mm` long; at z = 0 they are `edge_base_mm` long.
+
+    Returns
+    -------
+    points, shape (n, 3) [mm], and cells, shape (m, 4)
+    """
+    import pytetwild
+    from skfem import MeshTet
+
+    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
+    vertices = np.vstack([surface.vertices for surface in surfaces])
+    triangles = np.vstack([surface.triangles + offset for surface, offset in zip(surfaces, offsets, strict=True)])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+
+    # wanted edge lengths live on a coarse background mesh, a little larger than the body; linear in z needs two layers
+    x, y, _ = (np.array([a - 1.0, b + 1.0]) for a, b in zip(low, high, strict=True))
+    background = MeshTet.init_tensor(x, y, np.array([-1.0, 0.0, height_mm, height_mm + 1.0]))
+    share = np.clip(background.p[2] / height_mm, 0.0, 1.0)
+    with _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):  # the mesher drops a file where it stands
+        points, cells = pytetwild.tetrahedralize(
+            vertices,
+            triangles.astype(np.int32),
+            edge_length_abs=max(settings.edge_base_mm, settings.edge_top_mm),
+            epsilon=settings.envelope_mm / float(np.linalg.norm(high - low)),
+            bg_vertices=background.p.T.copy(),
+            bg_tets=background.t.T.astype(np.int32),
+            bg_values=settings.edge_base_mm + (settings.edge_top_mm - settings.edge_base_mm) * share,
+        )
+    return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+
+
+def snap_to_box(
+    points: FloatArray, cells: NDArray[np.int64], low: FloatArray, high: FloatArray, envelope_mm: float
+) -> FloatArray:
+    """Points with every boundary face that lies along a side of a box moved onto that side.
+
+    A face belongs to a side if all its points are within twice the envelope of it. Only faces count, not single points,
+    so points inside the body stay where they are.
+    """
+    points = points.copy()
+    faces = boundary_faces(cells)
+    for axis in range(3):
+        for plane in (low[axis], high[axis]):
+            along = (np.abs(points[faces, axis] - plane) <= 2 * envelope_mm).all(axis=1)
+            points[faces[along], axis] = plane
+    return points
+
+
+def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles that belong to one tetrahedron only, shape (k, 3)."""
+    faces = np.vstack([cells[:, corners] for corners in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def outward(points: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Cells with two corners swapped where the volume is negative; `GeometryError` if one has none.
+
+    The mesher gives all its tetrahedra one orientation, the opposite of ours.
+    """
+    volumes = cell_volumes(points, cells)
+    if np.median(volumes) < 0:
+        cells, volumes = cells[:, [1, 0, 2, 3]], -volumes
+    flat = int(np.sum(volumes <= 0))
+    if flat:
+        raise GeometryError(f"{flat} of {len(cells)} tetrahedra turned inside out on the plane faces: lower envelope_mm.")
+    return cells
+
+
+def check_volumes(mesh: TetMesh, expected_mm3: FloatArray) -> None:
+    """Refuse a mesh one of whose regions differs by more than 0.2 % from the CAD's volume."""
+    for name, volume, expected in zip(REGIONS, mesh.region_volumes(), expected_mm3, strict=True):
+        if abs(volume - expected) > VOLUME_TOLERANCE * expected:
+            raise GeometryError(
+                f"region '{name}' has {volume:.6g} mm³ in the mesh, the CAD has {expected:.6g}: off by more than "
+                f"{VOLUME_TOLERANCE:.1%}; lower envelope_mm."
+            )
+
+
+def write_mesh(mesh: TetMesh, path: Path) -> None:
+    """Write a mesh as VTU with its regions and recipe, whole or not at all."""
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
+    grid.cell_data["region"] = mesh.region
+    grid.field_data["recipe"] = [mesh.recipe]
+    with replacing(path) as temporary:
+        grid.save(temporary)
+
+
+def read_mesh(path: Path) -> TetMesh:
+    """Read a mesh that `write_mesh` wrote; `FileFormatError` if it is missing, truncated or foreign."""
+    import pyvista as pv
+
+    try:
+        if not path.is_file():
+            raise FileFormatError(f"{path}: no such file.")
+        with _stdout_to_stderr():
+            grid = pv.read(path)
+        cells = grid.cells_dict[np.uint8(pv.CellType.TETRA)]
+        return TetMesh(
+            points_mm=np.asarray(grid.points, dtype=np.float64),
+            cells=np.asarray(cells, dtype=np.int64),
+            region=np.asarray(grid.cell_data["region"], dtype=np.int64),
+            recipe=str(grid.field_data["recipe"][0]),
+        )
+    except (KeyError, ValueError, AttributeError, RuntimeError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(f"{path}: truncated or not a mesh of this program; delete it to mesh again.") from None
+
+
+@contextmanager
+def _stdout_to_stderr() -> Iterator[None]:
+    """Send what compiled code prints to stderr: stdout belongs to results."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
