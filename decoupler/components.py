@@ -1,0 +1,80 @@
+"""Which pillars and which forces a network connects: one axis alone, as in the paper, or all jointly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from decoupler.errors import ResistanceError
+from geometry.errors import DesignError
+from geometry.layout import AXES, PILLARS, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """Inputs and outputs of a network, the same for every unit."""
+
+    name: str
+    pillars: tuple[str, ...]  #: whose resistances go in
+    axes: tuple[str, ...]  #: whose forces come out
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the forces that come out, as in a table of errors: fx, fy, fz."""
+        return tuple(f"f{axis}" for axis in self.axes)
+
+
+COMPONENTS = {
+    "fz": Component(name="fz", pillars=("z",), axes=("z",)),
+    "fx": Component(name="fx", pillars=("x",), axes=("x",)),
+    "fy": Component(name="fy", pillars=("y",), axes=("y",)),
+    "all": Component(name="all", pillars=PILLARS, axes=AXES),
+}
+
+
+def component_named(name: str) -> Component:
+    """The component of that name.
+
+    >>> component_named("fx").pillars
+    ('x',)
+    """
+    if name not in COMPONENTS:
+        raise DesignError(f"component={name!r} is unknown; choose one of {', '.join(COMPONENTS)}.")
+    return COMPONENTS[name]
+
+
+def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArray:
+    """The resistances a component takes, (n, rows, cols, 3) -> (n, rows·cols·n_pillars) [Ω].
+
+    Raises
+    ------
+    ResistanceError
+        If the shape is another, or one of the component's resistances is not finite or not above 0. Pillars
+        that the component does not take are not looked at.
+    """
+    if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
+        raise ResistanceError(
+            f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, 3): "
+            f"samples first, pillars {', '.join(PILLARS)} last."
+        )
+    taken = resistance_ohm[..., [PILLARS.index(pillar) for pillar in component.pillars]]
+    sound = np.isfinite(taken) & (taken > 0)
+    if not sound.all():
+        sample, row, col, pillar = np.argwhere(~sound)[0]
+        raise ResistanceError(
+            f"resistance of pillar {component.pillars[pillar]} in row {row}, col {col} of sample {sample} is "
+            f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0: "
+            "leave that sample out or mend the pillar."
+        )
+    return taken.reshape(len(taken), -1)
+
+
+def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
+    """The forces a component gives, (n, rows, cols, 3) -> (n, rows·cols·n_axes) [N]."""
+    taken = force_n[..., [AXES.index(axis) for axis in component.axes]]
+    if not np.isfinite(taken).all():
+        sample, row, col, axis = np.argwhere(~np.isfinite(taken))[0]
+        raise ResistanceError(
+            f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is not finite: "
+            "leave that sample out."
+        )
+    return taken.reshape(len(taken), -1)

@@ -1,0 +1,11 @@
+"""The errors of this stage, in the tree that the command line reports as one line."""
+
+from geometry.errors import TriPillarError
+
+
+class ResistanceError(TriPillarError, ValueError):
+    """Resistances or forces that no network can be trained on or asked about."""
+
+
+class TrainingError(TriPillarError, ArithmeticError):
+    """A training that ran away."""

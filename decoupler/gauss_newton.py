@@ -1,0 +1,126 @@
+"""The Gauss-Newton matrix of a one-hidden-layer network in its exact blocks, and the damped steps it gives.
+
+The network is Y = A W₂ᵀ with A = [tanh(X W₁ᵀ), X] (skip) or [tanh(X W₁ᵀ), 1] (plain), where the columns of X
+are the inputs and a 1. Its Jacobian has samples·outputs rows and is never formed.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+class Samples:
+    """A training set, with the products of input columns that every Gauss-Newton matrix is made of.
+
+    Parameters
+    ----------
+    inputs : tensor, shape (n_samples, n_in)
+    targets : tensor, shape (n_samples, n_out)
+    skip : bool
+        True if the output layer also sees the inputs themselves.
+    """
+
+    def __init__(self, inputs: Tensor, targets: Tensor, skip: bool) -> None:
+        self.X = torch.cat([inputs, torch.ones_like(inputs[:, :1])], dim=1)  # (n_samples, n_in+1)
+        self.targets = targets
+        self.linear = self.X if skip else self.X[:, -1:]  # what A holds beside the hidden nodes
+        self.products = _pair_products(self.X.T)  # (pairs of columns of X, n_samples)
+
+    def activations(self, hidden: Tensor) -> Tensor:
+        """A, shape (n_samples, n_hidden + n_linear), for hidden weights of shape (n_hidden, n_in+1)."""
+        return torch.cat([torch.tanh(self.X @ hidden.T), self.linear], dim=1)
+
+
+def _pair_products(rows: Tensor) -> Tensor:
+    """Products of each pair of rows once: (n, k) -> (n(n+1)/2, k), in the order of `torch.triu_indices`."""
+    i, j = torch.triu_indices(len(rows), len(rows))
+    return rows[i] * rows[j]
+
+
+def _pair_index(n: int) -> Tensor:
+    """Where each entry of a symmetric n × n matrix is in the list of its pairs, flattened."""
+    i, j = torch.triu_indices(n, n)
+    index = torch.empty(n, n, dtype=torch.long)
+    index[i, j] = index[j, i] = torch.arange(len(i))
+    return index.reshape(-1)
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """The output layer solved for in terms of the hidden one: what is left to factor for a step."""
+
+    M_factor: Tensor  #: Cholesky factor of M = AᵀA + damping, (n_hidden + n_linear) squared
+    reduced: Tensor  #: K ∘ (ZᵀZ − C M⁻¹ Cᵀ), (n_hidden·(n_in+1)) squared
+
+
+class GaussNewton:
+    """JᵀJ and Jᵀr of the squared error ½‖A W₂ᵀ − T‖² at one point, block by block.
+
+    Notes ----- With s = 1 − tanh², Z the row-wise Khatri-Rao product of s and X (one column s_j·x_a for every
+    hidden weight), C = ZᵀA and K = W₂ᵀW₂ over the hidden nodes, JᵀJ has the blocks K ∘ ZᵀZ (hidden; K_jj'
+    multiplies the whole block of nodes j and j'), I ⊗ AᵀA (output) and W₂[k, j] C[(j, a), b] between them.
+    The damped step (JᵀJ + μI) d = −Jᵀr goes through the Schur complement of the output block, K ∘ (ZᵀZ − C
+    M⁻¹ Cᵀ) + μI with M = AᵀA + μI: only (n_in+1)·n_hidden unknowns are factored, however many outputs there
+    are.
+
+    Both symmetries of ZᵀZ, Σ s_j s_j' x_a x_a', are used: the pairs of inputs are multiplied once a training,
+    the pairs of nodes once an iteration, and one matrix product of a quarter of the size is left.
+    """
+
+    def __init__(self, samples: Samples, hidden: Tensor, output: Tensor) -> None:
+        h, p = hidden.shape
+        A = samples.activations(hidden)
+        s = 1.0 - A[:, :h] ** 2
+        residual = A @ output.T - samples.targets  # (n_samples, n_out)
+        self.W2 = output[:, :h]
+        self.K = self.W2.T @ self.W2
+        self.gradient_hidden = ((residual @ self.W2) * s).T @ samples.X  # (h, p)
+        self.gradient_output = residual.T @ A  # (n_out, n_hidden + n_linear)
+        self.AtA = A.T @ A
+        Z = (s[:, :, None] * samples.X[:, None, :]).reshape(len(s), h * p)
+        self.C = Z.T @ A
+        pairs = _pair_products(s.T.contiguous()) @ samples.products.T
+        blocks = pairs.index_select(1, _pair_index(p)).index_select(0, _pair_index(h))
+        self.ZtZ = blocks.view(h, h, p, p).permute(0, 2, 1, 3).reshape(h * p, h * p)
+
+    def largest_diagonal(self) -> float:
+        """Largest entry of the diagonal of JᵀJ, the scale of a damping."""
+        p = self.gradient_hidden.shape[1]
+        hidden = self.ZtZ.diagonal() * self.K.diagonal().repeat_interleave(p)
+        return max(hidden.max().item(), self.AtA.diagonal().max().item())
+
+    def eliminate(self, damping: float) -> Eliminated | None:
+        """Solve for the output layer with `damping` on its diagonal; None if M is singular to rounding."""
+        M = self.AtA.clone()
+        M.diagonal().add_(damping)
+        factor, info = torch.linalg.cholesky_ex(M)
+        if info.item():
+            return None
+        G = torch.linalg.solve_triangular(factor, self.C.T, upper=False)  # C M⁻¹ Cᵀ = GᵀG
+        (h, p) = self.gradient_hidden.shape
+        left = torch.addmm(self.ZtZ, G.T, G, alpha=-1.0).view(h, p, h, p)
+        return Eliminated(factor, (left * self.K[:, None, :, None]).view(h * p, h * p))
+
+    def hidden_step(self, eliminated: Eliminated, damping: float, gradient: Tensor) -> Tensor | None:
+        """Solve (reduced + damping·I) d = −gradient, each (n_hidden, n_in+1); None if singular to rounding."""
+        S = eliminated.reduced.clone()
+        S.diagonal().add_(damping)
+        factor, info = torch.linalg.cholesky_ex(S)
+        if info.item():
+            return None
+        return -torch.cholesky_solve(gradient.reshape(-1, 1), factor).view_as(gradient)
+
+    def step(self, damping: float) -> tuple[Tensor, Tensor] | None:
+        """Damped step (JᵀJ + damping·I) d = −Jᵀr as (hidden, output); None if singular to rounding."""
+        eliminated = self.eliminate(damping)
+        if eliminated is None:
+            return None
+        C = self.C.view(*self.gradient_hidden.shape, -1)  # (h, p, n_hidden + n_linear)
+        solved = torch.cholesky_solve(self.gradient_output.T, eliminated.M_factor)
+        gradient = self.gradient_hidden - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
+        hidden = self.hidden_step(eliminated, damping, gradient)
+        if hidden is None:
+            return None
+        coupled = torch.einsum("jaq,ja->qj", C, hidden) @ self.W2.T
+        return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, eliminated.M_factor).T

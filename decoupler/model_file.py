@@ -1,0 +1,169 @@
+"""A trained network as one safetensors file whose header explains it: configuration, design, data hash."""
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from dataset import LabelledData
+from decoupler.components import component_named
+from decoupler.decoupler import Decoupler
+from decoupler.scaling import Scaling
+from decoupler.settings import NetworkConfig, TrainingConfig
+from geometry.design import SensorDesign
+from geometry.design_file import design_from_toml, design_to_toml
+from geometry.errors import FileFormatError
+from geometry.files import digest, replacing
+
+FORMAT = "tripillar-model-1"
+_MEND = "give a file made by 'tripillar train'"
+
+
+def model_recipe(data_hash: str, component: str, network: NetworkConfig, training: TrainingConfig) -> str:
+    """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
+    return digest(FORMAT, data_hash, component, network, training)
+
+
+def write_model(decoupler: Decoupler, path: Path) -> None:
+    """Write a model file, whole or not at all."""
+    header = {
+        "component": decoupler.component.name,
+        "rows": decoupler.rows,
+        "cols": decoupler.cols,
+        "network": asdict(decoupler.network),
+        "made_from": decoupler.made_from,
+    }
+    metadata = {"format": FORMAT, "model": json.dumps(header)}
+    if decoupler.design is not None:
+        metadata |= {"design": design_to_toml(decoupler.design), "design_hash": digest(decoupler.design)}
+    content = save(
+        {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}, metadata
+    )
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_model(path: Path) -> Decoupler:
+    """Read a model file; it gives the same bits as the model that was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, truncated, foreign or holds weights that do not fit its header.
+    """
+    try:
+        with safe_open(path, framework="np") as opened:
+            metadata = opened.metadata() or {}
+            arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file: {_MEND}.") from None
+    except (OSError, SafetensorError):
+        raise FileFormatError(f"{path}: truncated or no safetensors file: {_MEND}.") from None
+    if metadata.get("format") != FORMAT:
+        given = metadata.get("format", "no format")
+        raise FileFormatError(
+            f"{path}: no model of this program ({given} in its header, not {FORMAT}): {_MEND}."
+        )
+    try:
+        decoupler = _assembled(metadata, arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
+    for name, shape in _shapes(decoupler).items():
+        array = arrays[name]
+        if array.shape != shape or array.dtype != np.float64 or not np.isfinite(array).all():
+            raise FileFormatError(
+                f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
+                f"finite float64 of shape {shape}: {_MEND}."
+            )
+    return decoupler
+
+
+def require_same_sensor(decoupler: Decoupler, data: LabelledData, model: Path, dataset: Path) -> None:
+    """Refuse data of another sensor than the model's; `model` and `dataset` are the names for the message.
+
+    Raises
+    ------
+    FileFormatError
+        If the array's size differs, or, where both sides state their design, any value of it.
+    """
+    rows, cols = data.resistance_ohm.shape[1:3]
+    differences = [
+        f"{name}: model {ours}, data {theirs}"
+        for name, ours, theirs in (("rows", decoupler.rows, rows), ("cols", decoupler.cols, cols))
+        if ours != theirs
+    ]
+    if not differences and decoupler.design is not None and data.design is not None:
+        differences = _design_differences(decoupler.design, data.design)
+    if differences:
+        raise FileFormatError(
+            f"{model} was trained for another sensor than that of {dataset} ({'; '.join(differences)}): "
+            "train a model on data of this design."
+        )
+
+
+def _design_differences(model: SensorDesign, data: SensorDesign) -> list[str]:
+    ours, theirs = _flat(asdict(model)), _flat(asdict(data))
+    return [
+        f"{name}: model {ours[name]:g}, data {theirs[name]:g}" for name in ours if ours[name] != theirs[name]
+    ]
+
+
+def _flat(table: dict[str, Any], group: str = "") -> dict[str, float]:
+    """{"array": {"pitch_mm": 15}} -> {"array.pitch_mm": 15}."""
+    flat: dict[str, float] = {}
+    for name, value in table.items():
+        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
+    return flat
+
+
+def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
+    return {
+        "hidden_weights": decoupler.hidden_weights,
+        "output_weights": decoupler.output_weights,
+        "input_centre": decoupler.input_scaling.centre,
+        "input_half_range": decoupler.input_scaling.half_range,
+        "output_centre": decoupler.output_scaling.centre,
+        "output_half_range": decoupler.output_scaling.half_range,
+    }
+
+
+def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
+    """Shapes that the arrays must have by the header."""
+    n_units, component, hidden = (
+        decoupler.rows * decoupler.cols,
+        decoupler.component,
+        decoupler.network.hidden,
+    )
+    n_in, n_out = n_units * len(component.pillars), n_units * len(component.axes)
+    n_features = hidden + (n_in + 1 if decoupler.network.net == "skip" else 1)
+    return {
+        "hidden_weights": (hidden, n_in + 1),
+        "output_weights": (n_out, n_features),
+        "input_centre": (n_in,),
+        "input_half_range": (n_in,),
+        "output_centre": (n_out,),
+        "output_half_range": (n_out,),
+    }
+
+
+def _assembled(metadata: dict[str, str], arrays: dict[str, np.ndarray]) -> Decoupler:
+    header = json.loads(metadata["model"])
+    known = {spec.name for spec in fields(NetworkConfig)}
+    if set(header["network"]) != known:
+        raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
+    return Decoupler(
+        component=component_named(header["component"]),
+        rows=int(header["rows"]),
+        cols=int(header["cols"]),
+        network=NetworkConfig(**header["network"]),
+        input_scaling=Scaling(arrays["input_centre"], arrays["input_half_range"]),
+        output_scaling=Scaling(arrays["output_centre"], arrays["output_half_range"]),
+        hidden_weights=arrays["hidden_weights"],
+        output_weights=arrays["output_weights"],
+        design=design_from_toml(metadata["design"]) if "design" in metadata else None,
+        made_from=dict(header["made_from"]),
+    )

@@ -1,0 +1,39 @@
+"""Affine scaling of columns to [-1, 1], so that a network takes ohms and gives newtons."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from geometry.layout import FloatArray
+
+SMALLEST_RANGE = 1e-12  #: of a column's size; below it a column is constant up to rounding
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Maps each column's range in the training set onto [-1, 1], and back."""
+
+    centre: FloatArray  #: (n_columns,)
+    half_range: FloatArray  #: (n_columns,), above 0
+
+    @classmethod
+    def fitted(cls, values: FloatArray) -> Self:
+        """Scaling by the smallest and largest value of every column, shape (n_samples, n_columns).
+
+        A constant column is only centred: it becomes 0 and divides nothing by 0.
+
+        >>> Scaling.fitted(np.array([[1.0, 7.0], [3.0, 7.0]])).scale(np.array([[1.0, 7.0], [2.0, 7.5]]))
+        array([[-1. ,  0. ],
+               [ 0. ,  0.5]])
+        """
+        low, high = values.min(axis=0), values.max(axis=0)
+        half_range = (high - low) / 2.0
+        constant = half_range <= SMALLEST_RANGE * np.maximum(np.abs(low), np.abs(high))
+        return cls((low + high) / 2.0, np.where(constant, 1.0, half_range))
+
+    def scale(self, values: FloatArray) -> FloatArray:
+        return (values - self.centre) / self.half_range
+
+    def unscale(self, scaled: FloatArray) -> FloatArray:
+        return scaled * self.half_range + self.centre

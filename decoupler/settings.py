@@ -1,0 +1,62 @@
+"""What a training is asked for: the form of the network, and how it is trained. Loads no torch."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from geometry.errors import DesignError
+
+Net = Literal["plain", "skip"]
+Feature = Literal["resistance", "root"]
+Trainer = Literal["varpro", "lm", "momentum"]
+
+
+def _require_one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise DesignError(f"{name}={value!r} is unknown; choose one of {', '.join(allowed)}.")
+
+
+def _require_whole(name: str, value: int, lowest: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < lowest:
+        raise DesignError(f"{name}={value!r} must be a whole number from {lowest} up.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """Form of a network with one tanh hidden layer; the data give its inputs and outputs."""
+
+    hidden: int = 17  #: hidden nodes; the paper's best (its eq. 16 gives 10 to 19)
+    net: Net = "skip"  #: "plain" is the paper's; "skip" adds a linear map of the inputs
+    feature: Feature = "root"  #: inputs R or √R; a pillar's length is proportional to √R
+
+    def __post_init__(self) -> None:
+        _require_whole("hidden", self.hidden, 1)
+        _require_one_of("net", self.net, get_args(Net))
+        _require_one_of("feature", self.feature, get_args(Feature))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """How a network is trained, always on the full batch; errors are of outputs scaled to [-1, 1]."""
+
+    trainer: Trainer = "varpro"  #: variable projection, Levenberg-Marquardt, or the paper's momentum rule
+    goal_mse: float = 1e-5  #: stop when reached; the paper's
+    max_iterations: int = 200  #: stop at the latest then; the momentum rule wants thousands
+    patience: int = 10  #: stop if the error has not fallen by `least_gain` within so many iterations
+    least_gain: float = 0.02  #: share of the error
+    seed: int = 0  #: of the random start
+    learning_rate: float = 0.05  #: α of eq. 15, momentum rule only
+    momentum: float = 0.5  #: η of eq. 15, momentum rule only
+
+    def __post_init__(self) -> None:
+        _require_one_of("trainer", self.trainer, get_args(Trainer))
+        for name, lowest in (("max_iterations", 1), ("patience", 1), ("seed", 0)):
+            _require_whole(name, getattr(self, name), lowest)
+        if not (math.isfinite(self.goal_mse) and self.goal_mse >= 0):
+            raise DesignError(f"goal_mse={self.goal_mse:g} must be 0 or above; the paper uses 1e-5.")
+        if not 0 <= self.least_gain < 1:
+            raise DesignError(f"least_gain={self.least_gain:g} must be from 0 to below 1; 0 never gives up.")
+        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
+            raise DesignError(f"learning_rate={self.learning_rate:g} must be above 0.")
+        if not 0 <= self.momentum < 1:
+            raise DesignError(f"momentum={self.momentum:g} must be from 0 to below 1.")

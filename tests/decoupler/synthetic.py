@@ -1,0 +1,62 @@
+"""A small sensor whose electrodes follow a made-up linear influence: near-diagonal, decaying with distance.
+
+Lengths and resistances are geometrically exact, so resistances are smooth and mildly nonlinear in the forces,
+as the real ones are, without a finite element in sight.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dataset import LabelledData, pillar_lengths, pillar_resistances
+from geometry import Array, SensorDesign
+from geometry.files import digest
+from geometry.layout import AXES, pillar_volumes, unit_centres
+
+#: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
+_OWN = np.array(
+    [
+        [[1.0e-2, 0.0, 2e-3], [0.0, 1.0e-2, 2e-3], [1e-3, 1e-3, 4e-3]],
+        [[1.0e-2, 0.0, 2e-3], [0.0, 1.0e-2, -2e-3], [1e-3, -1e-3, 4e-3]],
+    ]
+)
+_RANGE_N = {
+    "x": (29.0, 144.0),
+    "y": (29.0, 144.0),
+    "z": (144.0, 720.0),
+}  # the ranges of independent pad loads
+
+
+def sensor(rows: int = 6, cols: int = 6) -> SensorDesign:
+    return replace(SensorDesign(), array=Array(rows=rows, cols=cols))
+
+
+def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> LabelledData:
+    """Independent random forces along `axes` on every unit, and the resistances they cause."""
+    generator = np.random.default_rng(seed)
+    rows, cols = design.array.rows, design.array.cols
+    force_n = np.zeros((n_samples, rows * cols, 3))
+    for axis in axes:
+        force_n[..., AXES.index(axis)] = generator.uniform(*_RANGE_N[axis], (n_samples, rows * cols))
+    centres = unit_centres(design)
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
+    neighbour = np.where(
+        distance == 0, 1.0, -0.15 * np.exp(1.0 - distance)
+    )  # incompressible: neighbours bulge
+    pushed = force_n * [1.0, 1.0, -1.0]  # compression moves electrodes along −z
+    displacement_mm = np.einsum("kl,eij,nlj->nkei", neighbour, _OWN, pushed)
+    length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)
+    resistance_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    force_n = force_n.reshape(n_samples, rows, cols, 3)
+    return LabelledData(
+        resistance_ohm=resistance_ohm,
+        force_n=force_n,
+        design=design,
+        content_hash=digest(force_n, resistance_ohm),
+    )
+
+
+def split(data: LabelledData, n_train: int) -> tuple[LabelledData, LabelledData]:
+    """The first `n_train` samples and the others."""
+    first = replace(data, resistance_ohm=data.resistance_ohm[:n_train], force_n=data.force_n[:n_train])
+    return first, replace(data, resistance_ohm=data.resistance_ohm[n_train:], force_n=data.force_n[n_train:])
