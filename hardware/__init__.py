@@ -7,7 +7,6 @@ what is on the wire, then `frames.py` (the codec), `wiring.py` (which crossing r
 """
 
 from hardware.frames import (
-    INFO_REQUEST,
     PROTOCOL,
     Frame,
     FrameDecoder,
@@ -28,7 +27,6 @@ from hardware.replay import ForceModel, Replay, replay, resistances
 from hardware.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 
 __all__ = [
-    "INFO_REQUEST",
     "PROTOCOL",
     "ForceModel",
     "Frame",

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from geometry.errors import TriPillarError
 
 PROTOCOL = 1  #: version of docs/frames.md that this code follows
-INFO_REQUEST = b"?"  #: what a host sends to be answered by an INFO frame
 
 _DELIMITER = b"\0"
 _FRAME_TYPE, _INFO_TYPE = b"DI"

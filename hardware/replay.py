@@ -78,8 +78,8 @@ def resistances(counts: NDArray[Any], info: Info) -> tuple[FloatArray, NDArray[n
 def replay(recording: Recording, model: ForceModel) -> Replay:
     """Forces of every frame of a recording.
 
-    A model mixes all pillars, so one saturated pillar makes the forces of its whole frame an extrapolation.
-    They are given all the same, finite, and `Replay.saturated` says so.
+    A model mixes the pillars of all units, so one that is saturated makes the forces of its whole frame an
+    extrapolation. They are given all the same, finite, and `Replay.saturated` says so.
 
     Raises
     ------

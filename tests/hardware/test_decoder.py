@@ -181,6 +181,17 @@ def test_a_restart_far_into_the_sequence_shows_in_the_clock():
     assert decoder.statistics == Statistics(ok=2, restarts=1)
 
 
+def test_a_restart_after_long_runs_shows_in_the_sequence():
+    """From 40 min to 0 the u32 clock seems to go on by 31 min; the sequence going back tells otherwise."""
+    before, after = (
+        Frame(sequence=sequence, device_us=minutes * 60_000_000, bits=10, counts=[1])
+        for sequence, minutes in [(1000, 40), (0, 0)]
+    )
+    decoder = FrameDecoder()
+    decoder.feed(encode(before) + encode(after))
+    assert decoder.statistics == Statistics(ok=2, restarts=1)
+
+
 def test_a_stream_without_delimiters_does_not_fill_the_memory():
     decoder = FrameDecoder()
     decoder.feed(b"\0")
