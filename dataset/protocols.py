@@ -1,0 +1,114 @@
+"""Load protocols: random tractions on every pad, the way the paper loads its sensor and two ways it does not.
+
+Each protocol is a function of a random generator, a number of samples and a design, and gives tractions of shape
+(n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing down. Ranges are the paper's: 1-5 MPa normal,
+0.2-1 MPa tangential.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, unit_centres
+
+NORMAL_MPA = (1.0, 5.0)  #: range of a pad's pressure, and of an indenter's peak
+TANGENTIAL_MPA = (0.2, 1.0)  #: the same for shear
+NORMAL_PRELOAD_MPA = 0.5  #: light pressure on pads that no indenter touches: a tenth of the largest
+TANGENTIAL_PRELOAD_MPA = 0.1  #: the same for shear
+FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
+MOST_INDENTERS = 3
+INDENTER_RADIUS_MM = (15.0, 35.0)
+
+Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A named way to load the array."""
+
+    summary: str  #: one line for people
+    axes: tuple[str, ...]  #: axes along which pads are loaded
+    draw: Draw
+
+
+def _independent_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    traction[..., 2] = -generator.uniform(*NORMAL_MPA, traction.shape[:2])
+    return traction
+
+
+def _independent_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    traction[..., 0] = generator.uniform(*TANGENTIAL_MPA, traction.shape[:2])
+    return traction
+
+
+def _contact_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    indenters = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
+    traction[..., 2] = -NORMAL_PRELOAD_MPA - indenters.sum(axis=1)
+    return traction
+
+
+def _contact_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    indenters = _indenters(generator, n, design, TANGENTIAL_MPA, TANGENTIAL_PRELOAD_MPA)
+    traction[..., 0] = TANGENTIAL_PRELOAD_MPA + indenters.sum(axis=1)
+    return traction
+
+
+def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    pressure = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
+    drag = _in_disc(generator, (n, MOST_INDENTERS)) * FRICTION
+    traction = np.empty((n, design.n_units, 3))
+    traction[..., :2] = np.einsum("sik,sia->ska", pressure, drag)
+    traction[..., 2] = -NORMAL_PRELOAD_MPA - pressure.sum(axis=1)
+    return traction
+
+
+def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    pressure = generator.uniform(*NORMAL_MPA, (n, design.n_units, 1))
+    shear = _in_disc(generator, (n, design.n_units)) * FRICTION * pressure
+    return np.concatenate([shear, -pressure], axis=2)
+
+
+def _indenters(
+    generator: np.random.Generator, n: int, design: SensorDesign, peak_mpa: tuple[float, float], preload_mpa: float
+) -> FloatArray:
+    """What one to three round indenters add to the preload of every pad, shape (n, MOST_INDENTERS, n_units) [MPa].
+
+    An indenter adds (peak − preload)·(1 − r²/R²)² within its radius R of its centre, anywhere over the array: smooth at
+    the middle and at the rim. Where several meet, they are weakened together so that no pad passes the largest peak.
+    Indenters that a sample does not have add 0.
+    """
+    x, y, _ = design.slab_mm
+    centre = generator.uniform(-0.5, 0.5, (n, MOST_INDENTERS, 1, 2)) * (x, y)
+    radius = generator.uniform(*INDENTER_RADIUS_MM, (n, MOST_INDENTERS, 1))
+    strength = generator.uniform(*peak_mpa, (n, MOST_INDENTERS, 1)) - preload_mpa
+    number = generator.integers(1, MOST_INDENTERS + 1, (n, 1, 1))
+    present = np.arange(MOST_INDENTERS)[:, None] < number
+    from_centre = unit_centres(design) - centre
+    share = np.einsum("sika,sika->sik", from_centre, from_centre) / radius**2
+    traction = np.where(present & (share < 1), strength * (1 - share) ** 2, 0.0)
+    limit = peak_mpa[1] - preload_mpa
+    most = np.maximum(traction.sum(axis=1).max(axis=1), limit)
+    return traction * (limit / most)[:, None, None]
+
+
+def _in_disc(generator: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
+    """Points spread evenly over the unit disc, shape (*shape, 2)."""
+    radius = np.sqrt(generator.uniform(0.0, 1.0, shape))
+    angle = generator.uniform(0.0, 2 * np.pi, shape)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+
+
+PROTOCOLS = {
+    "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), _independent_fz),
+    "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), _independent_fx),
+    "contact-fz": Protocol("1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), _contact_fz),
+    "contact-fx": Protocol("1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx),
+    "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
+    "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
+}

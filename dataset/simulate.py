@@ -1,0 +1,171 @@
+"""Samples from a response: tractions drawn by a protocol, superposed, turned into lengths and resistances.
+
+Samples are drawn in blocks, each with random generators of its own. So a sample depends on the seed and its number alone,
+not on how many are made with it, and a dataset can be extended without changing what it holds.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from dataset.labelled import SimulatedData
+from dataset.measurement import measured
+from dataset.protocols import PROTOCOLS
+from dataset.resistance import pillar_lengths, pillar_resistances
+from fem.response import ArrayResponse
+from geometry.design import SensorDesign
+from geometry.errors import DesignError, TriPillarError
+from geometry.files import digest
+from geometry.layout import AXES, FloatArray, pillar_volumes, rest_lengths
+
+METHOD = 1  #: raise when the same settings give other samples
+BLOCK = 256  #: samples drawn with one generator
+MOST_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
+
+
+class LoadError(TriPillarError, ValueError):
+    """Loads that the sensor cannot take."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSettings:
+    """What a dataset is to hold."""
+
+    protocol: str
+    samples: int
+    seed: int = 0
+    cap: float = 0.3  #: largest pillar strain |l − l₀|/l₀ of an accepted sample
+    noise: float = 0.0  #: relative standard deviation of a measured resistance
+    bits: int | None = None  #: of the converter; None measures exactly
+
+    def __post_init__(self) -> None:
+        if self.protocol not in PROTOCOLS:
+            raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
+        if self.samples < 1:
+            raise DesignError(f"samples={self.samples} must be at least 1.")
+        if self.seed < 0:
+            raise DesignError(f"seed={self.seed} must be 0 or more.")
+        if not 0 < self.cap < 1:
+            raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
+        if not 0 <= self.noise < 0.5:
+            raise DesignError(f"noise={self.noise:g} must be from 0 to below 0.5; 0.001 is 0.1 % of the resistance.")
+        if self.bits is not None and not 4 <= self.bits <= 24:
+            raise DesignError(f"bits={self.bits} must be from 4 to 24; leave it out for exact resistances.")
+
+
+def dataset_recipe(response: ArrayResponse, settings: DatasetSettings) -> str:
+    """Hash of all that a dataset depends on."""
+    return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings)
+
+
+def simulate(
+    response: ArrayResponse, settings: DatasetSettings, progress: Callable[[int], None] = lambda samples: None
+) -> SimulatedData:
+    """Simulate labelled samples.
+
+    Parameters
+    ----------
+    response : ArrayResponse
+        Influence matrix and design of the sensor.
+    settings : DatasetSettings
+        Protocol, number, seed, cap and measurement.
+    progress : function
+        Called with the number of samples each block adds.
+
+    Raises
+    ------
+    LoadError
+        If a sample's strain passes the cap in `MOST_ROUNDS` draws on end.
+    """
+    design, n = response.design, settings.samples
+    rows, cols = design.array.rows, design.array.cols
+    arrays = {
+        "traction_mpa": np.empty((n, design.n_units, 3)),
+        "displacement_mm": np.empty((n, design.n_units, 2, 3)),
+        "length_mm": np.empty((n, design.n_units, 3)),
+        "resistance_ohm": np.empty((n, design.n_units, 3)),
+    }
+    redrawn = 0
+    with threadpool_limits(1, "blas"):  # a block's matrix product is too small to share: two threads are slower
+        for number, start in enumerate(range(0, n, BLOCK)):
+            kept = min(BLOCK, n - start)
+            block, tries = _block(response, settings, number)
+            for name, values in block.items():
+                arrays[name][start : start + kept] = values[:kept]
+            redrawn += int(tries[:kept].sum())
+            progress(kept)
+    by_unit = {name: values.reshape(n, rows, cols, *values.shape[2:]) for name, values in arrays.items()}
+    return SimulatedData(
+        design=design,
+        **by_unit,
+        force_n=forces(by_unit["traction_mpa"], design),
+        made_from={
+            **{key: value for key, value in asdict(settings).items() if value is not None},
+            "summary": PROTOCOLS[settings.protocol].summary,
+            "redrawn": redrawn,
+            "recipe": dataset_recipe(response, settings),
+            "response_hash": response.content_hash,
+            "mesh_hash": response.mesh_hash,
+            "residual": response.residual,
+        },
+    )
+
+
+def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
+    """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
+    return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
+
+
+def displacements(
+    response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES
+) -> FloatArray:
+    """Displacement of the upper electrodes (n, n_units, 2, 3) [mm] under tractions (n, n_units, 3) [MPa].
+
+    Tractions along other axes than `axes` are known to be 0 and are skipped.
+    """
+    n, n_units, _ = traction_mpa.shape
+    loaded = [AXES.index(axis) for axis in axes]
+    influence = response.influence_mm_per_n.reshape(n_units * 6, n_units, 3)[:, :, loaded].reshape(n_units * 6, -1)
+    newtons = traction_mpa[:, :, loaded].reshape(n, -1) * response.design.pad.size_mm**2
+    return (newtons @ influence.T).reshape(n, n_units, 2, 3)
+
+
+def _block(
+    response: ArrayResponse, settings: DatasetSettings, number: int
+) -> tuple[dict[str, FloatArray], np.ndarray]:
+    """All samples of one block by the name of their variable, and how often each was redrawn.
+
+    A whole block is made even when only a part of it is wanted, so that no sample depends on how many are.
+    """
+    design, protocol = response.design, PROTOCOLS[settings.protocol]
+    traction = np.empty((BLOCK, design.n_units, 3))
+    displacement = np.empty((BLOCK, design.n_units, 2, 3))
+    length = np.empty((BLOCK, design.n_units, 3))
+    redrawn = np.zeros(BLOCK, dtype=np.int64)
+    waiting = np.arange(BLOCK)
+    for attempt in range(MOST_ROUNDS):
+        generator = np.random.default_rng([settings.seed, number, attempt])
+        traction[waiting] = protocol.draw(generator, BLOCK, design)[waiting]
+        displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
+        length[waiting] = pillar_lengths(displacement[waiting], design.unit)
+        strain = np.abs(length[waiting] / rest_lengths(design.unit) - 1.0).max(axis=(1, 2))
+        waiting = waiting[strain > settings.cap]
+        redrawn[waiting] += 1
+        if not len(waiting):
+            break
+    else:
+        raise LoadError(
+            f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {MOST_ROUNDS} draws on "
+            f"end: raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
+        )
+    exact = pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    generator = np.random.default_rng([settings.seed, number, MOST_ROUNDS])  # a stream that no draw uses
+    block = {
+        "traction_mpa": traction,
+        "displacement_mm": displacement,
+        "length_mm": length,
+        "resistance_ohm": measured(exact, settings.noise, settings.bits, generator),
+    }
+    return block, redrawn
