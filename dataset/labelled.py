@@ -99,6 +99,17 @@ def read_labelled(path: Path) -> LabelledData:
     )
 
 
+def file_recipe(path: Path) -> str | None:
+    """Recipe that a dataset file states, or None if it is missing, foreign or states none."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as opened:
+            return str(opened.recipe)
+    except (OSError, AttributeError):
+        return None
+
+
 def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, allowed: str) -> None:
     if not sound.all():
         sample, row, col, last = np.argwhere(~sound)[0]

@@ -19,7 +19,7 @@ NORMAL_PRELOAD_MPA = 0.5  #: light pressure on pads that no indenter touches: a 
 TANGENTIAL_PRELOAD_MPA = 0.1  #: the same for shear
 FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
 MOST_INDENTERS = 3
-INDENTER_RADIUS_MM = (15.0, 35.0)
+INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell, one to two pitches: what pads resolve
 
 Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
 
@@ -79,19 +79,19 @@ def _indenters(
 ) -> FloatArray:
     """What one to three round indenters add to the preload of every pad, shape (n, MOST_INDENTERS, n_units) [MPa].
 
-    An indenter adds (peak − preload)·(1 − r²/R²)² within its radius R of its centre, anywhere over the array: smooth at
-    the middle and at the rim. Where several meet, they are weakened together so that no pad passes the largest peak.
-    Indenters that a sample does not have add 0.
+    An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the array. Where
+    several meet, they are weakened together so that no pad passes the largest peak. Indenters that a sample does not
+    have add 0.
     """
     x, y, _ = design.slab_mm
     centre = generator.uniform(-0.5, 0.5, (n, MOST_INDENTERS, 1, 2)) * (x, y)
-    radius = generator.uniform(*INDENTER_RADIUS_MM, (n, MOST_INDENTERS, 1))
+    width = generator.uniform(*INDENTER_WIDTH_MM, (n, MOST_INDENTERS, 1))
     strength = generator.uniform(*peak_mpa, (n, MOST_INDENTERS, 1)) - preload_mpa
     number = generator.integers(1, MOST_INDENTERS + 1, (n, 1, 1))
     present = np.arange(MOST_INDENTERS)[:, None] < number
     from_centre = unit_centres(design) - centre
-    share = np.einsum("sika,sika->sik", from_centre, from_centre) / radius**2
-    traction = np.where(present & (share < 1), strength * (1 - share) ** 2, 0.0)
+    squared = np.einsum("sika,sika->sik", from_centre, from_centre)
+    traction = present * strength * np.exp(-squared / (2 * width**2))
     limit = peak_mpa[1] - preload_mpa
     most = np.maximum(traction.sum(axis=1).max(axis=1), limit)
     return traction * (limit / most)[:, None, None]

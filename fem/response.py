@@ -46,33 +46,32 @@ class ArrayResponse:
 
 def array_response(
     design: SensorDesign,
-    settings: MeshSettings | None = None,
+    settings: MeshSettings,
     progress: Callable[[str], None] = lambda step: None,
-) -> tuple[ArrayResponse, bool]:
+) -> tuple[ArrayResponse, Path, bool]:
     """Response of a sensor, from the cache if it is there.
 
-    `progress` is called with the name of each step as it begins. Returns the response, and whether it came from the
-    cache. Only what bends the body counts: another resistivity finds the same response.
+    `progress` is called as each step begins: mesh, assemble, factor, and solve once a row of pads. Returns the response,
+    its file, and whether it was there already. Only what bends the body counts: another resistivity finds the same file.
 
     Raises
     ------
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    settings = settings or MeshSettings()
     recipe = response_recipe(design, settings)
     path = cache_folder() / f"response-{recipe}.nc"
     try:
-        return replace(read_response(path), design=design), True
+        return replace(read_response(path), design=design), path, True
     except FileFormatError:
         progress("mesh")
         start = perf_counter()
-        mesh, _ = sensor_mesh(design, settings)
+        mesh, _, _ = sensor_mesh(design, settings)
         meshed = perf_counter() - start
         response = solve_response(design, mesh, progress)
         response = replace(response, recipe=recipe, seconds={"mesh": meshed} | response.seconds)
         write_response(response, path)
-        return response, False
+        return response, path, False
 
 
 def response_recipe(design: SensorDesign, settings: MeshSettings) -> str:
@@ -102,9 +101,9 @@ def solve_response(
     solve = factorized(body.matrix)
     done("factor")
 
-    progress("solve")
     columns, residual = [], 0.0
     for row in range(design.array.rows):  # a row of pads at a time bounds the memory
+        progress("solve")
         width = 3 * design.array.cols
         # a unit force spread over a pad does work on the pad's mean displacement: its load vector is that mean's
         loads = pads[row * width : (row + 1) * width].T.toarray()

@@ -69,27 +69,26 @@ def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
     return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
 
 
-def sensor_mesh(design: SensorDesign, settings: MeshSettings | None = None) -> tuple[TetMesh, bool]:
+def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, Path, bool]:
     """Mesh of a sensor, from the cache if it is there.
 
     Pillars get a region of their own only where their rubber differs from the matrix.
 
-    Returns the mesh, and whether it came from the cache.
+    Returns the mesh, its file, and whether it was there already.
 
     Raises
     ------
     GeometryError
         If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
     """
-    settings = settings or MeshSettings()
     recipe = digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
     path = cache_folder() / f"mesh-{recipe}.vtu"
     try:
-        return read_mesh(path), True
+        return read_mesh(path), path, True
     except FileFormatError:
         mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
         write_mesh(mesh, path)
-        return mesh, False
+        return mesh, path, False
 
 
 def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:

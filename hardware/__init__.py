@@ -23,7 +23,7 @@ from hardware.recording import (
     recording_from_resistances,
     write_recording,
 )
-from hardware.replay import ForceModel, Replay, replay, resistances
+from hardware.replay import ForceModel, Replay, replay, resistances, write_forces
 from hardware.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 
 __all__ = [
@@ -46,5 +46,6 @@ __all__ = [
     "recording_from_resistances",
     "replay",
     "resistances",
+    "write_forces",
     "write_recording",
 ]

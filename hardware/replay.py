@@ -1,6 +1,7 @@
 """From a recording to forces: counts -> resistances of the pillars -> a trained model."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 
 from dataset.measurement import resistance_from_counts
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
+from geometry.layout import PILLARS, FloatArray
+from geometry.netcdf import write_netcdf
 from hardware.frames import Info, ScanMode, Statistics
 from hardware.recording import Recording
 from hardware.wiring import pillars_from_crossings
@@ -105,3 +107,18 @@ def replay(recording: Recording, model: ForceModel) -> Replay:
         saturated=saturated,
         statistics=recording.statistics,
     )
+
+
+def write_forces(replayed: Replay, axes: tuple[str, ...], path: Path) -> None:
+    """Write the forces of a replay as NetCDF, whole or not at all; `axes` names the model's components."""
+    import xarray as xr
+
+    data = xr.Dataset(
+        {
+            "force_n": (("frame", "row", "col", "axis"), replayed.force_n, {"units": "N"}),
+            "saturated": (("frame", "row", "col", "pillar"), replayed.saturated.astype(np.int8)),
+        },
+        coords={"time_s": ("frame", replayed.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},
+        attrs=asdict(replayed.statistics),
+    )
+    write_netcdf(data, path)

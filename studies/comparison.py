@@ -1,0 +1,63 @@
+"""Decouplers side by side on one set of test samples, beside what the paper reports."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from dataset.labelled import LabelledData
+from decoupler.baseline import LeastSquares, hooke_forces
+from decoupler.decoupler import Decoupler
+from decoupler.floor import pca_floor
+from decoupler.metrics import ForceErrors, component_errors
+
+#: the paper's relative errors (≤ 30 % deformation, 2000 + 200 samples, mean over widths 10 to 19), as fractions
+PAPER_REL_ERR = {"fz": 0.0198, "fx": 0.0302}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One decoupler's errors on the test samples."""
+
+    decoupler: str
+    errors: ForceErrors
+    made_from: dict[str, Any]  #: how a network was trained; empty for the others
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """All decouplers on one protocol's test samples."""
+
+    protocol: str
+    component: str
+    paper_rel_err: float
+    plain_floor: ForceErrors  #: what the best projection of the test forces on 17 directions leaves
+    floor_hidden: int
+    entries: list[Entry]
+
+
+def compare(
+    protocol: str, training: LabelledData, test: LabelledData, models: dict[str, Decoupler]
+) -> Comparison:
+    """Errors of networks and of the two marks they must beat: eq. 8, and least squares on √R."""
+    component = next(iter(models.values())).component
+    narrow = min(model.network.hidden for model in models.values() if model.network.net == "plain")
+    (name,) = component.forces
+    predictions = {}
+    if test.design is not None:
+        predictions["eq. 8, each pillar alone"] = hooke_forces(test.resistance_ohm, test.design, component)
+    predictions["least squares on √R"] = LeastSquares.fitted(training, component).forces(test.resistance_ohm)
+    predictions |= {label: model.forces(test.resistance_ohm) for label, model in models.items()}
+    return Comparison(
+        protocol=protocol,
+        component=name,
+        paper_rel_err=PAPER_REL_ERR[name],
+        plain_floor=pca_floor(test.force_n, component, narrow).projection[name],
+        floor_hidden=narrow,
+        entries=[
+            Entry(
+                decoupler=label,
+                errors=component_errors(forces, test, component)[name],
+                made_from=models[label].made_from if label in models else {},
+            )
+            for label, forces in predictions.items()
+        ],
+    )

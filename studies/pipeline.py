@@ -1,0 +1,244 @@
+"""The whole way from a design to a table of decoupling errors, reusing whatever did not change.
+
+design -> CAD -> mesh -> response -> datasets -> networks -> table. Every file states the recipe it was made by; a stage
+whose file states the wanted one is skipped and says so.
+"""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from dataset.labelled import LabelledData, file_recipe, read_labelled, write_dataset
+from dataset.simulate import DatasetSettings, dataset_recipe, simulate
+from decoupler.components import component_named
+from decoupler.decoupler import Decoupler
+from decoupler.model_file import model_recipe, read_model, write_model
+from decoupler.settings import NetworkConfig, TrainingConfig
+from fem.response import ArrayResponse, array_response
+from geometry.design import SensorDesign
+from geometry.design_file import design_to_toml
+from geometry.errors import FileFormatError
+from geometry.files import digest, replacing
+from geometry.mesh import MeshSettings, sensor_mesh
+from geometry.quality import quality
+from studies.comparison import Comparison, compare
+from studies.progress import Bars
+
+CAD_METHOD = 1  #: raise when the same design gives other CAD files
+#: protocols of the table, each with the force component it loads
+STUDIED = {"contact-fz": "fz", "contact-fx": "fx", "independent-fz": "fz", "independent-fx": "fx"}
+SPLITS = {"train": (2000, 1), "test": (200, 2)}  #: samples and seed, as many as the paper's
+CAP = 0.3  #: largest pillar strain, the paper's wider one
+
+#: networks of the table by name
+NETWORKS = {
+    "skip net (ours)": (NetworkConfig(hidden=36, net="skip"), TrainingConfig(trainer="varpro", goal_mse=1e-7)),
+    "plain 17 (the paper's)": (
+        NetworkConfig(hidden=17, net="plain", feature="resistance"),
+        TrainingConfig(trainer="lm"),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """What became of one stage."""
+
+    name: str
+    seconds: float
+    reused: bool
+    files: tuple[Path, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a run of the pipeline gives."""
+
+    stages: list[Stage]
+    comparisons: list[Comparison]
+
+    def as_plain(self) -> dict[str, Any]:
+        """The same as dictionaries, lists, strings and numbers, for JSON."""
+        stages = [asdict(stage) | {"files": [str(path) for path in stage.files]} for stage in self.stages]
+        return {"stages": stages, "comparisons": [asdict(comparison) for comparison in self.comparisons]}
+
+
+def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False) -> Outcome:
+    """Run every stage, or stop after the datasets.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Of the sensor.
+    out : Path
+        Folder for all files; meshes and responses also stay in the cache.
+    bars : Bars
+        Show the progress.
+    until_dataset : bool
+        Leave the networks out.
+    """
+    stages = [draw(design, out / "cad", bars), meshed(design, bars)]
+    stage, response = respond(design, bars)
+    stages.append(stage)
+    stages.append(make_datasets(response, out, bars))
+    if until_dataset:
+        return Outcome(stages=stages, comparisons=[])
+    stage, models = train_networks(out, bars)
+    stages.append(stage)
+    comparisons = [
+        compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol])
+        for protocol, test in ((p, read_labelled(_dataset_path(out, p, "test"))) for p in STUDIED)
+    ]
+    outcome = Outcome(stages=stages, comparisons=comparisons)
+    table = out / "table.json"
+    with replacing(table) as temporary:
+        temporary.write_text(json.dumps(outcome.as_plain(), indent=2) + "\n", encoding="utf-8")
+    stages.append(Stage(name="table", seconds=0.0, reused=False, files=(table,)))
+    return outcome
+
+
+def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
+    """Write the design, and STEP and STL of the sensor's parts and its mould."""
+    start = perf_counter()
+    advance = bars.begin("CAD", total=1)
+    made = folder / "made.json"
+    recipe = digest("cad", CAD_METHOD, design.unit, design.array)
+    files = _intact_files(made, recipe)
+    reused = bool(files)
+    if not reused:
+        from geometry.mould import write_cad  # takes seconds to load: only when something is drawn
+
+        files = write_cad(design, folder)
+        hashes = {path.name: _file_hash(path) for path in files}
+        with replacing(made) as temporary:
+            temporary.write_text(json.dumps({"recipe": recipe, "files": hashes}, indent=2) + "\n", encoding="utf-8")
+    description = folder / "design.toml"
+    with replacing(description) as temporary:
+        temporary.write_text(design_to_toml(design), encoding="utf-8")
+    advance(1, "reused" if reused else f"{len(files)} files")
+    return Stage(name="CAD", seconds=perf_counter() - start, reused=reused, files=(description, *files))
+
+
+def _intact_files(made: Path, recipe: str) -> list[Path]:
+    """Files that `made` lists, if it has the recipe and each is still as it was written; otherwise none."""
+    try:
+        record = json.loads(made.read_text(encoding="utf-8"))
+        files = [made.parent / name for name in record["files"]]
+        intact = record["recipe"] == recipe and all(_file_hash(path) == record["files"][path.name] for path in files)
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return files if intact else []
+
+
+def _file_hash(path: Path) -> str:
+    return digest(path.read_bytes().hex())
+
+
+def meshed(design: SensorDesign, bars: Bars) -> Stage:
+    """Mesh the sensor and judge the mesh."""
+    start = perf_counter()
+    advance = bars.begin("mesh", total=1)
+    mesh, path, reused = sensor_mesh(design, MeshSettings())
+    shape = quality(mesh)
+    note = (
+        f"{shape.cells} tetrahedra, scaled Jacobian {shape.worst_scaled_jacobian:.2f} at worst, "
+        f"{shape.mean_scaled_jacobian:.2f} in the mean, dihedral angles from {shape.smallest_dihedral_deg:.0f}°"
+    )
+    advance(1, "reused" if reused else note)
+    return Stage(name="mesh", seconds=perf_counter() - start, reused=reused, files=(path,), note=note)
+
+
+def respond(design: SensorDesign, bars: Bars) -> tuple[Stage, ArrayResponse]:
+    """Solve for the array's response."""
+    start = perf_counter()
+    steps = 3 + design.array.rows
+    advance = bars.begin("response", total=steps)
+    response, path, reused = array_response(design, MeshSettings(), lambda step: advance(1, step))
+    note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
+    advance(steps if reused else 0, "reused" if reused else note)
+    return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=(path,), note=note), response
+
+
+def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
+    """Simulate the training and the test samples of every studied protocol."""
+    start = perf_counter()
+    advance = bars.begin("datasets", total=len(STUDIED) * sum(samples for samples, _ in SPLITS.values()))
+    files, reused, made = [], True, 0
+    for protocol in STUDIED:
+        for split, (samples, seed) in SPLITS.items():
+            settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=CAP)
+            path = _dataset_path(out, protocol, split)
+            if not make_dataset(response, settings, path, lambda n: advance(n, "")):
+                reused, made = False, made + samples
+            else:
+                advance(samples, "reused")
+            files.append(path)
+    return Stage(
+        name="datasets",
+        seconds=perf_counter() - start,
+        reused=reused,
+        files=tuple(files),
+        note="" if reused else f"{made} samples",
+    )
+
+
+def make_dataset(
+    response: ArrayResponse, settings: DatasetSettings, path: Path, progress: Callable[[int], None]
+) -> bool:
+    """Simulate and write a dataset unless `path` holds it already; returns whether it did."""
+    if file_recipe(path) == dataset_recipe(response, settings):
+        return True
+    write_dataset(simulate(response, settings, progress), path)
+    return False
+
+
+def train_networks(out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
+    """Train every network of the table on every studied protocol."""
+    start = perf_counter()
+    models: dict[str, dict[str, Decoupler]] = {}
+    files, all_reused = [], True
+    advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
+    for protocol, component in STUDIED.items():
+        data = read_labelled(_dataset_path(out, protocol, "train"))
+        models[protocol] = {}
+        for name, (network, training) in NETWORKS.items():
+            path = out / "models" / f"{protocol}-{network.net}{network.hidden}.safetensors"
+            advance(0, f"{protocol}, {name}")
+            model, reused = trained(data, component, network, training, path)
+            all_reused &= reused
+            models[protocol][name] = model
+            files.append(path)
+            advance(1, "reused" if reused else "")
+    stage = Stage(name="networks", seconds=perf_counter() - start, reused=all_reused, files=tuple(files))
+    return stage, models
+
+
+def trained(
+    data: LabelledData, component: str, network: NetworkConfig, training: TrainingConfig, path: Path
+) -> tuple[Decoupler, bool]:
+    """Train and write a network unless `path` holds it already; returns it and whether it did."""
+    recipe = model_recipe(data.content_hash, component_named(component).name, network, training)
+    try:
+        model = read_model(path)
+        if model.made_from.get("recipe") == recipe:
+            return model, True
+    except FileFormatError:
+        pass
+    from decoupler.training import train  # loads torch, which takes seconds: only when something is trained
+
+    model, _ = train(data, component, network, training)
+    write_model(model, path)
+    return model, False
+
+
+def _dataset_path(out: Path, protocol: str, split: str) -> Path:
+    return out / "data" / f"{protocol}-{split}.nc"
+
+
+def files_of(stages: Iterable[Stage]) -> list[Path]:
+    """Every file that the stages wrote or found, in order."""
+    return [path for stage in stages for path in stage.files]

@@ -1,0 +1,289 @@
+"""TriPillar's command line: one sub-command a stage, in the order of the pipeline.
+
+Results go to stdout (with --json one object), progress and messages to stderr. A user's mistake is one line and exit code
+2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
+"""
+
+import json
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from geometry.design import SensorDesign
+from geometry.design_file import design_to_toml, read_design, write_design
+from geometry.errors import TriPillarError
+
+if TYPE_CHECKING:
+    from studies.progress import Bars
+
+app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
+
+
+Protocol = Literal["independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis"]
+Component = Literal["fz", "fx", "fy", "all"]
+
+DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
+
+
+@app.command()
+def design(
+    out: Annotated[Path | None, typer.Option(help="File to write; default: print it.")] = None,
+) -> None:
+    """Write the paper's sensor as a design TOML, every key with its default and meaning."""
+    if out is None:
+        print(design_to_toml(SensorDesign()), end="")
+    else:
+        write_design(SensorDesign(), out)
+        wrote([out])
+
+
+@app.command()
+def cad(
+    out: Annotated[Path, typer.Option(help="Folder for STEP and STL files.")],
+    design: DesignOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Draw pillars, unit, array, slab, matrix and casting mould; write them as STEP and STL."""
+    sensor = chosen(design)
+    from geometry.mould import write_cad
+
+    files = write_cad(sensor, out)
+    if json_:
+        show_json({"files": [str(path) for path in files]})
+    wrote(files)
+
+
+@app.command()
+def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOption = False) -> None:
+    """Mesh the sensor with tetrahedra and judge their shape; cached."""
+    from studies.pipeline import meshed
+
+    with progress_bars(quiet) as bars:
+        stage = meshed(chosen(design), bars)
+    if json_:
+        show_json({"file": str(stage.files[0]), "reused": stage.reused, "seconds": stage.seconds, "note": stage.note})
+    else:
+        print(stage.note)
+    wrote(stage.files)
+
+
+@app.command()
+def response(
+    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    design: DesignOption = None,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Solve for the array's influence matrix: displacement of every upper electrode per newton on every pad."""
+    from fem.response import write_response
+    from studies.pipeline import respond
+
+    with progress_bars(quiet) as bars:
+        stage, solved = respond(chosen(design), bars)
+    write_response(solved, out)
+    if json_:
+        figures = {"unknowns": solved.unknowns, "residual": solved.residual, "mesh_hash": solved.mesh_hash}
+        show_json({"file": str(out), "reused": stage.reused, "seconds": solved.seconds} | figures)
+    else:
+        print(stage.note)
+    wrote([out])
+
+
+@app.command()
+def dataset(
+    protocol: Annotated[Protocol, typer.Option(help="How pads are loaded.")],
+    samples: Annotated[int, typer.Option(help="Number of samples.")],
+    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    seed: Annotated[int, typer.Option(help="Of loads and noise.")] = 0,
+    cap: Annotated[float, typer.Option(help="Largest pillar strain; samples past it are redrawn.")] = 0.3,
+    noise: Annotated[float, typer.Option(help="Relative standard deviation of a resistance.")] = 0.0,
+    bits: Annotated[int | None, typer.Option(help="Of the converter; default: exact.")] = None,
+    design: DesignOption = None,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Simulate labelled samples: loads, displacements, lengths and resistances."""
+    from dataset.labelled import write_dataset
+    from dataset.simulate import DatasetSettings, simulate
+    from studies.pipeline import respond
+
+    settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, noise=noise, bits=bits)
+    with progress_bars(quiet) as bars:
+        _, solved = respond(chosen(design), bars)
+        advance = bars.begin("dataset", total=samples)
+        data = simulate(solved, settings, lambda n: advance(n, ""))
+    write_dataset(data, out)
+    redrawn = data.made_from["redrawn"]
+    if json_:
+        show_json({"file": str(out), "samples": samples, "redrawn": redrawn, "recipe": data.made_from["recipe"]})
+    else:
+        print(f"{samples} samples, {redrawn} draws passed the cap of {cap:g} and were redrawn")
+    wrote([out])
+
+
+@app.command()
+def train(
+    data: Annotated[Path, typer.Option(help="Dataset to train on.")],
+    component: Annotated[Component, typer.Option(help="Forces to decouple.")],
+    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
+    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
+    trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
+    feature: Annotated[Literal["root", "resistance"], typer.Option(help="Inputs √R or R.")] = "root",
+    goal: Annotated[float, typer.Option(help="Stop at this mean squared error, scaled.")] = 1e-5,
+    iterations: Annotated[int, typer.Option(help="Stop after so many at the latest.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Train one network on a dataset and write it as a model file."""
+    from dataset.labelled import read_labelled
+    from decoupler.metrics import evaluate as errors_on
+    from decoupler.model_file import write_model
+    from decoupler.settings import NetworkConfig, TrainingConfig
+
+    network = NetworkConfig(hidden=hidden, net=net, feature=feature)
+    training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
+    labelled = read_labelled(data)
+    from decoupler.training import train as train_network
+
+    with progress_bars(quiet) as bars:
+        advance = bars.begin(f"train {component}", total=iterations)
+        model, history = train_network(
+            labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}")
+        )
+    write_model(model, out)
+    figures = {
+        "iterations": history.iterations,
+        "mse": history.mse,
+        "reason": history.reason,
+        "seconds": history.seconds,
+        "training_errors": errors_on(model, labelled),
+    }
+    if json_:
+        show_json({"file": str(out), **figures})
+    else:
+        print(
+            f"{history.iterations} iterations in {history.seconds:.1f} s to mse {history.mse:.2e} "
+            f"({history.reason})"
+        )
+    wrote([out])
+
+
+@app.command()
+def evaluate(
+    model: Annotated[Path, typer.Option(help="Model file.")],
+    data: Annotated[Path, typer.Option(help="Dataset to test on.")],
+    json_: JsonOption = False,
+) -> None:
+    """Errors of a model on a dataset: relative (eq. 17), RMSE in newtons, and % of full scale."""
+    from dataset.labelled import read_labelled
+    from decoupler.metrics import evaluate as errors_on
+    from decoupler.model_file import read_model, require_same_sensor
+
+    decoupler, labelled = read_model(model), read_labelled(data)
+    require_same_sensor(decoupler, labelled, model, data)
+    errors = errors_on(decoupler, labelled)
+    if json_:
+        show_json(errors)
+    else:
+        from studies.report import errors_table, show
+
+        show(errors_table(errors))
+
+
+@app.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(help="Recorded frames.")],
+    model: Annotated[Path, typer.Option(help="Model file.")],
+    out: Annotated[Path | None, typer.Option(help="NetCDF file for the forces of every frame.")] = None,
+    json_: JsonOption = False,
+) -> None:
+    """Turn recorded frames into forces with a trained model."""
+    from decoupler.model_file import read_model
+    from hardware import read_recording, write_forces
+    from hardware import replay as replay_frames
+
+    decoupler = read_model(model)
+    replayed = replay_frames(read_recording(recording), decoupler)
+    frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
+    if out is not None:
+        write_forces(replayed, decoupler.component.axes, out)
+    if json_:
+        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(replayed.statistics)}
+        forces = {"time_s": replayed.time_s.tolist(), "force_n": replayed.force_n.tolist()}
+        show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
+    else:
+        print(f"{frames} frames, {replayed.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
+        for name, newtons in zip(decoupler.component.forces, replayed.force_n.transpose(3, 0, 1, 2), strict=True):
+            print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
+    wrote([] if out is None else [out])
+
+
+@app.command()
+def run(
+    design: DesignOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("out"),
+    until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage.")] = "table",
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """The whole pipeline: design, CAD, mesh, response, datasets, networks, table; reuses what did not change."""
+    from studies.pipeline import files_of
+    from studies.pipeline import run as run_pipeline
+    from studies.report import comparison_table, show, stage_table
+
+    with progress_bars(quiet) as bars:
+        outcome = run_pipeline(chosen(design), out, bars, until_dataset=until == "dataset")
+    if json_:
+        show_json(outcome.as_plain())
+    else:
+        if outcome.comparisons:
+            show(comparison_table(outcome.comparisons))
+        show(stage_table(outcome.stages))
+    wrote(files_of(outcome.stages))
+
+
+def chosen(path: Path | None) -> SensorDesign:
+    """The design of a --design option."""
+    return SensorDesign() if path is None else read_design(path)
+
+
+def progress_bars(quiet: bool) -> "Bars":
+    from studies.progress import Bars
+
+    return Bars(quiet=quiet)
+
+
+def show_json(result: dict[str, Any]) -> None:
+    print(json.dumps(result, indent=2))
+
+
+def wrote(files: Iterable[Path]) -> None:
+    """Name every file written, last of all, on stderr."""
+    for path in files:
+        print(path, file=sys.stderr)
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends with one line on stderr and exit code 2."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except typer.exceptions.TyperException as error:
+        message = error.format_message()
+    except (TriPillarError, OSError) as error:
+        message = str(error)
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(130)
+    print(f"tripillar: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
