@@ -32,19 +32,18 @@ def hooke_forces(
         slab as well, so that reading is far too small; with the pad's area eq. 8 is at least of the right
         size.
 
-    Notes ----- Eq. 8 of Song et al., Micromachines 2018, 9(5), 236: F = E S |l' − l| / l with l' = √(R' V /
-    ρ), eq. 2 and 3. Here with a sign: a positive Fz (compression) or Fx shortens its pillar, a positive Fy
-    lengthens the y pillar.
+    Notes
+    -----
+    Eq. 8 of Song et al., Micromachines 2018, 9(5), 236: F = E S |l' − l| / l with l' = √(R' V / ρ), eq. 2 and
+    3. Here with a sign: a positive Fz (compression) or Fx shortens its pillar, a positive Fy lengthens the y
+    pillar.
     """
     S = design.unit.pillar_width_mm**2 if area_mm2 is None else area_mm2
     E, rest_mm, V = design.pillar_material.young_mpa, rest_lengths(design.unit), pillar_volumes(design.unit)
-    columns = pillar_columns(resistance_ohm, component)
+    pillar_columns(resistance_ohm, component)  # refuses what is no resistance
     pillars = [PILLARS.index(axis) for axis in component.axes]
     sign = np.array([_LENGTHENS[axis] for axis in component.axes])
-    R = columns.reshape(*resistance_ohm.shape[:3], -1)[
-        ..., [component.pillars.index(axis) for axis in component.axes]
-    ]
-    length_mm = np.sqrt(R * V[pillars] / design.resistivity_ohm_mm)
+    length_mm = np.sqrt(resistance_ohm[..., pillars] * V[pillars] / design.resistivity_ohm_mm)
     return sign * E * S * (length_mm - rest_mm[pillars]) / rest_mm[pillars]
 
 

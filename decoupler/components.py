@@ -1,5 +1,6 @@
 """Which pillars and which forces a network connects: one axis alone, as in the paper, or all jointly."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,7 @@ def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArr
             f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0: "
             "leave that sample out or mend the pillar."
         )
-    return taken.reshape(len(taken), -1)
+    return taken.reshape(len(taken), math.prod(taken.shape[1:]))
 
 
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
@@ -77,4 +78,4 @@ def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
             f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is not finite: "
             "leave that sample out."
         )
-    return taken.reshape(len(taken), -1)
+    return taken.reshape(len(taken), math.prod(taken.shape[1:]))

@@ -33,7 +33,7 @@ class Model(Protocol):
         """Size of the matrix's diagonal, the unit of the first damping."""
 
     def step(self, damping: float) -> tuple[Point, float] | None:
-        """The point after a damped step and the fall in cost that the quadratic promises; None if singular."""
+        """The point after a damped step and the fall in cost the quadratic promises; None if singular."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,12 @@ def minimise(
 ) -> tuple[Point, Outcome]:
     """Follow damped Gauss-Newton steps downhill from `start`.
 
-    Notes ----- Damping after Nielsen (Madsen, Nielsen, Tingleff, *Methods for non-linear least squares
-    problems*, 2004, sec. 3.2): ρ compares the fall in cost with the promised one; after a good step μ shrinks
-    smoothly, by 3 at most, after each step uphill it grows by 2, 4, 8 ... A step uphill costs a
-    factorisation, not a new matrix, and is no iteration.
+    Notes
+    -----
+    Damping after Nielsen (Madsen, Nielsen, Tingleff, *Methods for non-linear least squares problems*, 2004,
+    sec. 3.2): ρ compares the fall in cost with the promised one; after a good step μ shrinks smoothly, by 3
+    at most, after each step uphill it grows by 2, 4, 8 ... A step uphill costs a factorisation, not a new
+    matrix, and is no iteration.
     """
     point, stop, iteration = start, Stop(config), 0
     damping, growth = 0.0, 2.0

@@ -1,4 +1,4 @@
-"""A trained network with its scaling: ohms in, newtons out. In numpy, so that a live sensor loads no torch."""
+"""A trained network with its scaling: ohms in, newtons out. In numpy: a live sensor loads no torch."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,13 +29,9 @@ class Decoupler:
     input_scaling: Scaling
     output_scaling: Scaling
     hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
-    output_weights: (
-        FloatArray  #: (n_out, n_hidden + n_in + 1) with skip, else (n_out, n_hidden + 1); bias last
-    )
+    output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
     design: SensorDesign | None  #: of the training data; None if they did not say
-    made_from: dict[str, Any] = field(
-        default_factory=dict
-    )  #: seed, trainer, data hash, recipe, error reached
+    made_from: dict[str, Any] = field(default_factory=dict)  #: recipe, data hash, seed, trainer, how it ended
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit.
@@ -56,8 +52,10 @@ class Decoupler:
         ResistanceError
             If the array is another size than the model's, or a resistance is not finite or not above 0.
 
-        Notes ----- output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input)
-        without. Each sample is multiplied on its own, so that it gives the same bits alone and in any batch.
+        Notes
+        -----
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. Each
+        sample is multiplied on its own, so that it gives the same bits alone and in any batch.
         """
         resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
         columns = pillar_columns(resistance_ohm, self.component)
@@ -72,9 +70,8 @@ class Decoupler:
         hidden = np.tanh(_each(self.hidden_weights, X))  # (n_samples, n_hidden)
         linear = X if self.network.net == "skip" else X[:, -1:]
         outputs = _each(self.output_weights, np.concatenate([hidden, linear], axis=1))
-        return self.output_scaling.unscale(outputs).reshape(
-            -1, self.rows, self.cols, len(self.component.axes)
-        )
+        n_axes = len(self.component.axes)
+        return self.output_scaling.unscale(outputs).reshape(-1, self.rows, self.cols, n_axes)
 
 
 def _each(weights: FloatArray, samples: FloatArray) -> FloatArray:

@@ -26,10 +26,12 @@ class PcaFloor:
 def pca_floor(force_n: FloatArray, component: Component, hidden: int) -> PcaFloor:
     """Floor of a plain network with `hidden` nodes for forces of shape (n_samples, rows, cols, 3) [N].
 
-    Notes ----- The outputs W₂ tanh(...) + b of a plain network lie in a plane of `hidden` dimensions. By
-    Eckart and Young the mean squared distance of the forces to any such plane is at least the energy of their
-    discarded principal components. The bounds hold on these very forces, scaled by their own range; eq. 17
-    has no such bound. A skip net has none at all.
+    Notes
+    -----
+    The outputs W₂ tanh(...) + b of a plain network lie in a plane of `hidden` dimensions. By Eckart and Young
+    the mean squared distance of the forces to any such plane is at least the energy of their discarded
+    principal components. The bounds hold on these very forces, scaled by their own range; eq. 17 has no such
+    bound. A skip net has none at all.
     """
     columns = force_columns(force_n, component)
     scaled = Scaling.fitted(columns).scale(columns)

@@ -57,12 +57,13 @@ class Eliminated:
 class GaussNewton:
     """JᵀJ and Jᵀr of the squared error ½‖A W₂ᵀ − T‖² at one point, block by block.
 
-    Notes ----- With s = 1 − tanh², Z the row-wise Khatri-Rao product of s and X (one column s_j·x_a for every
-    hidden weight), C = ZᵀA and K = W₂ᵀW₂ over the hidden nodes, JᵀJ has the blocks K ∘ ZᵀZ (hidden; K_jj'
-    multiplies the whole block of nodes j and j'), I ⊗ AᵀA (output) and W₂[k, j] C[(j, a), b] between them.
-    The damped step (JᵀJ + μI) d = −Jᵀr goes through the Schur complement of the output block, K ∘ (ZᵀZ − C
-    M⁻¹ Cᵀ) + μI with M = AᵀA + μI: only (n_in+1)·n_hidden unknowns are factored, however many outputs there
-    are.
+    Notes
+    -----
+    With s = 1 − tanh², Z the row-wise Khatri-Rao product of s and X (one column s_j·x_a for every hidden
+    weight), C = ZᵀA and K = W₂ᵀW₂ over the hidden nodes, JᵀJ has the blocks K ∘ ZᵀZ (hidden; K_jj' multiplies
+    the whole block of nodes j and j'), I ⊗ AᵀA (output) and W₂[k, j] C[(j, a), b] between them. The damped
+    step (JᵀJ + μI) d = −Jᵀr goes through the Schur complement of the output block, K ∘ (ZᵀZ − C M⁻¹ Cᵀ) + μI
+    with M = AᵀA + μI: only (n_in+1)·n_hidden unknowns are factored, however many outputs there are.
 
     Both symmetries of ZᵀZ, Σ s_j s_j' x_a x_a', are used: the pairs of inputs are multiplied once a training,
     the pairs of nodes once an iteration, and one matrix product of a quarter of the size is left.
@@ -103,7 +104,7 @@ class GaussNewton:
         return Eliminated(factor, (left * self.K[:, None, :, None]).view(h * p, h * p))
 
     def hidden_step(self, eliminated: Eliminated, damping: float, gradient: Tensor) -> Tensor | None:
-        """Solve (reduced + damping·I) d = −gradient, each (n_hidden, n_in+1); None if singular to rounding."""
+        """Solve (reduced + damping·I) d = −gradient, each (n_hidden, n_in+1); None if singular."""
         S = eliminated.reduced.clone()
         S.diagonal().add_(damping)
         factor, info = torch.linalg.cholesky_ex(S)

@@ -19,16 +19,16 @@ class ForceErrors:
 
     rel_err: float | None  #: eq. 17 as a fraction; None where a force is too near 0 for it to mean anything
     rmse_n: float  #: root mean squared error [N]
-    full_scale_pct: (
-        float | None
-    )  #: the same in % of full scale, the largest |F| in the data; None if that is 0
+    full_scale_pct: float | None  #: the same in % of full scale, the largest |F| in the data; None if it is 0
 
 
 def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     """Errors of predicted forces of one component; both arrays of the same shape, whatever it is.
 
-    Notes ----- Eq. 17 of Song et al., Micromachines 2018, 9(5), 236: mean of |F' − F| / |F|. It explodes as F
-    nears 0, so it is given only if the smallest |F| is above 1e-3 of the largest.
+    Notes
+    -----
+    Eq. 17 of Song et al., Micromachines 2018, 9(5), 236: mean of |F' − F| / |F|. It explodes as F nears 0, so
+    it is given only if the smallest |F| is above 1e-3 of the largest.
 
     Examples
     --------

@@ -20,6 +20,7 @@ from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 
 FORMAT = "tripillar-model-1"
+HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"
 
 
@@ -31,18 +32,17 @@ def model_recipe(data_hash: str, component: str, network: NetworkConfig, trainin
 def write_model(decoupler: Decoupler, path: Path) -> None:
     """Write a model file, whole or not at all."""
     header = {
+        "format": FORMAT,
         "component": decoupler.component.name,
         "rows": decoupler.rows,
         "cols": decoupler.cols,
         "network": asdict(decoupler.network),
+        "design": None if decoupler.design is None else design_to_toml(decoupler.design),
+        "design_hash": None if decoupler.design is None else digest(decoupler.design),
         "made_from": decoupler.made_from,
     }
-    metadata = {"format": FORMAT, "model": json.dumps(header)}
-    if decoupler.design is not None:
-        metadata |= {"design": design_to_toml(decoupler.design), "design_hash": digest(decoupler.design)}
-    content = save(
-        {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}, metadata
-    )
+    arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
+    content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
@@ -63,13 +63,10 @@ def read_model(path: Path) -> Decoupler:
         raise FileFormatError(f"{path}: no such file: {_MEND}.") from None
     except (OSError, SafetensorError):
         raise FileFormatError(f"{path}: truncated or no safetensors file: {_MEND}.") from None
-    if metadata.get("format") != FORMAT:
-        given = metadata.get("format", "no format")
-        raise FileFormatError(
-            f"{path}: no model of this program ({given} in its header, not {FORMAT}): {_MEND}."
-        )
+    if HEADER not in metadata:
+        raise FileFormatError(f"{path}: a safetensors file, but no model of this program: {_MEND}.")
     try:
-        decoupler = _assembled(metadata, arrays)
+        decoupler = _assembled(json.loads(metadata[HEADER]), arrays)
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     for name, shape in _shapes(decoupler).items():
@@ -150,8 +147,9 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _assembled(metadata: dict[str, str], arrays: dict[str, np.ndarray]) -> Decoupler:
-    header = json.loads(metadata["model"])
+def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
+    if header["format"] != FORMAT:
+        raise ValueError(f"format is {header['format']}, not {FORMAT}")
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
@@ -164,6 +162,6 @@ def _assembled(metadata: dict[str, str], arrays: dict[str, np.ndarray]) -> Decou
         output_scaling=Scaling(arrays["output_centre"], arrays["output_half_range"]),
         hidden_weights=arrays["hidden_weights"],
         output_weights=arrays["output_weights"],
-        design=design_from_toml(metadata["design"]) if "design" in metadata else None,
+        design=None if header["design"] is None else design_from_toml(header["design"]),
         made_from=dict(header["made_from"]),
     )

@@ -18,9 +18,10 @@ class Momentum(torch.optim.Optimizer):
     momentum : float
         η: the share of the step that the gradient before last has.
 
-    Notes ----- Eq. 15 of Song et al., Micromachines 2018, 9(5), 236. It averages two gradients; unlike the
-    usual momentum it keeps no velocity, so it damps oscillations and is no faster than gradient descent
-    downhill.
+    Notes
+    -----
+    Eq. 15 of Song et al., Micromachines 2018, 9(5), 236. It averages two gradients; unlike the usual momentum
+    it keeps no velocity, so it damps oscillations and is no faster than gradient descent downhill.
     """
 
     def __init__(self, params: Iterable[torch.nn.Parameter], learning_rate: float, momentum: float) -> None:

@@ -15,25 +15,26 @@ class Scaling:
     """Maps each column's range in the training set onto [-1, 1], and back."""
 
     centre: FloatArray  #: (n_columns,)
-    half_range: FloatArray  #: (n_columns,), above 0
+    half_range: FloatArray  #: (n_columns,); 0 for a constant column
 
     @classmethod
     def fitted(cls, values: FloatArray) -> Self:
         """Scaling by the smallest and largest value of every column, shape (n_samples, n_columns).
 
-        A constant column is only centred: it becomes 0 and divides nothing by 0.
+        A constant column tells nothing: it is scaled to 0 whatever it holds, and comes back as the constant.
 
-        >>> Scaling.fitted(np.array([[1.0, 7.0], [3.0, 7.0]])).scale(np.array([[1.0, 7.0], [2.0, 7.5]]))
+        >>> Scaling.fitted(np.array([[1.0, 7.0], [3.0, 7.0]])).scale(np.array([[1.0, 7.0], [2.5, 8.0]]))
         array([[-1. ,  0. ],
-               [ 0. ,  0.5]])
+               [ 0.5,  0. ]])
         """
         low, high = values.min(axis=0), values.max(axis=0)
         half_range = (high - low) / 2.0
         constant = half_range <= SMALLEST_RANGE * np.maximum(np.abs(low), np.abs(high))
-        return cls((low + high) / 2.0, np.where(constant, 1.0, half_range))
+        return cls((low + high) / 2.0, np.where(constant, 0.0, half_range))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        return (values - self.centre) / self.half_range
+        distance = values - self.centre
+        return np.divide(distance, self.half_range, out=np.zeros_like(distance), where=self.half_range > 0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:
         return scaled * self.half_range + self.centre

@@ -10,6 +10,15 @@ Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root"]
 Trainer = Literal["varpro", "lm", "momentum"]
 
+_TRAINERS_OWN = {
+    "varpro": {"max_iterations": 200, "patience": 10},
+    "lm": {"max_iterations": 200, "patience": 10},
+    "momentum": {
+        "max_iterations": 5000,
+        "patience": 500,
+    },  # first order: many cheap steps, each gaining little
+}
+
 
 def _require_one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
@@ -41,17 +50,19 @@ class TrainingConfig:
 
     trainer: Trainer = "varpro"  #: variable projection, Levenberg-Marquardt, or the paper's momentum rule
     goal_mse: float = 1e-5  #: stop when reached; the paper's
-    max_iterations: int = 200  #: stop at the latest then; the momentum rule wants thousands
-    patience: int = 10  #: stop if the error has not fallen by `least_gain` within so many iterations
-    least_gain: float = 0.02  #: share of the error
+    max_iterations: int = 0  #: stop at the latest then; 0: the trainer's own
+    patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
+    least_gain: float = 0.02  #: share of the error; 0 never gives up
     seed: int = 0  #: of the random start
-    learning_rate: float = 0.05  #: α of eq. 15, momentum rule only
+    learning_rate: float = 1.0  #: α of eq. 15, momentum rule only
     momentum: float = 0.5  #: η of eq. 15, momentum rule only
 
     def __post_init__(self) -> None:
         _require_one_of("trainer", self.trainer, get_args(Trainer))
-        for name, lowest in (("max_iterations", 1), ("patience", 1), ("seed", 0)):
-            _require_whole(name, getattr(self, name), lowest)
+        for name in ("max_iterations", "patience", "seed"):
+            _require_whole(name, getattr(self, name), 0)
+        for name, value in _TRAINERS_OWN[self.trainer].items():
+            object.__setattr__(self, name, getattr(self, name) or value)
         if not (math.isfinite(self.goal_mse) and self.goal_mse >= 0):
             raise DesignError(f"goal_mse={self.goal_mse:g} must be 0 or above; the paper uses 1e-5.")
         if not 0 <= self.least_gain < 1:

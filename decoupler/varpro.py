@@ -45,9 +45,11 @@ def train_varpro(
 ) -> tuple[Point, Outcome]:
     """Train from the given hidden weights.
 
-    Notes ----- Golub & Pereyra's functional with Kaufman's approximation of its Jacobian (BIT 15, 1975): with
-    the output weights W₂(W₁) = argmin ½‖A W₂ᵀ − T‖² + ½ λ‖W₂‖², the gradient over W₁ is exact, and JᵀJ is the
-    Schur complement K ∘ (ZᵀZ − C M⁻¹ Cᵀ) of the full matrix with M = AᵀA + λI.
+    Notes
+    -----
+    Golub & Pereyra's functional with Kaufman's approximation of its Jacobian (BIT 15, 1975): with the output
+    weights W₂(W₁) = argmin ½‖A W₂ᵀ − T‖² + ½ λ‖W₂‖², the gradient over W₁ is exact, and JᵀJ is the Schur
+    complement K ∘ (ZᵀZ − C M⁻¹ Cᵀ) of the full matrix with M = AᵀA + λI.
     """
     ridge = RIDGE * len(samples.X)
     start = projected(samples, hidden, ridge)

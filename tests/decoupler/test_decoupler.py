@@ -1,0 +1,84 @@
+"""The trained thing: ohms in, newtons out, the same for one sample and for many."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from synthetic_sensor import labelled, sensor
+
+from decoupler import NetworkConfig, ResistanceError, TrainingConfig
+from decoupler.network import Network
+from decoupler.training import train
+
+DATA = labelled(sensor(2, 3), "xyz", n_samples=101, seed=0)
+FEW = TrainingConfig(max_iterations=3)
+
+
+@pytest.mark.parametrize("net", ["plain", "skip"])
+@pytest.mark.parametrize("component", ["fz", "all"])
+def test_one_sample_gives_the_bits_of_the_batch(component, net):
+    decoupler, _ = train(DATA, component, NetworkConfig(hidden=7, net=net), FEW)
+    batch = decoupler.forces(DATA.resistance_ohm)
+    assert batch.shape == (101, 2, 3, 3 if component == "all" else 1)
+    for size in (1, 2, 7):
+        parts = [decoupler.forces(DATA.resistance_ohm[i : i + size]) for i in range(0, 101, size)]
+        np.testing.assert_array_equal(np.concatenate(parts), batch)
+
+
+@pytest.mark.parametrize("net", ["plain", "skip"])
+@pytest.mark.parametrize("feature", ["resistance", "root"])
+def test_gives_what_the_torch_network_gives(net, feature):
+    """Two routes: numpy on ohms, torch on scaled inputs; they differ by rounding only."""
+    config = NetworkConfig(hidden=5, net=net, feature=feature)
+    decoupler, _ = train(DATA, "fx", config, FEW)
+    network = Network(config, 6, 6, seed=9)
+    network.load_state_dict(
+        {
+            "hidden": torch.from_numpy(decoupler.hidden_weights),
+            "output": torch.from_numpy(decoupler.output_weights),
+        }
+    )
+    R = DATA.resistance_ohm[..., 1].reshape(-1, 6)
+    scaled = decoupler.input_scaling.scale(np.sqrt(R) if feature == "root" else R)
+    outputs = network(torch.from_numpy(scaled)).detach().numpy()
+    expected = decoupler.output_scaling.unscale(outputs).reshape(-1, 2, 3, 1)
+    np.testing.assert_allclose(decoupler.forces(DATA.resistance_ohm), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.0])
+def test_the_first_bad_resistance_is_named(value):
+    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    R = DATA.resistance_ohm.copy()
+    R[4:, 1, 2, 0] = value
+    with pytest.raises(
+        ResistanceError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"
+    ):
+        decoupler.forces(R)
+
+
+def test_a_dead_pillar_that_is_not_taken_does_no_harm():
+    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    R = DATA.resistance_ohm.copy()
+    R[..., 1:] = np.nan
+    np.testing.assert_array_equal(decoupler.forces(R), decoupler.forces(DATA.resistance_ohm))
+
+
+def test_wrong_sizes_are_refused():
+    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    with pytest.raises(ResistanceError, match=r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"):
+        decoupler.forces(DATA.resistance_ohm[0])
+    with pytest.raises(ResistanceError, match="of 3 × 2 units, the model's sensor has 2 × 3"):
+        decoupler.forces(DATA.resistance_ohm.transpose(0, 2, 1, 3))
+
+
+def test_no_samples_give_no_forces():
+    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    assert decoupler.forces(DATA.resistance_ohm[:0]).shape == (0, 2, 3, 1)
+
+
+def test_using_a_model_loads_no_torch():
+    """A live sensor starts in a fraction of a second; torch alone takes seconds."""
+    code = "import sys, decoupler; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

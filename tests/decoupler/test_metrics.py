@@ -1,0 +1,51 @@
+"""Eq. 17, RMSE and % of full scale on numbers worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_sensor import labelled, sensor
+
+from decoupler import ResistanceError, component_errors, component_named, force_errors
+
+
+def test_errors_by_hand():
+    errors = force_errors(np.array([[11.0, -18.0]]), np.array([[10.0, -20.0]]))
+    assert errors.rel_err == pytest.approx((0.1 + 0.1) / 2, rel=1e-14)
+    assert errors.rmse_n == pytest.approx(np.sqrt((1 + 4) / 2), rel=1e-14)
+    assert errors.full_scale_pct == pytest.approx(100 * np.sqrt(2.5) / 20, rel=1e-14)
+
+
+@pytest.mark.parametrize("smallest", [0.0, 0.05, -0.1])
+def test_no_relative_error_near_zero_force(smallest):
+    """At or below a thousandth of full scale eq. 17 says nothing; the other two errors still do."""
+    errors = force_errors(np.array([1.0, 101.0]), np.array([smallest, 100.0]))
+    assert errors.rel_err is None
+    assert errors.rmse_n > 0
+
+
+def test_no_force_at_all_has_no_full_scale():
+    errors = force_errors(np.ones(3), np.zeros(3))
+    assert (errors.rel_err, errors.rmse_n, errors.full_scale_pct) == (None, 1.0, None)
+
+
+def test_shapes_must_agree():
+    with pytest.raises(ResistanceError, match="give both alike"):
+        force_errors(np.ones(3), np.ones((3, 1)))
+
+
+def test_each_axis_is_measured_by_itself():
+    """An error on Fy of every unit shows under fy and nowhere else."""
+    data = labelled(sensor(2, 3), "xyz", n_samples=4, seed=0)
+    errors = component_errors(data.force_n + np.array([0.0, 2.0, 0.0]), data, component_named("all"))
+    assert {name: value.rmse_n for name, value in errors.items()} == pytest.approx(
+        {"fx": 0, "fy": 2, "fz": 0}
+    )
+
+
+def test_a_force_that_is_no_number_is_named():
+    data = labelled(sensor(2, 3), "z", n_samples=4, seed=0)
+    force_n = data.force_n.copy()
+    force_n[3, 1, 2, 2] = np.nan
+    with pytest.raises(ResistanceError, match="force fz in row 1, col 2 of sample 3"):
+        component_errors(force_n[..., 2:], replace(data, force_n=force_n), component_named("fz"))

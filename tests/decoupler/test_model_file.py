@@ -1,0 +1,144 @@
+"""The model file: same bits back, refusals in one line, nothing half-written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import save_file
+from synthetic_sensor import labelled, sensor
+
+from decoupler import (
+    NetworkConfig,
+    TrainingConfig,
+    model_recipe,
+    read_model,
+    require_same_sensor,
+    write_model,
+)
+from decoupler.training import train
+from geometry import Array, FileFormatError
+
+DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)
+NETWORK = NetworkConfig(hidden=4)
+FEW = TrainingConfig(max_iterations=2)
+
+
+@pytest.fixture(scope="module")
+def decoupler():
+    return train(DATA, "all", NETWORK, FEW)[0]
+
+
+def test_what_is_read_is_what_was_written(decoupler, tmp_path):
+    write_model(decoupler, tmp_path / "model.safetensors")
+    again = read_model(tmp_path / "model.safetensors")
+    np.testing.assert_array_equal(again.forces(DATA.resistance_ohm), decoupler.forces(DATA.resistance_ohm))
+    assert again.network == decoupler.network
+    assert again.component == decoupler.component
+    assert again.design == decoupler.design
+    assert again.made_from == decoupler.made_from
+
+
+def test_same_training_gives_the_same_file(tmp_path):
+    for name in ("a", "b"):
+        write_model(train(DATA, "fz", NETWORK, FEW)[0], tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_header_can_be_read_by_anyone(decoupler, tmp_path):
+    path = tmp_path / "model.safetensors"
+    write_model(decoupler, path)
+    with safe_open(path, framework="np") as opened:
+        header = json.loads(opened.metadata()["tripillar"])
+    assert header["network"]["hidden"] == 4
+    assert header["made_from"]["training"]["seed"] == 0
+    assert header["made_from"]["recipe"] == model_recipe(DATA.content_hash, "all", NETWORK, FEW)
+
+
+def test_recipe_follows_all_that_matters():
+    recipe = model_recipe("data", "fz", NETWORK, FEW)
+    assert recipe == model_recipe("data", "fz", NETWORK, FEW)
+    others = [
+        model_recipe("other", "fz", NETWORK, FEW),
+        model_recipe("data", "fx", NETWORK, FEW),
+        model_recipe("data", "fz", replace(NETWORK, hidden=5), FEW),
+        model_recipe("data", "fz", NETWORK, replace(FEW, seed=1)),
+    ]
+    assert len({recipe, *others}) == 5
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(FileFormatError, match="no such file: give a file made by 'tripillar train'"):
+        read_model(tmp_path / "none")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+def test_truncated_file_is_refused(decoupler, tmp_path, share):
+    path = tmp_path / "model.safetensors"
+    write_model(decoupler, path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(FileFormatError, match="truncated or no safetensors file"):
+        read_model(path)
+
+
+def test_folder_is_refused(tmp_path):
+    with pytest.raises(FileFormatError):
+        read_model(tmp_path)
+
+
+def test_foreign_safetensors_file_is_refused(tmp_path):
+    save_file({"weight": np.ones(3)}, tmp_path / "foreign")
+    with pytest.raises(FileFormatError, match="no model of this program"):
+        read_model(tmp_path / "foreign")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda header, arrays: header.pop("rows"), "its header makes no sense"),
+        (
+            lambda header, arrays: header.update(format="tripillar-model-9"),
+            "format is tripillar-model-9, not",
+        ),
+        (lambda header, arrays: header["network"].update(net="deep"), "net='deep' is unknown"),
+        (lambda header, arrays: header["network"].update(depth=3), "network has the keys"),
+        (lambda header, arrays: arrays.pop("input_centre"), "input_centre"),
+        (lambda header, arrays: arrays.update(output_centre=np.ones(3)), "output_centre is float64 of shape"),
+        (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is .* not finite"),
+    ],
+)
+def test_file_that_contradicts_itself_is_refused(decoupler, tmp_path, change, message):
+    path = tmp_path / "model.safetensors"
+    write_model(decoupler, path)
+    with safe_open(path, framework="np") as opened:
+        metadata, arrays = opened.metadata(), {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    header = json.loads(metadata["tripillar"])
+    change(header, arrays)
+    save_file(arrays, path, {"tripillar": json.dumps(header)})
+    with pytest.raises(FileFormatError, match=message):
+        read_model(path)
+
+
+def test_failed_write_leaves_the_old_file(decoupler, tmp_path):
+    path = tmp_path / "model.safetensors"
+    path.write_text("old")
+    with pytest.raises(TypeError):
+        write_model(replace(decoupler, made_from={"no": object()}), path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["model.safetensors"]
+    assert path.read_text() == "old"
+
+
+def test_data_of_another_sensor_are_refused(decoupler):
+    """What differs is named with both values; data that state no design are taken if the array fits."""
+    require_same_sensor(decoupler, DATA, "m", "d")
+    require_same_sensor(decoupler, replace(DATA, design=None), "m", "d")
+    other = replace(DATA.design, array=Array(rows=2, cols=3, pitch_mm=17.0))
+    with pytest.raises(
+        FileFormatError, match=r"m was trained for another sensor .* \(array.pitch_mm: model 15, data 17\)"
+    ):
+        require_same_sensor(decoupler, replace(DATA, design=other), "m", "d")
+    smaller = replace(DATA, resistance_ohm=DATA.resistance_ohm[:, :1], design=None)
+    with pytest.raises(FileFormatError, match="rows: model 2, data 1"):
+        require_same_sensor(decoupler, smaller, "m", "d")

@@ -1,0 +1,47 @@
+"""Settings refuse nonsense by name."""
+
+import pytest
+
+from decoupler import NetworkConfig, TrainingConfig, component_named
+from geometry import DesignError
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"hidden": 0}, "hidden=0 must be a whole number from 1 up"),
+        ({"hidden": 2.5}, "hidden=2.5 must be a whole number"),
+        ({"net": "deep"}, "net='deep' is unknown; choose one of plain, skip"),
+        ({"feature": "log"}, "feature='log' is unknown"),
+    ],
+)
+def test_network_refuses(settings, message):
+    with pytest.raises(DesignError, match=message):
+        NetworkConfig(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"trainer": "adam"}, "trainer='adam' is unknown; choose one of varpro, lm, momentum"),
+        ({"goal_mse": float("nan")}, "goal_mse=nan must be 0 or above"),
+        ({"max_iterations": -1}, "max_iterations=-1"),
+        ({"seed": True}, "seed=True"),
+        ({"least_gain": 1.0}, "least_gain=1 must be"),
+        ({"learning_rate": 0.0}, "learning_rate=0 must be above 0"),
+        ({"momentum": 1.0}, "momentum=1 must be"),
+    ],
+)
+def test_training_refuses(settings, message):
+    with pytest.raises(DesignError, match=message):
+        TrainingConfig(**settings)
+
+
+def test_each_trainer_has_its_own_patience():
+    assert TrainingConfig(trainer="momentum").max_iterations > TrainingConfig(trainer="lm").max_iterations
+    assert TrainingConfig(trainer="momentum", max_iterations=7).max_iterations == 7
+
+
+def test_unknown_component_is_refused():
+    with pytest.raises(DesignError, match="component='fw' is unknown; choose one of fz, fx, fy, all"):
+        component_named("fw")

@@ -1,0 +1,141 @@
+"""Trainers on a small sensor: they learn, they stop for the reason they give, and a seed fixes the bits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic_sensor import labelled, sensor, split
+
+from decoupler import (
+    LeastSquares,
+    NetworkConfig,
+    ResistanceError,
+    TrainingConfig,
+    TrainingError,
+    component_errors,
+    component_named,
+    evaluate,
+    pca_floor,
+)
+from decoupler.training import train
+
+SENSOR = sensor(2, 3)
+TRAIN, TEST = split(labelled(SENSOR, "x", n_samples=400, seed=0), 300)
+FX = component_named("fx")
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm"])
+@pytest.mark.parametrize("net", ["plain", "skip"])
+def test_second_order_trainers_reach_the_goal(trainer, net):
+    """Nodes enough for six forces: the goal is reached, and unseen samples beat least squares by far."""
+    config = TrainingConfig(trainer=trainer, goal_mse=1e-7)
+    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
+    assert history.reason == "goal"
+    assert history.mse <= 1e-7
+    linear = component_errors(LeastSquares.fitted(TRAIN, FX).forces(TEST.resistance_ohm), TEST, FX)["fx"]
+    assert evaluate(decoupler, TEST)["fx"]["rel_err"] < linear.rel_err / 4
+
+
+def test_momentum_rule_learns():
+    """It creeps, but ends well below the spread of the forces (scaled variance 1/3)."""
+    _, history = train(
+        TRAIN, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer="momentum", max_iterations=400)
+    )
+    assert history.reason == "iterations"
+    assert history.mse < 0.02
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+def test_reported_error_is_that_of_the_model(trainer):
+    """Found again from forces in newtons; 1e-6 is for the rounding of the scaling."""
+    decoupler, history = train(
+        TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5)
+    )
+    error_n = decoupler.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
+    scaled = error_n.reshape(len(error_n), -1) / decoupler.output_scaling.half_range
+    assert np.mean(scaled**2) == pytest.approx(history.mse, rel=1e-6)
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm"])
+def test_narrow_plain_net_stops_at_the_pca_floor(trainer):
+    """Six independent forces through three nodes: never below the floor, and within 2 % of it."""
+    _, history = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), TrainingConfig(trainer=trainer))
+    floor = pca_floor(TRAIN.force_n, FX, 3).scaled_mse
+    assert history.reason == "stagnation"
+    assert floor < history.mse < 1.02 * floor
+
+
+def test_stops_after_the_iterations_it_was_given():
+    calls = []
+    config = TrainingConfig(goal_mse=0.0, max_iterations=4)
+    _, history = train(TRAIN, "fx", NetworkConfig(hidden=4), config, lambda *call: calls.append(call))
+    assert (history.iterations, history.reason) == (4, "iterations")
+    assert [iteration for iteration, _ in calls] == [0, 1, 2, 3, 4]
+    errors = [mse for _, mse in calls]
+    assert errors == sorted(errors, reverse=True)  # damped steps only ever go down
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+def test_a_seed_fixes_the_bits(trainer):
+    def weights(seed):
+        config = TrainingConfig(trainer=trainer, max_iterations=3, seed=seed)
+        return train(TRAIN, "fx", NetworkConfig(hidden=4), config)[0].hidden_weights
+
+    np.testing.assert_array_equal(weights(1), weights(1))
+    assert not np.array_equal(weights(1), weights(2))
+
+
+def test_global_state_of_torch_is_left_alone():
+    threads, state = torch.get_num_threads(), torch.random.get_rng_state()
+    torch.set_num_threads(2)
+    try:
+        train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+def test_awkward_columns_train_to_finite_weights(trainer):
+    """A constant, a doubled and a rescaled column, forces in µN: nothing divides by 0 or overflows."""
+    R, F = TRAIN.resistance_ohm.copy(), TRAIN.force_n * 1e-6
+    R[:, 0, 0, 1] = 20_000.0
+    R[:, 0, 1, 1] = R[:, 0, 2, 1]
+    R[:, 1, 0, 1] *= 1e6
+    F[:, 1, 1, 0] = 3e-6
+    decoupler, history = train(
+        replace(TRAIN, resistance_ohm=R, force_n=F),
+        "fx",
+        NetworkConfig(hidden=4),
+        TrainingConfig(trainer=trainer, max_iterations=30),
+    )
+    assert history.mse < 0.2
+    np.testing.assert_allclose(decoupler.forces(R)[:, 1, 1, 0], 3e-6, rtol=1e-15)
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm"])
+def test_fewer_samples_than_weights_still_train(trainer):
+    few, _ = split(TRAIN, 5)
+    _, history = train(few, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer=trainer))
+    assert history.reason == "goal"
+
+
+def test_one_sample_is_too_few():
+    with pytest.raises(ResistanceError, match="1 samples cannot train a network"):
+        train(split(TRAIN, 1)[0], "fx", NetworkConfig(), TrainingConfig())
+
+
+def test_a_momentum_rule_that_runs_away_says_so():
+    config = TrainingConfig(trainer="momentum", learning_rate=1e3)
+    with pytest.raises(TrainingError, match="learning_rate was 1000, lower it"):
+        train(TRAIN, "fx", NetworkConfig(hidden=4), config)
+
+
+def test_what_a_model_was_made_from_is_kept():
+    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(seed=3, max_iterations=2))
+    assert decoupler.made_from["data_hash"] == TRAIN.content_hash
+    assert decoupler.made_from["training"]["seed"] == 3
+    assert decoupler.made_from["outcome"]["iterations"] == history.iterations
+    assert decoupler.design == SENSOR
