@@ -10,10 +10,10 @@ from decoupler import ResistanceError, component_errors, component_named, force_
 
 
 def test_errors_by_hand():
-    errors = force_errors(np.array([[11.0, -18.0]]), np.array([[10.0, -20.0]]))
-    assert errors.rel_err == pytest.approx((0.1 + 0.1) / 2, rel=1e-14)
-    assert errors.rmse_n == pytest.approx(np.sqrt((1 + 4) / 2), rel=1e-14)
-    assert errors.full_scale_pct == pytest.approx(100 * np.sqrt(2.5) / 20, rel=1e-14)
+    errors = force_errors(np.array([[11.0, -17.0]]), np.array([[10.0, -20.0]]))
+    assert errors.rel_err == pytest.approx((0.1 + 0.15) / 2, rel=1e-14)
+    assert errors.rmse_n == pytest.approx(np.sqrt((1 + 9) / 2), rel=1e-14)
+    assert errors.full_scale_pct == pytest.approx(100 * np.sqrt(5) / 20, rel=1e-14)
 
 
 @pytest.mark.parametrize("smallest", [0.0, 0.05, -0.1])

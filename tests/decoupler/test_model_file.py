@@ -139,6 +139,6 @@ def test_data_of_another_sensor_are_refused(decoupler):
         FileFormatError, match=r"m was trained for another sensor .* \(array.pitch_mm: model 15, data 17\)"
     ):
         require_same_sensor(decoupler, replace(DATA, design=other), "m", "d")
-    smaller = replace(DATA, resistance_ohm=DATA.resistance_ohm[:, :1], design=None)
-    with pytest.raises(FileFormatError, match="rows: model 2, data 1"):
+    smaller = replace(DATA, resistance_ohm=DATA.resistance_ohm[:, :1, :2], design=None)
+    with pytest.raises(FileFormatError, match="rows: model 2, data 1; cols: model 3, data 2"):
         require_same_sensor(decoupler, smaller, "m", "d")
