@@ -1,8 +1,8 @@
 """From an array's response to labelled training data.
 
-In: a response (influence matrix) and a load protocol. Out: tractions, forces, displacements, pillar lengths and
-resistances of any number of samples, in memory (`SimulatedData`) and as a NetCDF file. Open `protocols.py` for the loads,
-`simulate.py` for the samples, `labelled.py` for the file.
+In: a response (influence matrix) and a load protocol. Out: tractions, forces, displacements, pillar lengths
+and resistances of any number of samples, in memory (`SimulatedData`) and as a NetCDF file. Open
+`protocols.py` for the loads, `simulate.py` for the samples, `labelled.py` for the file.
 """
 
 from dataset.labelled import LabelledData, SimulatedData, read_labelled, write_dataset

@@ -1,7 +1,7 @@
 """The dataset file: loads, displacements, lengths and resistances of many samples, as NetCDF.
 
-`SimulatedData` is what a simulation knows and writes; `LabelledData` is what training and evaluation need of it, read
-from any file that follows the contract, whoever made it.
+`SimulatedData` is what a simulation knows and writes; `LabelledData` is what training and evaluation need of
+it, read from any file that follows the contract, whoever made it.
 """
 
 from dataclasses import dataclass, field
@@ -22,11 +22,20 @@ if TYPE_CHECKING:
 
 #: every variable of a dataset file: its dims and attributes
 VARIABLES = {
-    "traction_mpa": (("sample", "row", "col", "axis"), {"units": "MPa", "note": "as applied: z < 0 pushes down"}),
+    "traction_mpa": (
+        ("sample", "row", "col", "axis"),
+        {"units": "MPa", "note": "as applied: z < 0 pushes down"},
+    ),
     "force_n": (("sample", "row", "col", "axis"), {"units": "N", "note": "z > 0 is compression"}),
-    "displacement_mm": (("sample", "row", "col", "electrode", "axis"), {"units": "mm", "note": "upper electrodes"}),
+    "displacement_mm": (
+        ("sample", "row", "col", "electrode", "axis"),
+        {"units": "mm", "note": "upper electrodes"},
+    ),
     "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
-    "resistance_ohm": (("sample", "row", "col", "pillar"), {"units": "ohm", "note": "as measured, noise included"}),
+    "resistance_ohm": (
+        ("sample", "row", "col", "pillar"),
+        {"units": "ohm", "note": "as measured, noise included"},
+    ),
 }
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
@@ -41,7 +50,7 @@ class SimulatedData:
     displacement_mm: FloatArray  #: (n_samples, rows, cols, 2, 3)
     length_mm: FloatArray  #: (n_samples, rows, cols, 3)
     resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3), with measurement noise if asked
-    made_from: dict[str, Any] = field(default_factory=dict)  #: seed, protocol, hashes, residual: file attributes
+    made_from: dict[str, Any] = field(default_factory=dict)  #: file attributes: seed, protocol, hashes ...
 
     def to_xarray(self) -> "xr.Dataset":
         import xarray as xr
@@ -74,8 +83,8 @@ def read_labelled(path: Path) -> LabelledData:
     Raises
     ------
     FileFormatError
-        If the file is truncated or foreign, lacks an axis or a pillar, or holds a NaN, an infinity or a resistance
-        not above 0.
+        If the file is truncated or foreign, lacks an axis or a pillar, or holds a NaN, an infinity or a
+        resistance not above 0.
     """
     wanted = {name: VARIABLES[name][0] for name in ("force_n", "resistance_ohm")}
     data = read_netcdf(path, wanted, made_by="tripillar dataset")
@@ -83,7 +92,9 @@ def read_labelled(path: Path) -> LabelledData:
         labels = COORDINATES[dim]
         given = [str(label) for label in data[dim].values] if dim in data.coords else None
         if given is None or sorted(given) != sorted(labels):
-            raise FileFormatError(f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension.")
+            raise FileFormatError(
+                f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
+            )
         data = data.sel({dim: labels})
     force_n = data["force_n"].to_numpy().astype(np.float64, copy=False)
     resistance_ohm = data["resistance_ohm"].to_numpy().astype(np.float64, copy=False)

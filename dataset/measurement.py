@@ -1,7 +1,7 @@
 """What a measurement does to a resistance: relative noise, and the steps of an analogue-to-digital converter.
 
-The converter sees a voltage divider: the pillar between the supply and the input, a sense resistor between the input
-and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
+The converter sees a voltage divider: the pillar between the supply and the input, a sense resistor between
+the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
 import numpy as np
@@ -12,7 +12,9 @@ from geometry.layout import FloatArray
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
 
-def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:
+def counts_from_resistance(
+    resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM
+) -> NDArray[np.int64]:
     """Counts that a `bits`-bit converter reads for each resistance; any shape.
 
     >>> counts_from_resistance(np.array([0.0, 10_000.0]), bits=10)
@@ -33,9 +35,9 @@ def resistance_from_counts(counts: NDArray[np.int64], bits: int, sense_ohm: floa
 def measured(
     resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator
 ) -> FloatArray:
-    """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then the converter's steps.
+    """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then converter steps.
 
-    ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number per
+    ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number a
     resistance, so that what `generator` gives next does not depend on the setting.
     """
     disturbance = generator.standard_normal(resistance_ohm.shape)

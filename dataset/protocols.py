@@ -1,8 +1,8 @@
 """Load protocols: random tractions on every pad, the way the paper loads its sensor and two ways it does not.
 
-Each protocol is a function of a random generator, a number of samples and a design, and gives tractions of shape
-(n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing down. Ranges are the paper's: 1-5 MPa normal,
-0.2-1 MPa tangential.
+Each protocol is a function of a random generator, a number of samples and a design, and gives tractions of
+shape (n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing down. Ranges are the paper's:
+1-5 MPa normal, 0.2-1 MPa tangential.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ NORMAL_PRELOAD_MPA = 0.5  #: light pressure on pads that no indenter touches: a 
 TANGENTIAL_PRELOAD_MPA = 0.1  #: the same for shear
 FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
 MOST_INDENTERS = 3
-INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell, one to two pitches: what pads resolve
+INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
 
 Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
 
@@ -75,13 +75,17 @@ def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) ->
 
 
 def _indenters(
-    generator: np.random.Generator, n: int, design: SensorDesign, peak_mpa: tuple[float, float], preload_mpa: float
+    generator: np.random.Generator,
+    n: int,
+    design: SensorDesign,
+    peak_mpa: tuple[float, float],
+    preload_mpa: float,
 ) -> FloatArray:
-    """What one to three round indenters add to the preload of every pad, shape (n, MOST_INDENTERS, n_units) [MPa].
+    """What one to three round indenters add to each pad's preload, shape (n, MOST_INDENTERS, n_units) [MPa].
 
-    An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the array. Where
-    several meet, they are weakened together so that no pad passes the largest peak. Indenters that a sample does not
-    have add 0.
+    An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the
+    array. Where several meet, they are weakened together so that no pad passes the largest peak. Indenters
+    that a sample does not have add 0.
     """
     x, y, _ = design.slab_mm
     centre = generator.uniform(-0.5, 0.5, (n, MOST_INDENTERS, 1, 2)) * (x, y)
@@ -108,7 +112,11 @@ PROTOCOLS = {
     "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), _independent_fz),
     "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), _independent_fx),
     "contact-fz": Protocol("1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), _contact_fz),
-    "contact-fx": Protocol("1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx),
+    "contact-fx": Protocol(
+        "1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx
+    ),
     "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
-    "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
+    "three-axis": Protocol(
+        "every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis
+    ),
 }

@@ -31,7 +31,9 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     return np.sqrt(np.einsum("...k,...k->...", along, along))
 
 
-def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
+def pillar_resistances(
+    length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float
+) -> FloatArray:
     """Resistance of conductive pillars that keep their volume as they deform.
 
     Parameters
@@ -55,8 +57,8 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
 
     Notes
     -----
-    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236. No piezoresistive change of ρ and no
-    contact resistance.
+    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236. No piezoresistive change of ρ
+    and no contact resistance.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Samples from a response: tractions drawn by a protocol, superposed, turned into lengths and resistances.
 
-Samples are drawn in blocks, each with random generators of its own. So a sample depends on the seed and its number alone,
-not on how many are made with it, and a dataset can be extended without changing what it holds.
+Samples are drawn in blocks, each with random generators of its own. So a sample depends on the seed and its
+number alone, not on how many are made with it, and a dataset can be extended without changing what it holds.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,9 @@ class DatasetSettings:
         if not 0 < self.cap < 1:
             raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
         if not 0 <= self.noise < 0.5:
-            raise DesignError(f"noise={self.noise:g} must be from 0 to below 0.5; 0.001 is 0.1 % of the resistance.")
+            raise DesignError(
+                f"noise={self.noise:g} must be from 0 to below 0.5; 0.001 is 0.1 % of the resistance."
+            )
         if self.bits is not None and not 4 <= self.bits <= 24:
             raise DesignError(f"bits={self.bits} must be from 4 to 24; leave it out for exact resistances.")
 
@@ -88,7 +90,7 @@ def simulate(
         "resistance_ohm": np.empty((n, design.n_units, 3)),
     }
     redrawn = 0
-    with threadpool_limits(1, "blas"):  # a block's matrix product is too small to share: two threads are slower
+    with threadpool_limits(1, "blas"):  # a block's matrix product is too small to share between threads
         for number, start in enumerate(range(0, n, BLOCK)):
             kept = min(BLOCK, n - start)
             block, tries = _block(response, settings, number)
@@ -127,9 +129,9 @@ def displacements(
     """
     n, n_units, _ = traction_mpa.shape
     loaded = [AXES.index(axis) for axis in axes]
-    influence = response.influence_mm_per_n.reshape(n_units * 6, n_units, 3)[:, :, loaded].reshape(n_units * 6, -1)
+    influence = response.influence_mm_per_n.reshape(n_units * 6, n_units, 3)[:, :, loaded]
     newtons = traction_mpa[:, :, loaded].reshape(n, -1) * response.design.pad.size_mm**2
-    return (newtons @ influence.T).reshape(n, n_units, 2, 3)
+    return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
 
 
 def _block(
@@ -157,8 +159,9 @@ def _block(
             break
     else:
         raise LoadError(
-            f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {MOST_ROUNDS} draws on "
-            f"end: raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
+            f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in "
+            f"{MOST_ROUNDS} draws on end: raise the cap, or lower the forces by a smaller pad "
+            f"(size_mm={design.pad.size_mm:g})."
         )
     exact = pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm)
     generator = np.random.default_rng([settings.seed, number, MOST_ROUNDS])  # a stream that no draw uses

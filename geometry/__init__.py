@@ -1,8 +1,8 @@
 """The sensor's shape: from a design file to tetrahedra.
 
-In: a design TOML (`read_design`). Out: CAD solids as STEP and STL, checked surfaces, and a cached tetrahedral mesh with
-region labels. Open `design.py` first, then `layout.py` (where everything is), `cad.py`, `surface.py` and `mesh.py`. The
-names below load no CAD and no mesher; import those modules where they are needed.
+In: a design TOML (`read_design`). Out: CAD solids as STEP and STL, checked surfaces, and a cached tetrahedral
+mesh with region labels. Open `design.py` first, then `layout.py` (where everything is), `cad.py`,
+`surface.py` and `mesh.py`. The names below load no CAD and no mesher; import those modules where needed.
 """
 
 from geometry.design import Array, Material, Pad, SensorDesign, Unit

@@ -1,4 +1,4 @@
-"""The sensor as numbers: frozen dataclasses for unit, array, pad and materials, each refusing nonsense by name.
+"""The sensor as numbers: frozen dataclasses for unit, array, pad and materials, refusing nonsense by name.
 
 Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
 """
@@ -15,11 +15,6 @@ def quantity(default: Any, meaning: str) -> Any:
     return field(default=default, metadata={"meaning": meaning})
 
 
-def group(default_factory: Any, meaning: str) -> Any:
-    """As `quantity`, for a field that is itself a group of quantities: a table of the design file."""
-    return field(default_factory=default_factory, metadata={"meaning": meaning})
-
-
 def require_numbers(values: Any) -> None:
     """Refuse whatever is not a finite number in a float field, or not a whole number in an int field."""
     for spec in fields(values):
@@ -28,7 +23,9 @@ def require_numbers(values: Any) -> None:
             raise DesignError(f"{spec.name}={value!r} must be a whole number; {spec.metadata['meaning']}.")
         if spec.type is float:
             if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-                raise DesignError(f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}.")
+                raise DesignError(
+                    f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}."
+                )
             object.__setattr__(values, spec.name, float(value))
 
 
@@ -123,12 +120,29 @@ class Material:
 class SensorDesign:
     """Everything that defines a sensor; the default is the paper's."""
 
-    resistivity_ohm_mm: float = quantity(4000.0, "resistivity ρ of the conductive rubber; 4000 rests z at 10 kΩ")
-    unit: Unit = group(Unit, "one sensing unit: three pillars between four electrodes")
-    array: Array = group(Array, "the grid of units on one slab of cols·pitch × rows·pitch × height")
-    pad: Pad = group(Pad, "the square on each unit's top through which it is loaded")
-    pillar_material: Material = group(Material, "the conductive rubber of the pillars (paper, table 1)")
-    matrix_material: Material = group(Material, "the insulating rubber around them; the paper gives no value")
+    resistivity_ohm_mm: float = quantity(
+        4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ"
+    )
+    unit: Unit = field(
+        default_factory=Unit,
+        metadata={"meaning": "one sensing unit: three pillars between four electrodes"},
+    )
+    array: Array = field(
+        default_factory=Array,
+        metadata={"meaning": "the grid of units on one slab of cols·pitch × rows·pitch × height"},
+    )
+    pad: Pad = field(
+        default_factory=Pad,
+        metadata={"meaning": "the square on each unit's top through which it is loaded"},
+    )
+    pillar_material: Material = field(
+        default_factory=Material,
+        metadata={"meaning": "the conductive rubber of the pillars (paper, table 1)"},
+    )
+    matrix_material: Material = field(
+        default_factory=Material,
+        metadata={"meaning": "the insulating rubber around them; the paper gives no value"},
+    )
 
     def __post_init__(self) -> None:
         require_numbers(self)
@@ -142,8 +156,8 @@ class SensorDesign:
         reach_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
         if reach_mm > pitch_mm / 2:
             raise DesignError(
-                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {reach_mm:g} mm from the unit's centre, "
-                f"past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
+                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {reach_mm:g} mm from the unit's "
+                f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
                 "shrink the pad or raise pitch_mm."
             )
 

@@ -1,4 +1,4 @@
-"""Designs as TOML: written with every default and its meaning, read with every unknown key refused by name."""
+"""Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
 import tomllib
 from dataclasses import fields, is_dataclass
@@ -73,7 +73,9 @@ def read_design(path: Path) -> SensorDesign:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DesignError(f"{path}: cannot be read as text: {error}; write one with 'tripillar design'.") from None
+        raise DesignError(
+            f"{path}: cannot be read as text: {error}; write one with 'tripillar design'."
+        ) from None
     return design_from_toml(text, str(path))
 
 

@@ -1,4 +1,4 @@
-"""The errors a user can cause or meet; each message says what was given, what is allowed and how to mend it."""
+"""The errors a user can cause or meet; each message says what was given, what is allowed, how to mend it."""
 
 
 class TriPillarError(Exception):

@@ -1,7 +1,7 @@
 """Writing files whole or not at all, and knowing what made them.
 
-Every file that a stage hands over carries a *recipe*: a short hash of all that its content depends on. A file whose
-recipe equals the wanted one need not be made again.
+Every file that a stage hands over carries a *recipe*: a short hash of all that its content depends on. A file
+whose recipe equals the wanted one need not be made again.
 """
 
 import hashlib
@@ -39,8 +39,8 @@ def digest(*parts: Any) -> str:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it to `path` on success, remove it on any failure.
 
-    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. The temporary
-    name keeps the suffix, by which many writers choose their format.
+    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. The
+    temporary name keeps the suffix, by which many writers choose their format.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -58,5 +58,5 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def cache_folder() -> Path:
-    """Where meshes and responses are kept by their recipe: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
+    """Where meshes and responses are kept by recipe: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
     return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))

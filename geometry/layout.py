@@ -57,7 +57,7 @@ def pillar_sections(unit: Unit) -> FloatArray:
 
 
 def electrode_squares(design: SensorDesign) -> FloatArray:
-    """Upper electrodes as rectangles of the top face, shape (n_units·2, 4): x0, y0, x1, y1 [mm]; unit-major."""
+    """Upper electrodes as rectangles of the top face, shape (n_units·2, 4): x0, y0, x1, y1 [mm]."""
     centres = unit_centres(design)[:, None, :] + upper_electrodes(design.unit)[None, :, :2]
     return _squares(centres.reshape(-1, 2), design.unit.electrode_mm)
 

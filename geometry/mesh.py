@@ -1,8 +1,8 @@
 """From checked surfaces to a tetrahedral mesh with region labels, by pytetwild (fTetWild).
 
-The mesher moves every surface by up to its envelope, gives another mesh at every run and knows no regions. So plane faces
-are snapped back onto their planes, regions are found from the geometry, the volume of each is held against the CAD's, and
-meshes are cached by the hash of what made them.
+The mesher moves every surface by up to its envelope, gives another mesh at every run and knows no regions.
+So plane faces are snapped back onto their planes, regions are found from the geometry, the volume of each is
+held against the CAD's, and meshes are cached by the hash of what made them.
 """
 
 import os
@@ -29,11 +29,13 @@ VOLUME_TOLERANCE = 2e-3  #: relative, of each region's volume against the CAD's
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSettings:
-    """How fine a mesh is. Edges in mm, never a share of the bounding box, so that they mean the same in any array."""
+    """How fine a mesh is. Edges in mm, never a share of the bounding box: they mean the same in any array."""
 
     edge_top_mm: float = quantity(1.5, "wanted edge length at the touched surface, where loads begin and end")
     edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base; linear in z between")
-    envelope_mm: float = quantity(0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time")
+    envelope_mm: float = quantity(
+        0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time"
+    )
 
     def __post_init__(self) -> None:
         require_numbers(self)
@@ -41,7 +43,7 @@ class MeshSettings:
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
-                f"({self.edge_top_mm:g} and {self.edge_base_mm:g} mm), or surfaces lose their shape: lower it."
+                f"({self.edge_top_mm:g} and {self.edge_base_mm:g} mm), or surfaces lose shape: lower it."
             )
 
 
@@ -60,7 +62,8 @@ class TetMesh:
 
     def region_volumes(self) -> FloatArray:
         """Volume of each region, shape (len(REGIONS),) [mm³]."""
-        return np.bincount(self.region, weights=cell_volumes(self.points_mm, self.cells), minlength=len(REGIONS))
+        volumes = cell_volumes(self.points_mm, self.cells)
+        return np.bincount(self.region, volumes, len(REGIONS)).astype(np.float64, copy=False)
 
 
 def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
@@ -92,7 +95,8 @@ def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, 
 
 
 def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
-    from geometry.cad import array_solid, slab_solid  # build123d takes seconds to load: only when a mesh is made
+    # build123d takes seconds to load: only when a mesh is made
+    from geometry.cad import array_solid, slab_solid
     from geometry.surface import surface_from_solid
 
     solids = {"slab": slab_solid(design)} | ({} if design.is_homogeneous else {"array": array_solid(design)})
@@ -102,7 +106,8 @@ def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
 
     x, y, h = design.slab_mm
     points, cells = tetrahedra(list(surfaces.values()), settings, h)
-    points = snap_to_box(points, cells, np.array([-x / 2, -y / 2, 0.0]), np.array([x / 2, y / 2, h]), settings.envelope_mm)
+    low, high = np.array([-x / 2, -y / 2, 0.0]), np.array([x / 2, y / 2, h])
+    points = snap_to_box(points, cells, low, high, settings.envelope_mm)
     cells = outward(points, cells)
     if design.is_homogeneous:
         region = np.zeros(len(cells), dtype=np.int64)
@@ -137,14 +142,15 @@ def tetrahedra(
 
     offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     vertices = np.vstack([surface.vertices for surface in surfaces])
-    triangles = np.vstack([surface.triangles + offset for surface, offset in zip(surfaces, offsets, strict=True)])
+    triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
 
-    # wanted edge lengths live on a coarse background mesh, a little larger than the body; linear in z needs two layers
+    # wanted edge lengths live on a coarse background mesh, a little larger than the body
     x, y, _ = (np.array([a - 1.0, b + 1.0]) for a, b in zip(low, high, strict=True))
     background = MeshTet.init_tensor(x, y, np.array([-1.0, 0.0, height_mm, height_mm + 1.0]))
     share = np.clip(background.p[2] / height_mm, 0.0, 1.0)
-    with _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):  # the mesher drops a file where it stands
+    # the mesher prints, and drops a file where it stands
+    with _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
         points, cells = pytetwild.tetrahedralize(
             vertices,
             triangles.astype(np.int32),
@@ -162,8 +168,8 @@ def snap_to_box(
 ) -> FloatArray:
     """Points with every boundary face that lies along a side of a box moved onto that side.
 
-    A face belongs to a side if all its points are within twice the envelope of it. Only faces count, not single points,
-    so points inside the body stay where they are.
+    A face belongs to a side if all its points are within twice the envelope of it. Only faces count, not
+    single points, so points inside the body stay where they are.
     """
     points = points.copy()
     faces = boundary_faces(cells)
@@ -191,7 +197,9 @@ def outward(points: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
         cells, volumes = cells[:, [1, 0, 2, 3]], -volumes
     flat = int(np.sum(volumes <= 0))
     if flat:
-        raise GeometryError(f"{flat} of {len(cells)} tetrahedra turned inside out on the plane faces: lower envelope_mm.")
+        raise GeometryError(
+            f"{flat} of {len(cells)} tetrahedra turned inside out on the plane faces: lower envelope_mm."
+        )
     return cells
 
 
@@ -200,8 +208,8 @@ def check_volumes(mesh: TetMesh, expected_mm3: FloatArray) -> None:
     for name, volume, expected in zip(REGIONS, mesh.region_volumes(), expected_mm3, strict=True):
         if abs(volume - expected) > VOLUME_TOLERANCE * expected:
             raise GeometryError(
-                f"region '{name}' has {volume:.6g} mm³ in the mesh, the CAD has {expected:.6g}: off by more than "
-                f"{VOLUME_TOLERANCE:.1%}; lower envelope_mm."
+                f"region '{name}' has {volume:.6g} mm³ in the mesh, the CAD has {expected:.6g}: off by more "
+                f"than {VOLUME_TOLERANCE:.1%}; lower envelope_mm."
             )
 
 
@@ -235,7 +243,9 @@ def read_mesh(path: Path) -> TetMesh:
     except (KeyError, ValueError, AttributeError, RuntimeError) as error:
         if isinstance(error, FileFormatError):
             raise
-        raise FileFormatError(f"{path}: truncated or not a mesh of this program; delete it to mesh again.") from None
+        raise FileFormatError(
+            f"{path}: truncated or not a mesh of this program; delete it to mesh again."
+        ) from None
 
 
 @contextmanager

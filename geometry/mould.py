@@ -25,7 +25,7 @@ from pathlib import Path
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, require_numbers, require_positive, quantity
+from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
 from geometry.errors import DesignError
 from geometry.layout import upper_electrodes
 

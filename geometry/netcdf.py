@@ -1,4 +1,4 @@
-"""NetCDF files through xarray: written whole or not at all, refused in one clear line when truncated or foreign."""
+"""NetCDF files through xarray: written whole or not at all, refused in one line when truncated or foreign."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
 def write_netcdf(data: "xr.Dataset", path: Path) -> None:
     """Write a dataset as NetCDF-4, whole or not at all."""
+    no_fill = {name: {"_FillValue": None} for name in data.variables}
     with replacing(path) as temporary:
-        data.to_netcdf(temporary, engine="netcdf4", encoding={name: {"_FillValue": None} for name in data.variables})
+        data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
 
 
 def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str) -> "xr.Dataset":
