@@ -8,7 +8,7 @@ In: labelled data. Out: a `Decoupler` (ohms in, newtons out), its errors, and on
 from decoupler.baseline import LeastSquares, hooke_forces
 from decoupler.components import COMPONENTS, Component, component_named
 from decoupler.decoupler import Decoupler
-from decoupler.errors import ResistanceError, TrainingError
+from decoupler.errors import SampleError, TrainingError
 from decoupler.floor import PcaFloor, pca_floor
 from decoupler.metrics import ForceErrors, component_errors, evaluate, force_errors
 from decoupler.model_file import model_recipe, read_model, require_same_sensor, write_model
@@ -22,7 +22,7 @@ __all__ = [
     "LeastSquares",
     "NetworkConfig",
     "PcaFloor",
-    "ResistanceError",
+    "SampleError",
     "TrainingConfig",
     "TrainingError",
     "component_errors",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoupler.errors import ResistanceError
+from decoupler.errors import SampleError
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 
@@ -48,12 +48,12 @@ def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArr
 
     Raises
     ------
-    ResistanceError
+    SampleError
         If the shape is another, or one of the component's resistances is not finite or not above 0. Pillars
         that the component does not take are not looked at.
     """
     if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
-        raise ResistanceError(
+        raise SampleError(
             f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, 3): "
             f"samples first, pillars {', '.join(PILLARS)} last."
         )
@@ -61,7 +61,7 @@ def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArr
     sound = np.isfinite(taken) & (taken > 0)
     if not sound.all():
         sample, row, col, pillar = np.argwhere(~sound)[0]
-        raise ResistanceError(
+        raise SampleError(
             f"resistance of pillar {component.pillars[pillar]} in row {row}, col {col} of sample {sample} is "
             f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0: "
             "leave that sample out or mend the pillar."
@@ -74,7 +74,7 @@ def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
     taken = force_n[..., [AXES.index(axis) for axis in component.axes]]
     if not np.isfinite(taken).all():
         sample, row, col, axis = np.argwhere(~np.isfinite(taken))[0]
-        raise ResistanceError(
+        raise SampleError(
             f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is not finite: "
             "leave that sample out."
         )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from decoupler.components import Component, pillar_columns
-from decoupler.errors import ResistanceError
+from decoupler.errors import SampleError
 from decoupler.scaling import Scaling
 from decoupler.settings import Feature, NetworkConfig
 from geometry.design import SensorDesign
@@ -49,7 +49,7 @@ class Decoupler:
 
         Raises
         ------
-        ResistanceError
+        SampleError
             If the array is another size than the model's, or a resistance is not finite or not above 0.
 
         Notes
@@ -61,7 +61,7 @@ class Decoupler:
         columns = pillar_columns(resistance_ohm, self.component)
         if resistance_ohm.shape[1:3] != (self.rows, self.cols):
             given = " × ".join(map(str, resistance_ohm.shape[1:3]))
-            raise ResistanceError(
+            raise SampleError(
                 f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
                 "train a model on data of this sensor."
             )

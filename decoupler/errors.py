@@ -3,8 +3,8 @@
 from geometry.errors import TriPillarError
 
 
-class ResistanceError(TriPillarError, ValueError):
-    """Resistances or forces that no network can be trained on or asked about."""
+class SampleError(TriPillarError, ValueError):
+    """Samples (resistances, forces) that no network can be trained on or asked about."""
 
 
 class TrainingError(TriPillarError, ArithmeticError):

@@ -18,9 +18,7 @@ class PcaFloor:
     scaled_mse: float  #: bound on the mean squared error of the outputs scaled to [-1, 1]
     variance_share: float  #: the same as a share of the scaled variance
     rmse_n: float  #: bound on the root mean squared error of all outputs together [N]
-    projection: dict[
-        str, ForceErrors
-    ]  #: errors of the best projection in newtons; no bounds, but what to expect there
+    projection: dict[str, ForceErrors]  #: errors of the best projection in newtons: typical, no bounds
 
 
 def pca_floor(force_n: FloatArray, component: Component, hidden: int) -> PcaFloor:

@@ -7,7 +7,7 @@ import numpy as np
 from dataset import LabelledData
 from decoupler.components import Component, force_columns
 from decoupler.decoupler import Decoupler
-from decoupler.errors import ResistanceError
+from decoupler.errors import SampleError
 from geometry.layout import FloatArray
 
 BOUNDED_AWAY = 1e-3  #: of full scale; eq. 17 is given only if every |F| is above this
@@ -36,7 +36,7 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     0.01
     """
     if predicted_n.shape != actual_n.shape or not actual_n.size:
-        raise ResistanceError(
+        raise SampleError(
             f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: "
             "give both alike, with samples."
         )

@@ -105,7 +105,9 @@ def require_same_sensor(decoupler: Decoupler, data: LabelledData, model: Path, d
 def _design_differences(model: SensorDesign, data: SensorDesign) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
     return [
-        f"{name}: model {ours[name]:g}, data {theirs[name]:g}" for name in ours if ours[name] != theirs[name]
+        f"{name}: model {ours[name]:.10g}, data {theirs[name]:.10g}"
+        for name in ours
+        if ours[name] != theirs[name]
     ]
 
 
@@ -130,12 +132,8 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
 
 def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
     """Shapes that the arrays must have by the header."""
-    n_units, component, hidden = (
-        decoupler.rows * decoupler.cols,
-        decoupler.component,
-        decoupler.network.hidden,
-    )
-    n_in, n_out = n_units * len(component.pillars), n_units * len(component.axes)
+    hidden, n_units = decoupler.network.hidden, decoupler.rows * decoupler.cols
+    n_in, n_out = n_units * len(decoupler.component.pillars), n_units * len(decoupler.component.axes)
     n_features = hidden + (n_in + 1 if decoupler.network.net == "skip" else 1)
     return {
         "hidden_weights": (hidden, n_in + 1),

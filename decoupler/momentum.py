@@ -16,7 +16,7 @@ class Momentum(torch.optim.Optimizer):
     learning_rate : float
         α.
     momentum : float
-        η: the share of the step that the gradient before last has.
+        η: the share of the previous gradient in a step.
 
     Notes
     -----

@@ -11,7 +11,7 @@ from dataset import LabelledData
 from decoupler.components import component_named, force_columns, pillar_columns
 from decoupler.damping import Outcome, Point, Progress, Stop
 from decoupler.decoupler import Decoupler, features
-from decoupler.errors import ResistanceError, TrainingError
+from decoupler.errors import SampleError, TrainingError
 from decoupler.gauss_newton import Samples
 from decoupler.levenberg_marquardt import train_lm
 from decoupler.model_file import model_recipe
@@ -57,7 +57,7 @@ def train(
 
     Raises
     ------
-    ResistanceError
+    SampleError
         If there are too few samples, or a resistance or force is no number.
     TrainingError
         If the momentum rule's learning rate makes the error grow without bound.
@@ -65,7 +65,7 @@ def train(
     started = time.perf_counter()
     parts = component_named(component)
     if len(data.resistance_ohm) < 2:
-        raise ResistanceError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2.")
+        raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2.")
     inputs = features(pillar_columns(data.resistance_ohm, parts), network.feature)
     targets = force_columns(data.force_n, parts)
     input_scaling, output_scaling = Scaling.fitted(inputs), Scaling.fitted(targets)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from synthetic_sensor import labelled, sensor
 
-from decoupler import NetworkConfig, ResistanceError, TrainingConfig
+from decoupler import NetworkConfig, SampleError, TrainingConfig
 from decoupler.network import Network
 from decoupler.training import train
 
@@ -53,7 +53,7 @@ def test_the_first_bad_resistance_is_named(value):
     R = DATA.resistance_ohm.copy()
     R[4:, 1, 2, 0] = value
     with pytest.raises(
-        ResistanceError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"
+        SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"
     ):
         decoupler.forces(R)
 
@@ -67,9 +67,9 @@ def test_a_dead_pillar_that_is_not_taken_does_no_harm():
 
 def test_wrong_sizes_are_refused():
     decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
-    with pytest.raises(ResistanceError, match=r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"):
+    with pytest.raises(SampleError, match=r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"):
         decoupler.forces(DATA.resistance_ohm[0])
-    with pytest.raises(ResistanceError, match="of 3 × 2 units, the model's sensor has 2 × 3"):
+    with pytest.raises(SampleError, match="of 3 × 2 units, the model's sensor has 2 × 3"):
         decoupler.forces(DATA.resistance_ohm.transpose(0, 2, 1, 3))
 
 

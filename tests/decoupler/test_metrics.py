@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_sensor import labelled, sensor
 
-from decoupler import ResistanceError, component_errors, component_named, force_errors
+from decoupler import SampleError, component_errors, component_named, force_errors
 
 
 def test_errors_by_hand():
@@ -30,7 +30,7 @@ def test_no_force_at_all_has_no_full_scale():
 
 
 def test_shapes_must_agree():
-    with pytest.raises(ResistanceError, match="give both alike"):
+    with pytest.raises(SampleError, match="give both alike"):
         force_errors(np.ones(3), np.ones((3, 1)))
 
 
@@ -47,5 +47,5 @@ def test_a_force_that_is_no_number_is_named():
     data = labelled(sensor(2, 3), "z", n_samples=4, seed=0)
     force_n = data.force_n.copy()
     force_n[3, 1, 2, 2] = np.nan
-    with pytest.raises(ResistanceError, match="force fz in row 1, col 2 of sample 3"):
+    with pytest.raises(SampleError, match="force fz in row 1, col 2 of sample 3"):
         component_errors(force_n[..., 2:], replace(data, force_n=force_n), component_named("fz"))

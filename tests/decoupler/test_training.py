@@ -10,7 +10,7 @@ from synthetic_sensor import labelled, sensor, split
 from decoupler import (
     LeastSquares,
     NetworkConfig,
-    ResistanceError,
+    SampleError,
     TrainingConfig,
     TrainingError,
     component_errors,
@@ -123,7 +123,7 @@ def test_fewer_samples_than_weights_still_train(trainer):
 
 
 def test_one_sample_is_too_few():
-    with pytest.raises(ResistanceError, match="1 samples cannot train a network"):
+    with pytest.raises(SampleError, match="1 samples cannot train a network"):
         train(split(TRAIN, 1)[0], "fx", NetworkConfig(), TrainingConfig())
 
 
