@@ -78,8 +78,7 @@ def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> El
     nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
     A = nodes.vector_matrix(elastic_blocks(basis, np.zeros_like(mu_mpa), mu_mpa))
 
-    shape_p = np.stack([functions[0].value for functions in pressure.basis])  # (a, q) or (a, e, q)
-    shape_p = np.broadcast_to(shape_p.reshape(4, -1, shape_p.shape[-1]), (4, *basis.dx.shape))
+    shape_p = np.stack([np.broadcast_to(np.asarray(functions[0]), basis.dx.shape) for functions in pressure.basis])
     gradients = np.stack([functions[0].grad for functions in basis.basis])  # (b, j, e, q)
     div = np.einsum("aeq,bjeq,eq->eabj", shape_p, gradients, basis.dx, optimize=True)
     B = SparsePattern(pressure.element_dofs, basis.element_dofs, (pressure.N, basis.N)).vector_matrix(

@@ -10,10 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis
 
+from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
 
-class PatchError(ValueError):
+class PatchError(TriPillarError, ValueError):
     """A rectangle that does not lie wholly on the top face."""
 
 

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from skfem import MeshTet
 
 from fem.elasticity import ElasticBody, taylor_hood
-from fem.linear_solver import checked_solve, factorized, solver_name
+from fem.linear_solver import checked_solve, factorized
 from fem.patch import patch_integrals
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
@@ -140,9 +140,6 @@ def patch_means(body: ElasticBody, rectangles: FloatArray) -> sp.csr_matrix:
     return sp.kron(means, sp.eye_array(3), format="csr")
 
 
-def solver_in_use() -> str:
-    """Plain words on the path a response takes, for people."""
-    return f"P2-P1 Taylor-Hood tetrahedra, one {solver_name()} factorisation, unit loads"
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:

@@ -1,0 +1,45 @@
+# TriPillar: every target sets up what it needs. Bare `make` lists them.
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/ready
+OUT ?= out
+
+.DEFAULT_GOAL := help
+.PHONY: help setup train dataset picture test check format clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, this is " + sys.version)'
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $(READY)
+
+setup: $(READY)  ## make .venv with the pinned dependencies
+
+train: $(READY)  ## design -> CAD -> mesh -> FEM -> dataset -> networks -> table
+	$(BIN)/tripillar run --out $(OUT)
+
+dataset: $(READY)  ## the same, up to the datasets
+	$(BIN)/tripillar run --out $(OUT) --until dataset
+
+picture: $(READY)  ## draw the deformed array again, for the README
+	$(BIN)/tripillar view --pressure 3 --save docs/deformed-array.png
+
+test: $(READY)  ## run the tests
+	$(BIN)/python -m pytest
+
+check: $(READY)  ## what CI runs: style, types, tests
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(MAKE) test
+
+format: $(READY)  ## lay the code out
+	$(BIN)/ruff format
+	$(BIN)/ruff check --fix
+
+clean:  ## remove what the pipeline wrote, the cache included
+	rm -rf $(OUT)
