@@ -26,7 +26,7 @@ dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
 picture: $(READY)  ## draw the deformed array again, for the README
-	$(BIN)/tripillar view --pressure 3 --save docs/deformed-array.png
+	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest

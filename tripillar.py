@@ -250,6 +250,28 @@ def run(
     wrote(files_of(outcome.stages))
 
 
+@app.command()
+def view(
+    save: Annotated[Path, typer.Option(help="PNG file to write.")],
+    pressure: Annotated[float, typer.Option(help="Largest pressure, over the middle of the array [MPa].")] = 3.0,
+    design: DesignOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Draw the array deformed by a round indenter over its middle, at true scale."""
+    from fem.figures import bell_pressure, draw_deformed
+    from geometry.mesh import MeshSettings, sensor_mesh
+
+    sensor = chosen(design)
+    with progress_bars(quiet) as bars:
+        advance = bars.begin("view", total=2)
+        advance(0, "mesh")
+        body, _, _ = sensor_mesh(sensor, MeshSettings())
+        advance(1, "solve and draw")
+        draw_deformed(sensor, body, bell_pressure(sensor, pressure), save)
+        advance(1, "")
+    wrote([save])
+
+
 def chosen(path: Path | None) -> SensorDesign:
     """The design of a --design option."""
     return SensorDesign() if path is None else read_design(path)
