@@ -4,6 +4,7 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 """
 
 import math
+import sys
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -22,7 +23,10 @@ def require_numbers(values: Any) -> None:
         if spec.type is int and (not isinstance(value, int) or isinstance(value, bool)):
             raise DesignError(f"{spec.name}={value!r} must be a whole number; {spec.metadata['meaning']}.")
         if spec.type is float:
-            if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if (
+                not number or not abs(value) <= sys.float_info.max
+            ):  # so that NaN and endless integers are refused
                 raise DesignError(
                     f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}."
                 )

@@ -48,7 +48,7 @@ def _filled(kind: Any, table: dict[str, Any], where: str) -> Any:
     values = {}
     for key, value in table.items():
         if key not in specs:
-            raise DesignError(f"unknown key '{key}'{where}; known are {', '.join(specs)}.")
+            raise DesignError(f"unknown key {key!r}{where}; known are {', '.join(specs)}.")
         if is_dataclass(specs[key].type):
             if not isinstance(value, dict):
                 raise DesignError(f"'{key}' must be a table, written [{key}], not {value!r}.")
@@ -63,9 +63,10 @@ def _filled(kind: Any, table: dict[str, Any], where: str) -> Any:
 def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
     """A design from the text of a TOML file; errors as in `design_from_dict`."""
     try:
-        return design_from_dict(tomllib.loads(text), source)
-    except tomllib.TOMLDecodeError as error:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, endless nesting
         raise DesignError(f"{source}: not valid TOML: {error}") from None
+    return design_from_dict(table, source)
 
 
 def read_design(path: Path) -> SensorDesign:

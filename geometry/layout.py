@@ -81,8 +81,9 @@ def inside_pillars(points_mm: FloatArray, design: SensorDesign) -> NDArray[np.bo
     index = np.clip(np.rint(points_mm[:, :2] / pitch_mm + middle), 0, counts - 1)
     local = points_mm[:, :2] - (index - middle) * pitch_mm
     share = points_mm[:, 2:] / unit.height_mm
+    between = ((share >= 0) & (share <= 1))[:, 0]
     inside = np.zeros(len(points_mm), dtype=bool)
     for (bottom, top), half_mm in zip(pillar_ends(unit), pillar_sections(unit) / 2, strict=True):
         axis_mm = bottom[:2] + share * (top - bottom)[:2]
         inside |= (np.abs(local - axis_mm) <= half_mm).all(axis=1)
-    return inside
+    return inside & between

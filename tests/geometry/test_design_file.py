@@ -1,0 +1,146 @@
+"""Design files: what is written comes back, what is unknown is named, and no mistake takes more than a line."""
+
+import tomllib
+from dataclasses import fields, is_dataclass, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry import (
+    Array,
+    DesignError,
+    Material,
+    Pad,
+    SensorDesign,
+    Unit,
+    design_from_toml,
+    design_to_toml,
+    read_design,
+    write_design,
+)
+
+lengths = st.floats(0.1, 50.0)
+materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
+
+
+@st.composite
+def designs(draw) -> SensorDesign:
+    """Any design that is allowed: a thin pillar in a wide unit on a wider pitch, pads inside their share."""
+    height_mm, width_mm = draw(lengths), draw(lengths)
+    # a pillar's oblique width w·√(s² + h²)/h must leave room: s above twice of it for s = a·h, a ≥ 3w/h
+    span_mm = 3 * width_mm * draw(st.floats(1.0, 2.0))
+    if span_mm <= width_mm * (1 + (span_mm**2 + height_mm**2) ** 0.5 / height_mm) / 2:
+        height_mm = span_mm
+    unit = Unit(span_mm=span_mm, height_mm=height_mm, pillar_width_mm=width_mm, electrode_mm=0.9 * span_mm)
+    pitch_mm = unit.footprint_mm * draw(st.floats(1.0, 3.0))
+    share = draw(st.floats(0.1, 0.9))
+    offsets = st.floats(-(1 - share) / 2.001, (1 - share) / 2.001).map(lambda part: part * pitch_mm)
+    return SensorDesign(
+        resistivity_ohm_mm=draw(st.floats(1e-3, 1e9)),
+        unit=unit,
+        array=Array(rows=draw(st.integers(1, 40)), cols=draw(st.integers(1, 40)), pitch_mm=pitch_mm),
+        pad=Pad(size_mm=share * pitch_mm, offset_x_mm=draw(offsets), offset_y_mm=draw(offsets)),
+        pillar_material=draw(materials),
+        matrix_material=draw(materials),
+    )
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@given(designs())
+def test_every_design_comes_back_to_the_last_bit(design):
+    assert design_from_toml(design_to_toml(design)) == design
+
+
+def test_written_file_comes_back(tmp_path):
+    design = SensorDesign(array=Array(rows=2, pitch_mm=17.3), matrix_material=Material(young_mpa=0.5))
+    write_design(design, tmp_path / "new folder" / "design.toml")
+    assert read_design(tmp_path / "new folder" / "design.toml") == design
+
+
+def test_file_holds_every_key_with_its_meaning():
+    text = design_to_toml(SensorDesign())
+    table = tomllib.loads(text)
+    for spec in fields(SensorDesign):
+        group = getattr(SensorDesign(), spec.name)
+        keys = {key.name: getattr(group, key.name) for key in fields(group)} if is_dataclass(group) else group
+        assert table[spec.name] == keys
+        for key in fields(group) if is_dataclass(group) else (spec,):
+            line = f"{key.name} = "
+            assert any(
+                written.startswith(line) and written.endswith(f"# {key.metadata['meaning']}")
+                for written in text.splitlines()
+            ), key.name
+        if is_dataclass(group):
+            assert f"[{spec.name}]  # {spec.metadata['meaning']}" in text.splitlines()
+
+
+def test_what_a_file_leaves_out_keeps_its_default():
+    design = design_from_toml("[array]\nrows = 2\n")
+    assert design == replace(SensorDesign(), array=Array(rows=2))
+    assert design_from_toml("") == SensorDesign()
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(DesignError) as caught:
+        design_from_toml(text, "my.toml")
+    message = str(caught.value)
+    assert message.startswith("my.toml: ")
+    assert "\n" not in message
+    return message
+
+
+def test_unknown_key_is_named_with_its_table_and_the_known_ones():
+    message = refusal("[unit]\nspam_mm = 3.0\n")
+    assert "unknown key 'spam_mm' in [unit]" in message
+    assert all(spec.name in message for spec in fields(Unit))
+
+
+def test_unknown_table_is_named_with_the_known_ones():
+    message = refusal("[arrays]\nrows = 2\n")
+    assert "unknown key 'arrays'; known are" in message
+    assert all(spec.name in message for spec in fields(SensorDesign))
+
+
+def test_key_with_a_line_break_is_named_in_one_line():
+    assert r"unknown key 'a\nb'" in refusal('"a\\nb" = 1\n')
+
+
+def test_table_written_as_a_value_is_refused():
+    assert "'unit' must be a table, written [unit], not 3" in refusal("unit = 3\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[array]\npitch_mm = 5.0\n", "pitch_mm=5 is smaller than the unit"),
+        ("[array]\nrows = 2.5\n", "in [array]: rows=2.5 must be a whole number"),
+        ("[unit]\nheight_mm = nan\n", "in [unit]: height_mm=nan must be a finite number"),
+        ("[unit]\nheight_mm = 'tall'\n", "in [unit]: height_mm='tall' must be a finite number"),
+        ("[pillar_material]\npoisson = 0.5\n", "in [pillar_material]: poisson=0.5 must be from 0 to below"),
+        ("[matrix_material]\npoisson = 0.5\n", "in [matrix_material]: poisson=0.5 must be from 0 to below"),
+        ("resistivity_ohm_mm = -1\n", "resistivity_ohm_mm=-1 must be above 0"),
+    ],
+)
+def test_nonsense_values_are_named_with_file_and_table(text, named):
+    assert named in refusal(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[unit", "unit = ", "rows 3", "[unit]\n[unit]\n", f"a = 1{'0' * 5000}", f"a = {'[' * 5000}{']' * 5000}"],
+    ids=["open table", "no value", "no equals sign", "table twice", "endless number", "endless nesting"],
+)
+def test_invalid_toml_is_refused(text):
+    assert "not valid TOML: " in refusal(text)
+
+
+def test_missing_file_is_refused_with_the_command_that_writes_one(tmp_path):
+    with pytest.raises(DesignError, match=r"none\.toml: cannot be read.*write one with 'tripillar design'"):
+        read_design(tmp_path / "none.toml")
+
+
+def test_file_that_is_not_text_is_refused(tmp_path):
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(DesignError, match=r"binary\.toml: cannot be read as text"):
+        read_design(tmp_path / "binary.toml")

@@ -1,0 +1,115 @@
+"""Files are written whole or not at all, and a recipe changes with whatever it is made of."""
+
+import os
+import stat
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry import Array, Material, SensorDesign
+from geometry.files import cache_folder, digest, replacing
+
+
+def test_body_that_raises_leaves_the_old_file_and_no_litter(tmp_path):
+    path = tmp_path / "data.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError, match="half way"), replacing(path) as temporary:
+        temporary.write_text("ne")
+        raise RuntimeError("half way")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_body_that_raises_makes_no_file(tmp_path):
+    with pytest.raises(RuntimeError), replacing(tmp_path / "data.txt") as temporary:
+        temporary.write_text("ne")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
+    path = tmp_path / "data.txt"
+    path.write_text("old")
+    with replacing(path) as temporary:
+        temporary.write_text("new")
+        assert path.read_text() == "old"
+        assert temporary.parent == path.parent  # a rename across file systems would be a copy
+        assert temporary.suffix == ".txt"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_missing_folders_are_made(tmp_path):
+    with replacing(tmp_path / "a" / "b" / "data.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "a" / "b" / "data.txt").read_text() == "new"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
+@pytest.mark.parametrize("umask", [0o022, 0o077])
+def test_files_have_the_permissions_that_open_gives(tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        with replacing(tmp_path / "ours") as temporary:
+            temporary.write_text("new")
+        (tmp_path / "plain").write_text("new")
+    finally:
+        os.umask(before)
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "plain")]
+    assert modes[0] == modes[1] == 0o666 & ~umask
+
+
+def test_digest_is_the_same_in_every_process():
+    """Pinned: a change here makes every cache and every recorded recipe worthless."""
+    assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
+
+
+def test_digest_takes_a_dataclass_by_value_and_a_dict_in_any_order():
+    assert digest(SensorDesign()) == digest(SensorDesign(array=Array(pitch_mm=15)))
+    assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1})
+    assert len(digest(SensorDesign())) == 16
+
+
+def test_digest_changes_with_every_field():
+    design = SensorDesign()
+    others = [
+        replace(design, resistivity_ohm_mm=4001.0),
+        replace(design, array=Array(rows=5)),
+        replace(design, array=Array(cols=5)),
+        replace(design, pillar_material=Material(young_mpa=6.2)),
+        replace(design, matrix_material=Material(young_mpa=6.2)),
+    ]
+    assert len({digest(each) for each in [design, *others]}) == 6
+
+
+def test_digest_changes_with_dtype_shape_and_value_of_an_array():
+    array = np.arange(6.0)
+    one_bit = array.copy()
+    one_bit[3] = np.nextafter(one_bit[3], 4.0)
+    others = [
+        one_bit,
+        array.reshape(2, 3),
+        array.reshape(3, 2),
+        array.astype(np.float32),
+        array.view(np.int64),
+    ]
+    assert len({digest(each) for each in [array, *others]}) == 6
+
+
+def test_digest_sees_an_array_as_it_is_indexed_not_as_it_lies_in_memory():
+    array = np.arange(6.0).reshape(2, 3)
+    assert digest(np.asfortranarray(array)) == digest(array)
+    assert digest(array.T) != digest(array)
+
+
+def test_parts_do_not_run_together():
+    assert digest("ab", "c") != digest("a", "bc")
+    assert digest(["a", "b"]) != digest("a", "b")
+
+
+def test_cache_is_where_the_environment_says(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "elsewhere"))
+    assert cache_folder() == tmp_path / "elsewhere"
+    monkeypatch.delenv("TRIPILLAR_CACHE")
+    assert cache_folder().parts == ("out", "cache")

@@ -1,0 +1,141 @@
+"""Where everything of a design is, against the tables of the design page and independent routes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry import Array, Pad, SensorDesign, Unit
+from geometry.layout import (
+    AXES,
+    ELECTRODES,
+    PILLAR_TOP,
+    PILLARS,
+    electrode_squares,
+    inside_pillars,
+    pad_squares,
+    pillar_ends,
+    pillar_sections,
+    pillar_volumes,
+    rest_lengths,
+    unit_centres,
+    upper_electrodes,
+)
+
+EXACT = 1e-14  # rounding
+
+
+def test_orders_are_those_of_the_file_contract():
+    assert (AXES, ELECTRODES, PILLARS) == (("x", "y", "z"), ("U1", "U2"), ("z", "x", "y"))
+
+
+def test_papers_unit():
+    """U1 and U2 over L1's row; z stands from L1 to U1, x leans from L2 to U1, y from L1 to U2."""
+    U1, U2, L1, L2 = (-5.0, -5.0, 10.0), (-5.0, 5.0, 10.0), (-5.0, -5.0, 0.0), (5.0, -5.0, 0.0)
+    assert upper_electrodes(Unit()).tolist() == [list(U1), list(U2)]
+    assert pillar_ends(Unit()).tolist() == [
+        [list(bottom), list(top)] for bottom, top in ((L1, U1), (L2, U1), (L1, U2))
+    ]
+    oblique = 10 * np.sqrt(2)
+    assert rest_lengths(Unit()) == pytest.approx([10.0, oblique, oblique], rel=EXACT)
+    assert pillar_volumes(Unit()) == pytest.approx([40.0, 4 * oblique, 4 * oblique], rel=EXACT)
+    wide = 2 * np.sqrt(2)
+    assert pillar_sections(Unit()) == pytest.approx(np.array([[2, 2], [wide, 2], [2, wide]]), rel=EXACT)
+
+
+def test_top_of_each_pillar_is_the_electrode_that_moves_with_it(design):
+    assert np.array_equal(pillar_ends(design.unit)[:, 1], upper_electrodes(design.unit)[list(PILLAR_TOP)])
+
+
+def test_volume_is_horizontal_section_times_height(design):
+    """Cavalieri: the second route to V = S·l."""
+    by_sections = pillar_sections(design.unit).prod(axis=1) * design.unit.height_mm
+    assert pillar_volumes(design.unit) == pytest.approx(by_sections, rel=EXACT)
+
+
+def test_units_run_along_x_first():
+    design = SensorDesign(array=Array(rows=2, cols=3, pitch_mm=16.0))
+    centres = unit_centres(design)
+    for i in range(2):
+        for j in range(3):
+            assert centres[i * 3 + j].tolist() == [(j - 1) * 16.0, (i - 0.5) * 16.0]
+
+
+def test_array_is_centred_on_the_origin(design):
+    assert unit_centres(design).sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-11)  # rounding of 36 sums
+
+
+def test_electrodes_are_unit_major_squares_over_the_pillars_tops():
+    design = SensorDesign(array=Array(rows=2, cols=3))
+    squares = electrode_squares(design).reshape(6, 2, 4)
+    for k, (x, y) in enumerate(unit_centres(design)):
+        for e, (ex, ey, _) in enumerate(upper_electrodes(design.unit)):
+            assert squares[k, e].tolist() == [x + ex - 1, y + ey - 1, x + ex + 1, y + ey + 1]
+
+
+def test_pads_are_squares_about_their_offset():
+    design = SensorDesign(
+        array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0)
+    )
+    assert pad_squares(design).tolist() == [[-14.5, 0.0, -10.5, 4.0], [0.5, 0.0, 4.5, 4.0]]
+
+
+def test_papers_pad_covers_both_upper_electrodes():
+    design = SensorDesign()
+    pads, electrodes = pad_squares(design)[:, None], electrode_squares(design).reshape(-1, 2, 4)
+    assert (electrodes[..., :2] >= pads[..., :2]).all()
+    assert (electrodes[..., 2:] <= pads[..., 2:]).all()
+
+
+def test_everything_lies_on_its_own_share_of_the_slab(design):
+    half = design.array.pitch_mm / 2 + 1e-12
+    centres = unit_centres(design)
+    pads = pad_squares(design).reshape(-1, 2, 2) - centres[:, None]
+    electrodes = electrode_squares(design).reshape(-1, 4, 2) - centres[:, None]
+    assert np.abs(pads).max() <= half
+    assert np.abs(electrodes).max() <= half
+
+
+def hexahedron(bottom: np.ndarray, top: np.ndarray, half: np.ndarray) -> trimesh.Trimesh:
+    """A pillar as the convex hull of its eight corners."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    ends = [np.column_stack([end[:2] + corners, np.full(4, end[2])]) for end in (bottom, top)]
+    return trimesh.convex.convex_hull(np.vstack(ends))
+
+
+def test_points_inside_pillars_are_those_inside_their_hulls(design):
+    """A point is inside a convex body if it is behind all its faces: knows nothing of units or shares."""
+    rng = np.random.default_rng(0)
+    x, y, h = design.slab_mm
+    points = rng.uniform([-x / 2, -y / 2, -0.2 * h], [x / 2, y / 2, 1.2 * h], (20_000, 3))
+    expected = np.zeros(len(points), dtype=bool)
+    for ends, half in zip(pillar_ends(design.unit), pillar_sections(design.unit) / 2, strict=True):
+        hull = hexahedron(*ends, half)
+        for centre in unit_centres(design):
+            local = points - [*centre, 0.0]
+            depth = np.einsum("fk,pk->pf", hull.face_normals, local) - np.einsum(
+                "fk,fk->f", hull.face_normals, hull.triangles[:, 0]
+            )
+            expected |= (depth <= 0).all(axis=1)
+    assert expected.sum() > 100
+    assert np.array_equal(inside_pillars(points, design), expected)
+
+
+def test_volume_inside_pillars_is_that_of_their_union(design):
+    """V = w²(h + 2l) − w²·h·ow/s of every unit: the oblique pillars share a wedge with the upright one."""
+    unit = design.unit
+    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
+    union = w**2 * (h + 2 * np.hypot(s, h)) - w**2 * h * unit.oblique_width_mm / s
+    n = 400_000
+    points = np.random.default_rng(1).uniform(size=(n, 3)) * design.slab_mm
+    points[:, :2] -= np.array(design.slab_mm[:2]) / 2
+    share = design.n_units * union / np.prod(design.slab_mm)
+    deviation = np.sqrt(share * (1 - share) / n)  # of a binomial share
+    assert inside_pillars(points, design).mean() == pytest.approx(share, abs=4 * deviation)
+
+
+def test_points_above_and_below_the_slab_are_outside():
+    on_axis = np.array([[-5.0, -5.0, z] for z in (-0.01, 0.0, 5.0, 10.0, 10.01)])
+    one = replace(SensorDesign(), array=Array(rows=1, cols=1))
+    assert inside_pillars(on_axis, one).tolist() == [False, True, True, True, False]
