@@ -1,0 +1,331 @@
+"""Meshes: exact boxes, regions of the right volume, one mesh a recipe, and no trace but the cache file."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry import Array, FileFormatError, GeometryError, Material, SensorDesign
+from geometry.layout import inside_pillars
+from geometry.mesh import (
+    REGIONS,
+    MeshSettings,
+    TetMesh,
+    boundary_faces,
+    cell_volumes,
+    check_volumes,
+    outward,
+    read_mesh,
+    sensor_mesh,
+    snap_to_box,
+    write_mesh,
+)
+
+COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
+ONE = SensorDesign(array=Array(rows=1, cols=1))
+SOFT = replace(ONE, matrix_material=Material(young_mpa=1.0))
+
+
+def union_mm3(design: SensorDesign) -> float:
+    """Closed form V = w²(h + 2l) − w²·h·ow/s of every unit's pillars."""
+    unit = design.unit
+    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
+    one = w**2 * (h + 2 * np.hypot(s, h)) - w**2 * h * unit.oblique_width_mm / s
+    return design.n_units * one
+
+
+@pytest.fixture(scope="module", params=[ONE, SOFT], ids=["one rubber", "two rubbers"])
+def meshed(request, tmp_path_factory):
+    """A design and its mesh, made once for all tests that only look at it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        mesh, path, cached = sensor_mesh(request.param, COARSE)
+        assert not cached
+        yield request.param, mesh, path
+
+
+def test_regions_have_the_volumes_of_their_closed_forms(meshed):
+    design, mesh, _ = meshed
+    pillars = 0.0 if design.is_homogeneous else union_mm3(design)
+    slab = np.prod(design.slab_mm)
+    volumes = mesh.region_volumes()
+    assert volumes == pytest.approx([slab - pillars, pillars], rel=2e-3)  # what the mesher may move surfaces
+    assert volumes.sum() == pytest.approx(slab, rel=1e-9)  # outer planes are exact: rounding of 2000 cells
+
+
+def test_every_tetrahedron_has_a_positive_volume(meshed):
+    _, mesh, _ = meshed
+    assert cell_volumes(mesh.points_mm, mesh.cells).min() > 0
+
+
+def test_every_cell_of_a_region_lies_in_it(meshed):
+    design, mesh, _ = meshed
+    centroids = mesh.points_mm[mesh.cells].mean(axis=1)
+    expected = inside_pillars(centroids, design) & (not design.is_homogeneous)
+    assert np.array_equal(mesh.region == REGIONS.index("pillar"), expected)
+
+
+def test_boundary_lies_exactly_on_the_six_sides_of_the_slab(meshed):
+    """Each side is covered once: its triangles, by their coordinates alone, add up to its area."""
+    design, mesh, _ = meshed
+    x, y, h = design.slab_mm
+    triangles = mesh.points_mm[boundary_faces(mesh.cells)]
+    found = np.zeros(len(triangles), dtype=bool)
+    sides = [
+        (0, -x / 2, y * h),
+        (0, x / 2, y * h),
+        (1, -y / 2, x * h),
+        (1, y / 2, x * h),
+        (2, 0, x * y),
+        (2, h, x * y),
+    ]
+    for axis, plane, area in sides:
+        on = (triangles[:, :, axis] == plane).all(axis=1)  # to the last bit
+        edges = triangles[on, 1:] - triangles[on, :1]
+        areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
+        assert areas.sum() == pytest.approx(area, rel=1e-12)  # rounding
+        found |= on
+    assert found.all()
+
+
+def test_every_point_belongs_to_a_cell(meshed):
+    """A loose point would be an unknown without an equation."""
+    _, mesh, _ = meshed
+    assert np.array_equal(np.unique(mesh.cells), np.arange(len(mesh.points_mm)))
+
+
+def test_array_types(meshed):
+    _, mesh, _ = meshed
+    assert (mesh.points_mm.dtype, mesh.cells.dtype, mesh.region.dtype) == (np.float64, np.int64, np.int64)
+
+
+def test_another_look_finds_the_same_mesh_in_the_cache(meshed):
+    design, mesh, path = meshed
+    again, same_path, cached = sensor_mesh(design, COARSE)
+    assert cached
+    assert same_path == path
+    assert again.content_hash == mesh.content_hash
+    assert again.recipe == mesh.recipe
+    assert path.name == f"mesh-{mesh.recipe}.vtu"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_recipe_depends_on_what_shapes_the_mesh_alone(tmp_path, monkeypatch):
+    """Another rubber or pad finds the same mesh; another unit, pitch, edge or one rubber more does not."""
+    asked = []
+
+    def note(path: Path) -> TetMesh:
+        asked.append(path.name)
+        return cube()
+
+    monkeypatch.setattr("geometry.mesh.read_mesh", note)
+    stiff = Material(young_mpa=10.0)
+    same = [
+        ONE,
+        replace(ONE, resistivity_ohm_mm=1.0),
+        replace(ONE, pad=replace(ONE.pad, size_mm=5.0)),
+        replace(ONE, pillar_material=stiff, matrix_material=stiff),
+    ]
+    for design in same:
+        sensor_mesh(design, COARSE)
+    assert len(set(asked)) == 1
+    for design, settings in [
+        (SOFT, COARSE),
+        (replace(ONE, array=Array(rows=1, cols=2)), COARSE),
+        (replace(ONE, unit=replace(ONE.unit, height_mm=9.0)), COARSE),
+        (ONE, replace(COARSE, edge_top_mm=4.0)),
+        (ONE, replace(COARSE, envelope_mm=0.05)),
+    ]:
+        sensor_mesh(design, settings)
+    assert len(set(asked)) == 6
+
+
+def test_remeshing_gives_another_mesh_of_the_same_volume_and_leaves_no_trace(
+    tmp_path, monkeypatch, capfd, caplog
+):
+    """Over a broken cache file, which is replaced. The mesher by itself prints and drops a file where it stands."""
+    here, cache = tmp_path / "here", tmp_path / "cache"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    first, path, _ = sensor_mesh(ONE, COARSE)
+    path.write_bytes(path.read_bytes()[:-500])
+    second, same_path, cached = sensor_mesh(ONE, COARSE)
+    assert not cached
+    assert same_path == path
+    assert second.recipe == first.recipe
+    assert second.region_volumes() == pytest.approx(first.region_volumes(), rel=1e-9)
+    assert read_mesh(path).content_hash == second.content_hash
+    assert list(here.iterdir()) == []
+    assert list(cache.iterdir()) == [path]
+    assert Path.cwd() == here
+    assert capfd.readouterr().out == ""
+
+
+def cube(tets: int = 5) -> TetMesh:
+    """The unit cube cut into 5 tetrahedra (one in the middle) or 6 (about a diagonal), 1 mm a side."""
+    points = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+    cells = {
+        5: [[0, 1, 2, 4], [3, 1, 7, 2], [5, 1, 4, 7], [6, 2, 7, 4], [1, 2, 4, 7]],
+        6: [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]],
+    }[tets]
+    cells = np.array(cells, dtype=np.int64)
+    turned = cell_volumes(points, cells) < 0
+    cells[turned] = cells[turned][:, [1, 0, 2, 3]]
+    return TetMesh(points, cells, np.zeros(tets, dtype=np.int64))
+
+
+def test_volumes_of_a_cut_cube():
+    assert sorted(cell_volumes(cube(5).points_mm, cube(5).cells)) == pytest.approx([1 / 6] * 4 + [1 / 3])
+    assert cell_volumes(cube(6).points_mm, cube(6).cells) == pytest.approx([1 / 6] * 6)
+
+
+def test_volume_is_signed_by_the_order_of_corners():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert cell_volumes(points, np.array([[0, 1, 2, 3], [0, 2, 1, 3]])) == pytest.approx([1 / 6, -1 / 6])
+
+
+@pytest.mark.parametrize("tets", [5, 6])
+def test_boundary_of_a_cut_cube_is_two_triangles_a_side(tets):
+    mesh = cube(tets)
+    corners = mesh.points_mm[boundary_faces(mesh.cells)]
+    assert len(corners) == 12
+    for axis in range(3):
+        for plane in (0.0, 1.0):
+            assert (corners[:, :, axis] == plane).all(axis=1).sum() == 2
+
+
+def test_lone_tetrahedron_is_all_boundary():
+    faces = boundary_faces(np.array([[3, 1, 0, 2]]))
+    assert sorted(map(tuple, np.sort(faces, axis=1))) == [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]
+
+
+def wavy_cube(shift_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """The cube in 6 tetrahedra, each in 4 by a point inside, its corners shifted outward or inward."""
+    mesh = cube(6)
+    inner = 8 + np.arange(6)
+    points = np.vstack([mesh.points_mm, mesh.points_mm[mesh.cells].mean(axis=1)])
+    parts = []
+    for k, cell in enumerate(mesh.cells):
+        for corner in range(4):
+            part = cell.copy()
+            part[corner] = inner[k]
+            parts.append(part)
+    points[:8] += shift_mm * np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
+    return points, np.array(parts)
+
+
+def test_snapping_puts_corners_back_and_leaves_the_inside():
+    points, cells = wavy_cube(0.01)
+    snapped = snap_to_box(points, cells, np.zeros(3), np.ones(3), envelope_mm=0.01)
+    assert np.array_equal(snapped[:8], cube().points_mm)
+    assert np.array_equal(snapped[8:], points[8:])
+    assert not np.array_equal(points[:8], cube().points_mm)  # the given points are not written on
+    assert cell_volumes(snapped, cells).sum() == pytest.approx(1.0, rel=1e-14)  # rounding
+
+
+def test_inner_point_near_a_side_stays():
+    """Only faces of the boundary are moved: the same place inside the body is a point like others."""
+    points, cells = wavy_cube(0.0)
+    points[8] = [0.7, 0.5, 0.005]
+    snapped = snap_to_box(points, cells, np.zeros(3), np.ones(3), envelope_mm=0.01)
+    assert snapped[8].tolist() == [0.7, 0.5, 0.005]
+
+
+def test_boundary_further_off_than_the_envelope_stays():
+    points, cells = wavy_cube(0.0)
+    snapped = snap_to_box(points, cells, np.full(3, -0.03), np.full(3, 1.03), envelope_mm=0.01)
+    assert np.array_equal(snapped, points)
+
+
+def test_cells_of_the_other_orientation_are_turned():
+    mesh = cube()
+    inward = mesh.cells[:, [0, 2, 1, 3]]
+    assert (cell_volumes(mesh.points_mm, inward) < 0).all()
+    turned = outward(mesh.points_mm, inward)
+    assert (cell_volumes(mesh.points_mm, turned) > 0).all()
+    assert np.array_equal(np.sort(turned), np.sort(mesh.cells))
+    assert np.array_equal(outward(mesh.points_mm, mesh.cells), mesh.cells)
+
+
+def test_cell_that_snapping_turned_over_is_refused():
+    mesh = cube()
+    cells = mesh.cells.copy()
+    cells[2] = cells[2][[1, 0, 2, 3]]
+    with pytest.raises(GeometryError, match="1 of 5 tetrahedra are flat or inside out.*lower envelope_mm"):
+        outward(mesh.points_mm, cells)
+
+
+@pytest.mark.parametrize("z", [0.0, np.nan])
+def test_flat_cell_is_refused(z):
+    mesh = cube()
+    points = mesh.points_mm.copy()
+    points[4, 2] = z  # the corner above 0 falls onto the base: one cell is flat
+    with pytest.raises(GeometryError, match="of 5 tetrahedra are flat"):
+        outward(points, mesh.cells)
+
+
+def test_region_volumes_are_summed_by_label():
+    mesh = replace(cube(), region=np.array([0, 1, 1, 0, 0]))
+    assert mesh.region_volumes() == pytest.approx([2 / 3, 1 / 3])
+    assert cube().region_volumes().tolist() == pytest.approx([1.0, 0.0])
+    assert cube().region_volumes().dtype == np.float64
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.0019, 0.9981])
+def test_volumes_within_a_fifth_of_a_per_cent_pass(factor):
+    check_volumes(cube(), np.array([factor, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("expected", "region"),
+    [([1.0021, 0.0], "matrix"), ([0.9979, 0.0], "matrix"), ([1.0, 0.1], "pillar"), ([1.0, np.nan], "pillar")],
+)
+def test_volumes_further_off_are_refused_by_the_regions_name(expected, region):
+    with pytest.raises(GeometryError, match=rf"region '{region}' has .* mm³ in the mesh, the CAD has"):
+        check_volumes(cube(), np.array(expected))
+
+
+def test_written_mesh_comes_back_to_the_last_bit(tmp_path):
+    mesh = replace(cube(), region=np.array([0, 1, 1, 0, 0]), recipe="0123456789abcdef")
+    write_mesh(mesh, tmp_path / "cube.vtu")
+    again = read_mesh(tmp_path / "cube.vtu")
+    assert again.content_hash == mesh.content_hash
+    assert again.recipe == mesh.recipe
+    assert (again.points_mm.dtype, again.cells.dtype, again.region.dtype) == (np.float64, np.int64, np.int64)
+    assert os.listdir(tmp_path) == ["cube.vtu"]
+
+
+def test_missing_mesh_is_refused(tmp_path):
+    with pytest.raises(FileFormatError, match=r"none\.vtu: no such file"):
+        read_mesh(tmp_path / "none.vtu")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello\n" * 20, b"<?xml version='1.0'?><VTKFile/>"])
+def test_foreign_mesh_is_refused(tmp_path, content, capfd):
+    (tmp_path / "a.vtu").write_bytes(content)
+    refuse(tmp_path / "a.vtu", capfd)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2, 0.4, 0.6, 0.8, 0.98])
+def test_truncated_mesh_is_refused(tmp_path, share, capfd):
+    write_mesh(cube(), tmp_path / "a.vtu")
+    content = (tmp_path / "a.vtu").read_bytes()
+    (tmp_path / "a.vtu").write_bytes(content[: int(share * len(content))])
+    refuse(tmp_path / "a.vtu", capfd)
+
+
+def test_mesh_without_regions_is_refused(tmp_path, capfd):
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cube().cells}, cube().points_mm)
+    grid.save(tmp_path / "a.vtu")
+    refuse(tmp_path / "a.vtu", capfd)
+
+
+def refuse(path: Path, capfd) -> None:
+    with pytest.raises(FileFormatError) as caught:
+        read_mesh(path)
+    assert str(caught.value) == f"{path}: truncated or not a mesh of this program; delete it to mesh again."
+    assert capfd.readouterr().out == ""
