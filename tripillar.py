@@ -18,6 +18,7 @@ from geometry.design_file import design_to_toml, read_design, write_design
 from geometry.errors import TriPillarError
 
 if TYPE_CHECKING:
+    from decoupler.metrics import ForceErrors
     from studies.progress import Bars
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
@@ -137,7 +138,7 @@ def train(
     trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
     feature: Annotated[Literal["root", "resistance"], typer.Option(help="Inputs √R or R.")] = "root",
     goal: Annotated[float, typer.Option(help="Stop at this mean squared error, scaled.")] = 1e-5,
-    iterations: Annotated[int, typer.Option(help="Stop after so many at the latest.")] = 200,
+    iterations: Annotated[int, typer.Option(help="Stop after so many at the latest; 0: the trainer's own.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
     json_: JsonOption = False,
     quiet: QuietOption = False,
@@ -154,7 +155,7 @@ def train(
     from decoupler.training import train as train_network
 
     with progress_bars(quiet) as bars:
-        advance = bars.begin(f"train {component}", total=iterations)
+        advance = bars.begin(f"train {component}", total=training.max_iterations)
         model, history = train_network(
             labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}")
         )
@@ -164,7 +165,7 @@ def train(
         "mse": history.mse,
         "reason": history.reason,
         "seconds": history.seconds,
-        "training_errors": errors_on(model, labelled),
+        "training_errors": plain(errors_on(model, labelled)),
     }
     if json_:
         show_json({"file": str(out), **figures})
@@ -191,7 +192,7 @@ def evaluate(
     require_same_sensor(decoupler, labelled, model, data)
     errors = errors_on(decoupler, labelled)
     if json_:
-        show_json(errors)
+        show_json(plain(errors))
     else:
         from studies.report import errors_table, show
 
@@ -281,6 +282,11 @@ def progress_bars(quiet: bool) -> "Bars":
     from studies.progress import Bars
 
     return Bars(quiet=quiet)
+
+
+def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:
+    """Errors by force as the contract's JSON has them."""
+    return {name: asdict(values) for name, values in errors.items()}
 
 
 def show_json(result: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ _LENGTHENS = {"x": -1.0, "y": 1.0, "z": -1.0}
 
 
 def hooke_forces(
-    resistance_ohm: FloatArray, design: SensorDesign, component: Component, area_mm2: float | None = None
+    resistance_ohm: FloatArray, design: SensorDesign, component: Component
 ) -> FloatArray:
     """Forces as if each pillar stood alone, shape (n_samples, rows, cols, n_axes) [N].
 
@@ -27,10 +27,6 @@ def hooke_forces(
         Gives the rest lengths, section and modulus of the pillars.
     component : Component
         Whose axes are returned.
-    area_mm2 : float, optional
-        S of eq. 8; by default the pillar's section, as in the paper. The force on a pad is carried by the
-        slab as well, so that reading is far too small; with the pad's area eq. 8 is at least of the right
-        size.
 
     Notes
     -----
@@ -38,7 +34,7 @@ def hooke_forces(
     3. Here with a sign: a positive Fz (compression) or Fx shortens its pillar, a positive Fy lengthens the y
     pillar.
     """
-    S = design.unit.pillar_width_mm**2 if area_mm2 is None else area_mm2
+    S = design.unit.pillar_width_mm**2
     E, rest_mm, V = design.pillar_material.young_mpa, rest_lengths(design.unit), pillar_volumes(design.unit)
     pillar_columns(resistance_ohm, component)  # refuses what is no resistance
     pillars = [PILLARS.index(axis) for axis in component.axes]

@@ -1,6 +1,6 @@
 """Errors of decoupled forces: the paper's relative error (eq. 17), in newtons, and in % of full scale."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,7 +62,6 @@ def component_errors(
     }
 
 
-def evaluate(decoupler: Decoupler, data: LabelledData) -> dict[str, dict[str, float | None]]:
-    """Errors of a model on data as plain values: {"fz": {"rel_err": 0.01, "rmse_n": ..., ...}}."""
-    errors = component_errors(decoupler.forces(data.resistance_ohm), data, decoupler.component)
-    return {name: asdict(values) for name, values in errors.items()}
+def evaluate(decoupler: Decoupler, data: LabelledData) -> dict[str, ForceErrors]:
+    """Errors of a model on data, of every force it gives."""
+    return component_errors(decoupler.forces(data.resistance_ohm), data, decoupler.component)

@@ -54,7 +54,6 @@ class TrainingConfig:
     patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
     least_gain: float = 0.02  #: share of the error; 0 never gives up
     seed: int = 0  #: of the random start
-    threads: int = 1  #: of torch; more pay on idle cores only, and change the rounding
     learning_rate: float = 1.0  #: α of eq. 15, momentum rule only
     momentum: float = 0.5  #: η of eq. 15, momentum rule only
 
@@ -62,7 +61,6 @@ class TrainingConfig:
         _require_one_of("trainer", self.trainer, get_args(Trainer))
         for name in ("max_iterations", "patience", "seed"):
             _require_whole(name, getattr(self, name), 0)
-        _require_whole("threads", self.threads, 1)
         for name, value in _TRAINERS_OWN[self.trainer].items():
             object.__setattr__(self, name, getattr(self, name) or value)
         if not (math.isfinite(self.goal_mse) and self.goal_mse >= 0):

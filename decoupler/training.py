@@ -72,7 +72,7 @@ def train(
     x = torch.from_numpy(input_scaling.scale(inputs))
     t = torch.from_numpy(output_scaling.scale(targets))
     model = Network(network, x.shape[1], t.shape[1], training.seed)
-    with _torch_threads(training.threads):
+    with _one_torch_thread():
         point, outcome = _TRAINERS[training.trainer](model, x, t, training, progress)
     decoupler = Decoupler(
         component=parts,
@@ -96,10 +96,10 @@ def train(
 
 
 @contextmanager
-def _torch_threads(wanted: int) -> Iterator[None]:
-    """So many torch threads meanwhile, and as many as before afterwards."""
+def _one_torch_thread() -> Iterator[None]:
+    """One torch thread meanwhile: on matrices this small, two are slower as soon as a core is shared."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(wanted)
+    torch.set_num_threads(1)
     try:
         yield
     finally:

@@ -80,7 +80,8 @@ class SparsePattern:
 
     def fill(self, element_values: FloatArray) -> FloatArray:
         """Sum of the element values (n_elements, n_rows, n_cols) in each entry of the pattern, shape (nnz,)."""
-        return np.bincount(self._entry, weights=element_values.ravel(), minlength=len(self.rows))
+        sums: FloatArray = np.bincount(self._entry, weights=element_values.ravel(), minlength=len(self.rows))
+        return sums
 
     def matrix(self, element_values: FloatArray) -> sp.csr_matrix:
         """The global matrix of the element values (n_elements, n_rows, n_cols)."""

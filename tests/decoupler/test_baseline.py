@@ -38,8 +38,8 @@ def test_a_positive_force_is_positive(axis, displacement_mm):
 
 def test_all_components_are_the_three_alone():
     R = labelled(sensor(2, 3), "xyz", n_samples=5, seed=0).resistance_ohm
-    jointly = hooke_forces(R, DESIGN, component_named("all"), area_mm2=144.0)
-    alone = [hooke_forces(R, DESIGN, component_named(name), area_mm2=144.0) for name in ("fx", "fy", "fz")]
+    jointly = hooke_forces(R, DESIGN, component_named("all"))
+    alone = [hooke_forces(R, DESIGN, component_named(name)) for name in ("fx", "fy", "fz")]
     np.testing.assert_array_equal(jointly, np.concatenate(alone, axis=-1))
 
 

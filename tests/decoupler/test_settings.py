@@ -27,7 +27,6 @@ def test_network_refuses(settings, message):
         ({"goal_mse": float("nan")}, "goal_mse=nan must be 0 or above"),
         ({"max_iterations": -1}, "max_iterations=-1"),
         ({"seed": True}, "seed=True"),
-        ({"threads": 0}, "threads=0 must be a whole number from 1 up"),
         ({"least_gain": 1.0}, "least_gain=1 must be"),
         ({"learning_rate": 0.0}, "learning_rate=0 must be above 0"),
         ({"momentum": 1.0}, "momentum=1 must be"),

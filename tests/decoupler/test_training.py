@@ -34,7 +34,7 @@ def test_second_order_trainers_reach_the_goal(trainer, net):
     assert history.reason == "goal"
     assert history.mse <= 1e-7
     linear = component_errors(LeastSquares.fitted(TRAIN, FX).forces(TEST.resistance_ohm), TEST, FX)["fx"]
-    assert evaluate(decoupler, TEST)["fx"]["rel_err"] < linear.rel_err / 4
+    assert evaluate(decoupler, TEST)["fx"].rel_err < linear.rel_err / 4
 
 
 def test_momentum_rule_learns():
