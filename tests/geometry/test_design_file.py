@@ -1,4 +1,4 @@
-"""Design files: what is written comes back, what is unknown is named, and no mistake takes more than a line."""
+"""Design files: what is written comes back, what is unknown is named, no mistake takes more than a line."""
 
 import tomllib
 from dataclasses import fields, is_dataclass, replace
@@ -28,8 +28,8 @@ materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.float
 def designs(draw) -> SensorDesign:
     """Any design that is allowed: a thin pillar in a wide unit on a wider pitch, pads inside their share."""
     height_mm, width_mm = draw(lengths), draw(lengths)
-    # a pillar's oblique width w·√(s² + h²)/h must leave room: s above twice of it for s = a·h, a ≥ 3w/h
     span_mm = 3 * width_mm * draw(st.floats(1.0, 2.0))
+    # flat units would merge their pillars: make those as high as wide
     if span_mm <= width_mm * (1 + (span_mm**2 + height_mm**2) ** 0.5 / height_mm) / 2:
         height_mm = span_mm
     unit = Unit(span_mm=span_mm, height_mm=height_mm, pillar_width_mm=width_mm, electrode_mm=0.9 * span_mm)

@@ -3,6 +3,7 @@
 import os
 import stat
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,20 +12,24 @@ from geometry import Array, Material, SensorDesign
 from geometry.files import cache_folder, digest, replacing
 
 
+def write_half(path: Path) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text("ne")
+        raise RuntimeError("half way")
+
+
 def test_body_that_raises_leaves_the_old_file_and_no_litter(tmp_path):
     path = tmp_path / "data.txt"
     path.write_text("old")
-    with pytest.raises(RuntimeError, match="half way"), replacing(path) as temporary:
-        temporary.write_text("ne")
-        raise RuntimeError("half way")
+    with pytest.raises(RuntimeError, match="half way"):
+        write_half(path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_body_that_raises_makes_no_file(tmp_path):
-    with pytest.raises(RuntimeError), replacing(tmp_path / "data.txt") as temporary:
-        temporary.write_text("ne")
-        raise RuntimeError
+    with pytest.raises(RuntimeError, match="half way"):
+        write_half(tmp_path / "data.txt")
     assert list(tmp_path.iterdir()) == []
 
 

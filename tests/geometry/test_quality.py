@@ -29,9 +29,7 @@ def test_corner_of_a_cube():
     """At a base corner J = 1 over edges 1·√2·√2, scaled by √2: 1/√2. Least dihedral angle: acos(1/√3)."""
     measured = quality(tetrahedra(CORNER))
     assert measured.worst_scaled_jacobian == pytest.approx(1 / np.sqrt(2), rel=ROUNDING)
-    assert measured.smallest_dihedral_deg == pytest.approx(
-        np.degrees(np.arccos(1 / np.sqrt(3))), rel=ROUNDING
-    )
+    assert measured.smallest_dihedral_deg == pytest.approx(np.degrees(np.arccos(1 / np.sqrt(3))), rel=ROUNDING)
 
 
 @pytest.mark.parametrize("height", [1e-2, 1e-4])
