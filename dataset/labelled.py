@@ -96,16 +96,21 @@ def read_labelled(path: Path) -> LabelledData:
                 f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
             )
         data = data.sel({dim: labels})
-    force_n = data["force_n"].to_numpy().astype(np.float64, copy=False)
-    resistance_ohm = data["resistance_ohm"].to_numpy().astype(np.float64, copy=False)
+    force_n, resistance_ohm = (_numbers(path, name, data[name].to_numpy()) for name in wanted)
     _require_sane(path, "force_n", force_n, np.isfinite(force_n), "a finite number")
     sound = np.isfinite(resistance_ohm) & (resistance_ohm > 0)
     _require_sane(path, "resistance_ohm", resistance_ohm, sound, "finite and above 0")
     text = data.attrs.get("design")
+    design = None if text is None else design_from_toml(str(text), f"{path}, attribute 'design'")
+    if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
+        raise FileFormatError(
+            f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
+            f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
+        )
     return LabelledData(
         resistance_ohm=resistance_ohm,
         force_n=force_n,
-        design=None if text is None else design_from_toml(text, f"{path}, attribute 'design'"),
+        design=design,
         content_hash=files.digest(force_n, resistance_ohm),
     )
 
@@ -119,6 +124,16 @@ def file_recipe(path: Path) -> str | None:
             return str(opened.recipe)
     except (OSError, AttributeError):
         return None
+
+
+def _numbers(path: Path, name: str, values: np.ndarray) -> FloatArray:
+    if values.dtype.kind not in "fiu":
+        raise FileFormatError(
+            f"{path}: {name} is of type {values.dtype}, expected numbers: store it as float64."
+        )
+    if not values.size:
+        raise FileFormatError(f"{path}: {name} is empty, expected at least one sample of one unit.")
+    return values.astype(np.float64, copy=False)
 
 
 def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, allowed: str) -> None:

@@ -7,6 +7,7 @@ the input and ground, so its reading is the fraction R_sense/(R + R_sense) of fu
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
@@ -39,10 +40,24 @@ def measured(
 
     ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number a
     resistance, so that what `generator` gives next does not depend on the setting.
+
+    Raises
+    ------
+    DesignError
+        If a resistance is so far from the sense resistor that the converter reads 0 or full scale, which
+        stand for no resistance at all.
     """
     disturbance = generator.standard_normal(resistance_ohm.shape)
     if noise:
         resistance_ohm = resistance_ohm * (1.0 + noise * disturbance)
     if bits is not None:
-        resistance_ohm = resistance_from_counts(counts_from_resistance(resistance_ohm, bits), bits)
+        counts = counts_from_resistance(resistance_ohm, bits)
+        lost = (counts <= 0) | (counts >= 2**bits - 1)
+        if lost.any():
+            raise DesignError(
+                f"a converter of bits={bits} with a sense resistor of {SENSE_OHM:g} Ω cannot tell "
+                f"{resistance_ohm[lost][0]:.4g} Ω: raise bits, or choose resistivity_ohm_mm so that pillars "
+                f"rest near {SENSE_OHM:g} Ω."
+            )
+        resistance_ohm = resistance_from_counts(counts, bits)
     return resistance_ohm

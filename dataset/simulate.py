@@ -5,7 +5,7 @@ number alone, not on how many are made with it, and a dataset can be extended wi
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,7 +15,7 @@ from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_resistances
 from fem.response import ArrayResponse
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.errors import DesignError, TriPillarError
 from geometry.files import digest
 from geometry.layout import AXES, FloatArray, pillar_volumes, rest_lengths
@@ -34,27 +34,28 @@ class DatasetSettings:
     """What a dataset is to hold."""
 
     protocol: str
-    samples: int
-    seed: int = 0
-    cap: float = 0.3  #: largest pillar strain |l − l₀|/l₀ of an accepted sample
-    noise: float = 0.0  #: relative standard deviation of a measured resistance
+    samples: int = field(metadata={"meaning": "number of samples"})
+    seed: int = quantity(0, "seed of all that is random")
+    cap: float = quantity(0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample")
+    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
     bits: int | None = None  #: of the converter; None measures exactly
 
     def __post_init__(self) -> None:
+        require_numbers(self)
         if self.protocol not in PROTOCOLS:
             raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
         if self.samples < 1:
             raise DesignError(f"samples={self.samples} must be at least 1.")
-        if self.seed < 0:
-            raise DesignError(f"seed={self.seed} must be 0 or more.")
+        if not 0 <= self.seed < 2**63:
+            raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
         if not 0 < self.cap < 1:
             raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
-        if not 0 <= self.noise < 0.5:
+        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
             raise DesignError(
-                f"noise={self.noise:g} must be from 0 to below 0.5; 0.001 is 0.1 % of the resistance."
+                f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance."
             )
-        if self.bits is not None and not 4 <= self.bits <= 24:
-            raise DesignError(f"bits={self.bits} must be from 4 to 24; leave it out for exact resistances.")
+        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
 
 
 def dataset_recipe(response: ArrayResponse, settings: DatasetSettings) -> str:

@@ -1,0 +1,249 @@
+"""The dataset file: its contract, whoever wrote it, and every way to break it refused in one line."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from dataset import SimulatedData, read_labelled, write_dataset
+from dataset.labelled import file_recipe
+from dataset.simulate import DatasetSettings, simulate
+from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
+from geometry.netcdf import write_netcdf
+
+
+@pytest.fixture(scope="module")
+def data(response) -> SimulatedData:
+    return simulate(response, DatasetSettings(protocol="contact", samples=5, seed=3, noise=0.001, bits=16))
+
+
+@pytest.fixture
+def path(data, tmp_path) -> Path:
+    write_dataset(data, tmp_path / "data.nc")
+    return tmp_path / "data.nc"
+
+
+def rewritten(path: Path, change) -> Path:
+    """The file with a change made to its content, as another program might write it."""
+    with xr.open_dataset(path, engine="netcdf4") as opened:
+        content = opened.load()
+    write_netcdf(change(content), path)
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(TriPillarError) as caught:
+        read_labelled(path)
+    assert isinstance(caught.value, FileFormatError | DesignError)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+def test_file_keeps_the_contract(path, data, response):
+    """Read with the NetCDF library alone: names, dims, types, coordinates and attributes are what others see."""
+    dims = {
+        "traction_mpa": ("sample", "row", "col", "axis"),
+        "force_n": ("sample", "row", "col", "axis"),
+        "displacement_mm": ("sample", "row", "col", "electrode", "axis"),
+        "length_mm": ("sample", "row", "col", "pillar"),
+        "resistance_ohm": ("sample", "row", "col", "pillar"),
+    }
+    units = {
+        "traction_mpa": "MPa",
+        "force_n": "N",
+        "displacement_mm": "mm",
+        "length_mm": "mm",
+        "resistance_ohm": "ohm",
+    }
+    with netCDF4.Dataset(path) as file:
+        assert {name: size.size for name, size in file.dimensions.items()} == {
+            "sample": 5, "row": 2, "col": 3, "axis": 3, "electrode": 2, "pillar": 3,
+        }  # fmt: skip
+        assert set(file.variables) == {*dims, "axis", "pillar", "electrode"}
+        for name, expected in dims.items():
+            assert file[name].dimensions == expected
+            assert file[name].dtype == np.float64
+            assert file[name].units == units[name]
+            assert np.array_equal(file[name][:], getattr(data, name))  # to the last bit
+        assert list(file["axis"][:]) == ["x", "y", "z"]
+        assert list(file["pillar"][:]) == ["z", "x", "y"]
+        assert list(file["electrode"][:]) == ["U1", "U2"]
+        assert design_from_toml(file.design) == data.design
+        assert (file.protocol, file.seed, file.noise, file.bits) == ("contact", 3, 0.001, 16)
+        assert (file.mesh_hash, file.residual) == (response.mesh_hash, response.residual)
+        assert {"cap", "samples", "redrawn", "recipe", "response_hash"} <= set(file.ncattrs())
+
+
+def test_file_comes_back_to_the_last_bit(path, data):
+    labelled = read_labelled(path)
+    assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm)
+    assert np.array_equal(labelled.force_n, data.force_n)
+    assert labelled.design == data.design
+    assert labelled.resistance_ohm.dtype == labelled.force_n.dtype == np.float64
+
+
+def test_exact_dataset_leaves_the_converter_out(response, tmp_path):
+    """None is no attribute of a NetCDF file."""
+    write_dataset(simulate(response, DatasetSettings(protocol="contact", samples=1)), tmp_path / "a.nc")
+    with netCDF4.Dataset(tmp_path / "a.nc") as file:
+        assert "bits" not in file.ncattrs()
+
+
+def test_largest_seed_fits_the_file(response, tmp_path):
+    settings = DatasetSettings(protocol="contact", samples=1, seed=2**63 - 1)
+    write_dataset(simulate(response, settings), tmp_path / "a.nc")
+    with netCDF4.Dataset(tmp_path / "a.nc") as file:
+        assert file.seed == 2**63 - 1
+
+
+def test_content_hash_is_of_forces_and_resistances_alone(path, data):
+    before = read_labelled(path).content_hash
+    assert read_labelled(rewritten(path, lambda d: d.assign_attrs(seed=99))).content_hash == before
+    assert read_labelled(rewritten(path, lambda d: d.drop_vars("length_mm"))).content_hash == before
+    changed = rewritten(path, lambda d: d.assign(force_n=d.force_n + 1e-9))
+    assert read_labelled(changed).content_hash != before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.transpose("pillar", "axis", "electrode", "col", "row", "sample"),
+        lambda d: d.sel(axis=["z", "x", "y"], pillar=["x", "y", "z"], electrode=["U2", "U1"]),
+        lambda d: d[["force_n", "resistance_ohm"]],
+        lambda d: d.assign(extra=("row", [1.0, 2.0])),
+        lambda d: d.assign_coords(sample=np.arange(5) + 100),
+    ],
+    ids=["dims in another order", "labels in another order", "needed only", "more", "numbered samples"],
+)
+def test_files_of_others_are_read_by_their_labels(path, data, change):
+    labelled = read_labelled(rewritten(path, change))
+    assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm)
+    assert np.array_equal(labelled.force_n, data.force_n)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32, ">f8"])
+def test_other_types_of_numbers_become_float64(path, data, dtype):
+    change = {name: (lambda v: v.astype(dtype)) for name in ("force_n", "resistance_ohm")}
+    labelled = read_labelled(rewritten(path, lambda d: d.assign({n: f(d[n]) for n, f in change.items()})))
+    assert labelled.force_n.dtype == labelled.resistance_ohm.dtype == np.float64
+    assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm.astype(dtype))
+
+
+def test_file_that_does_not_say_its_design_is_read(path):
+    def drop_design(content):
+        del content.attrs["design"]
+        return content
+
+    assert read_labelled(rewritten(path, drop_design)).design is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("resistance_ohm", np.nan, "resistance_ohm is nan at sample 3, row 1, col 2, pillar x"),
+        ("resistance_ohm", np.inf, "resistance_ohm is inf at sample 3, row 1, col 2, pillar x"),
+        ("resistance_ohm", -5.0, "resistance_ohm is -5.0 at sample 3, row 1, col 2, pillar x"),
+        ("resistance_ohm", 0.0, "resistance_ohm is 0.0 at sample 3, row 1, col 2, pillar x"),
+        ("force_n", np.nan, "force_n is nan at sample 3, row 1, col 2, axis y"),
+        ("force_n", -np.inf, "force_n is -inf at sample 3, row 1, col 2, axis y"),
+    ],
+)
+def test_senseless_values_are_named_with_their_place(path, data, name, value, said):
+    values = getattr(data, name).copy()
+    values[3, 1, 2, 1] = value
+    write_dataset(replace(data, **{name: values}), path)
+    message = refusal(path)
+    assert said in message
+    assert message.endswith("remove that sample or measure it again.")
+
+
+def test_negative_forces_are_taken(path, data):
+    """A pad that is dragged to −x, or pulled."""
+    write_dataset(replace(data, force_n=-data.force_n), path)
+    assert np.array_equal(read_labelled(path).force_n, -data.force_n)
+
+
+@pytest.mark.parametrize("name", ["force_n", "resistance_ohm"])
+def test_missing_variable_is_named(path, name):
+    message = refusal(rewritten(path, lambda d: d.drop_vars(name)))
+    assert f"has no variable '{name}'" in message
+    assert "give a file made by 'tripillar dataset'" in message
+
+
+@pytest.mark.parametrize("dim", ["axis", "pillar"])
+def test_unlabelled_dimension_is_refused(path, dim):
+    """Guessing its order would swap forces without a word."""
+    message = refusal(rewritten(path, lambda d: d.drop_vars(dim)))
+    assert f"coordinate '{dim}' is None, expected [" in message
+    assert f"label the {dim} dimension" in message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.assign_coords(pillar=["z", "x", "w"]),
+        lambda d: d.assign_coords(pillar=["z", "x", "x"]),
+        lambda d: d.isel(pillar=[0, 1]),
+        lambda d: d.assign_coords(pillar=[0, 1, 2]),
+    ],
+    ids=["another", "twice", "one missing", "numbers"],
+)
+def test_wrong_labels_are_refused(path, change):
+    message = refusal(rewritten(path, change))
+    assert "coordinate 'pillar' is [" in message
+    assert "expected ['z', 'x', 'y']" in message
+
+
+def test_text_for_numbers_is_refused(path):
+    message = refusal(rewritten(path, lambda d: d.assign(force_n=d.force_n.astype(str))))
+    assert "force_n is of type" in message
+    assert "expected numbers" in message
+
+
+def test_empty_dataset_is_refused(path):
+    assert "is empty, expected at least one sample" in refusal(rewritten(path, lambda d: d.isel(sample=[])))
+
+
+def test_design_of_another_array_is_refused(path):
+    message = refusal(rewritten(path, lambda d: d.isel(row=[0])))
+    assert "holds 1 × 3 units, its attribute 'design' says 2 × 3" in message
+
+
+@pytest.mark.parametrize("design", ["[unit]\nspam_mm = 1\n", "not TOML", 5])
+def test_broken_design_is_refused(path, design):
+    assert ", attribute 'design': " in refusal(rewritten(path, lambda d: d.assign_attrs(design=design)))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_truncated_file_is_refused(path, share):
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    assert "truncated or not NetCDF" in refusal(path)
+    assert file_recipe(path) is None
+
+
+def test_missing_file_is_refused(tmp_path):
+    assert "no such file" in refusal(tmp_path / "none.nc")
+
+
+def test_recipe_of_a_file_is_what_made_it(path, data, tmp_path):
+    assert file_recipe(path) == data.made_from["recipe"]
+    assert file_recipe(tmp_path / "none.nc") is None
+    (tmp_path / "text.nc").write_text("hello\n" * 100)
+    assert file_recipe(tmp_path / "text.nc") is None
+    (tmp_path / "plain.nc").unlink(missing_ok=True)
+    write_netcdf(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "plain.nc")
+    assert file_recipe(tmp_path / "plain.nc") is None
+
+
+def test_failed_write_leaves_the_old_file_and_no_litter(path, data):
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="conflicting sizes"):
+        write_dataset(replace(data, force_n=data.force_n[:2]), path)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]

@@ -1,0 +1,91 @@
+"""Noise has the statistics asked for, and a converter errs by half a step at most."""
+
+import numpy as np
+import pytest
+
+from dataset import counts_from_resistance, measured, resistance_from_counts
+from dataset.measurement import SENSE_OHM
+from geometry import DesignError
+
+RESISTANCES = np.geomspace(3e3, 30e3, 5000)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_without_noise_and_converter_nothing_changes():
+    assert np.array_equal(measured(RESISTANCES, 0.0, None, rng()), RESISTANCES)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.05])
+def test_noise_is_relative_and_of_the_level_asked(noise):
+    n = 200_000
+    exact = np.tile([5e3, 50e3], n // 2)
+    error = measured(exact, noise, None, rng()) / exact - 1.0
+    for part in (error[::2], error[1::2]):  # the same at 5 and at 50 kΩ
+        assert part.mean() == pytest.approx(0.0, abs=4 * noise / np.sqrt(len(part)))  # of a mean
+        assert part.std() == pytest.approx(noise, rel=4 / np.sqrt(2 * len(part)))  # of a deviation
+    within = np.mean(np.abs(error) < noise)
+    assert within == pytest.approx(0.6827, abs=4 * np.sqrt(0.68 * 0.32 / n))  # a bell's share within one deviation
+
+
+def test_noise_differs_from_one_resistance_to_the_next_and_repeats_with_its_seed():
+    same = np.full(100, 1e4)
+    first = measured(same, 0.01, None, rng(1))
+    assert len(np.unique(first)) == 100
+    assert np.array_equal(first, measured(same, 0.01, None, rng(1)))
+    assert not np.array_equal(first, measured(same, 0.01, None, rng(2)))
+
+
+def test_settings_do_not_move_the_generator():
+    """So that switching noise on changes nothing but the noise."""
+    after = []
+    for noise, bits in ((0.0, None), (0.01, None), (0.0, 12), (0.01, 12)):
+        generator = rng()
+        measured(RESISTANCES, noise, bits, generator)
+        after.append(generator.random())
+    assert len(set(after)) == 1
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_converter_errs_by_half_a_step_at_most(bits):
+    """The divider's share moves by half a count: |dR| = (R + Rs)²/Rs · |d share|, to first order in a step."""
+    read = measured(RESISTANCES, 0.0, bits, rng())
+    share_error = np.abs(SENSE_OHM / (read + SENSE_OHM) - SENSE_OHM / (RESISTANCES + SENSE_OHM))
+    half_step = 0.5 / (2**bits - 1)
+    assert share_error.max() <= half_step * (1 + 1e-9)  # rounding
+    assert share_error.max() > 0.99 * half_step  # reached: no finer than it says
+    ohms = half_step * (RESISTANCES + SENSE_OHM) ** 2 / SENSE_OHM
+    assert (np.abs(read - RESISTANCES) <= 1.02 * ohms).all()  # second order: a step is up to 1.6 % at 8 bits
+
+
+@pytest.mark.parametrize("bits", [4, 12, 24])
+@pytest.mark.parametrize("sense_ohm", [1e3, SENSE_OHM])
+def test_counts_come_back_from_their_resistance(bits, sense_ohm):
+    counts = np.unique(np.linspace(1, 2**bits - 1, 1000).astype(np.int64))
+    assert np.array_equal(
+        counts_from_resistance(resistance_from_counts(counts, bits, sense_ohm), bits, sense_ohm), counts
+    )
+
+
+def test_counts_at_the_ends_of_the_range():
+    assert counts_from_resistance(np.array([0.0, SENSE_OHM, 1e12]), bits=12).tolist() == [4095, 2048, 0]
+    assert resistance_from_counts(np.array([0, 4095]), bits=12).tolist() == [np.inf, 0.0]
+
+
+def test_counts_fall_as_resistance_grows():
+    assert (np.diff(counts_from_resistance(RESISTANCES, 24)) < 0).all()
+
+
+@pytest.mark.parametrize("lost", [0.2, 1e9])
+def test_resistance_that_a_converter_cannot_tell_is_refused(lost):
+    """Or a file would hold 0 Ω or infinity, which its own reader refuses."""
+    with pytest.raises(DesignError, match=r"cannot tell .* Ω: raise bits, or choose resistivity_ohm_mm"):
+        measured(np.array([1e4, lost]), 0.0, 12, rng())
+
+
+def test_given_resistances_are_not_written_on():
+    exact = RESISTANCES.copy()
+    measured(exact, 0.01, 12, rng())
+    assert np.array_equal(exact, RESISTANCES)

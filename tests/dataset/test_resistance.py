@@ -1,0 +1,80 @@
+"""Lengths and resistances against geometry done by hand."""
+
+import numpy as np
+import pytest
+
+from dataset import pillar_lengths, pillar_resistances
+from geometry import SensorDesign, Unit
+from geometry.layout import PILLARS, pillar_volumes, rest_lengths
+
+Z, X, Y = range(3)
+EXACT = 1e-14  # rounding
+
+
+def test_at_rest_pillars_have_their_rest_lengths():
+    assert np.array_equal(pillar_lengths(np.zeros((4, 2, 3)), Unit()), np.tile(rest_lengths(Unit()), (4, 1)))
+
+
+def test_u1_moves_the_z_and_x_pillars_and_u2_the_y_pillar():
+    down_1 = pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())
+    assert down_1 == pytest.approx([9.0, np.hypot(10.0, 9.0), np.hypot(10.0, 10.0)], rel=EXACT)
+    down_2 = pillar_lengths(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), Unit())
+    assert down_2 == pytest.approx([10.0, np.hypot(10.0, 10.0), np.hypot(10.0, 9.0)], rel=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("moved_mm", "lengths_mm"),
+    [
+        # x leans from L2 (+5, −5, 0) back to U1 (−5, −5, 10): dragging U1 along +x shortens it
+        ((1.0, 0.0, 0.0), (np.hypot(1, 10), np.hypot(9, 10), np.sqrt(1 + 10**2 + 10**2))),
+        ((-1.0, 0.0, 0.0), (np.hypot(1, 10), np.hypot(11, 10), np.sqrt(1 + 10**2 + 10**2))),
+        # y leans from L1 (−5, −5, 0) on to U2 (−5, +5, 10): dragging U2 along +y lengthens it
+        ((0.0, 1.0, 0.0), (np.hypot(1, 10), np.sqrt(1 + 10**2 + 10**2), np.hypot(11, 10))),
+        ((0.0, 0.0, -2.0), (8.0, np.hypot(10, 8), np.hypot(10, 8))),
+        ((3.0, 4.0, -2.0), (np.sqrt(9 + 16 + 64), np.sqrt(49 + 16 + 64), np.sqrt(9 + 196 + 64))),
+    ],
+)
+def test_both_electrodes_moved_alike(moved_mm, lengths_mm):
+    """Large moves: exact, not linearised."""
+    assert pillar_lengths(np.array([moved_mm, moved_mm]), Unit()) == pytest.approx(lengths_mm, rel=EXACT)
+
+
+def test_first_order_change_is_the_move_along_the_pillar():
+    """dl = e·u with e the pillar's direction; the rest is of second order: 1e-4² / 10."""
+    moved = 1e-4 * np.random.default_rng(0).normal(size=(50, 2, 3))
+    e = np.array([[0, 0, 1], [-np.sqrt(0.5), 0, np.sqrt(0.5)], [0, np.sqrt(0.5), np.sqrt(0.5)]])
+    along = np.stack([moved[:, 0] @ e[Z], moved[:, 0] @ e[X], moved[:, 1] @ e[Y]], axis=1)
+    change = pillar_lengths(moved, Unit()) - rest_lengths(Unit())
+    assert change == pytest.approx(along, abs=2e-8)
+
+
+def test_any_leading_shape():
+    moved = np.random.default_rng(0).normal(size=(5, 2, 3, 2, 3))
+    lengths = pillar_lengths(moved, Unit())
+    assert lengths.shape == (5, 2, 3, 3)
+    assert np.array_equal(lengths[4, 1, 2], pillar_lengths(moved[4, 1, 2], Unit()))
+
+
+def test_papers_sensor_rests_at_10_and_14_kilohm():
+    """R = ρl²/V = ρl/S: 4000 Ω mm · 10 mm / 4 mm² upright, √2 times that oblique."""
+    design = SensorDesign()
+    rest = pillar_resistances(rest_lengths(design.unit), pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    assert dict(zip(PILLARS, rest, strict=True)) == pytest.approx(
+        {"z": 10_000.0, "x": 10_000 * np.sqrt(2), "y": 10_000 * np.sqrt(2)}, rel=EXACT
+    )
+
+
+def test_resistance_goes_with_the_square_of_length():
+    """At constant volume: squeezed to 0.7, a pillar has 0.49 of its resistance."""
+    volumes = pillar_volumes(Unit())
+    rest = pillar_resistances(rest_lengths(Unit()), volumes, 4000.0)
+    assert pillar_resistances(0.7 * rest_lengths(Unit()), volumes, 4000.0) == pytest.approx(0.49 * rest, rel=EXACT)
+    assert pillar_resistances(rest_lengths(Unit()), volumes, 8000.0) == pytest.approx(2 * rest, rel=EXACT)
+
+
+@pytest.mark.parametrize("length_mm", [0.0, -1.0, np.nan])
+def test_collapsed_pillar_is_refused(length_mm):
+    lengths = np.full((2, 3), 10.0)
+    lengths[1, 2] = length_mm
+    with pytest.raises(ValueError, match=rf"length_mm has a value of {length_mm:g}, must be above 0: lower"):
+        pillar_resistances(lengths, pillar_volumes(Unit()), 4000.0)

@@ -1,0 +1,260 @@
+"""Samples: exact geometry, superposition, and each one the same however many are made with it."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from dataset.labelled import VARIABLES
+from dataset.protocols import PROTOCOLS
+from dataset.simulate import (
+    BLOCK,
+    DatasetSettings,
+    LoadError,
+    dataset_recipe,
+    displacements,
+    forces,
+    simulate,
+)
+from geometry import DesignError, Pad, SensorDesign, TriPillarError
+from geometry.layout import AXES
+
+ARRAYS = tuple(VARIABLES)
+
+
+def simulated(response, protocol="three-axis", samples=40, **changed):
+    return simulate(response, DatasetSettings(protocol=protocol, samples=samples, **changed))
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_arrays_have_the_shapes_of_the_contract(response, protocol):
+    data = simulated(response, protocol, 7)
+    sizes = {"sample": 7, "row": 2, "col": 3, "electrode": 2, "axis": 3, "pillar": 3}
+    for name, (dims, _) in VARIABLES.items():
+        values = getattr(data, name)
+        assert values.shape == tuple(sizes[dim] for dim in dims)
+        assert values.dtype == np.float64
+        assert np.isfinite(values).all()
+
+
+def test_force_is_traction_times_pad_area_and_positive_in_compression():
+    """12 mm × 12 mm: 1 MPa is 144 N. Shear keeps its sign; pushing down, tz < 0, reads Fz > 0."""
+    design = SensorDesign()
+    assert forces(np.array([1.0, -2.0, -3.0]), design).tolist() == [144.0, -288.0, 432.0]
+    assert forces(np.array([0.0, 0.0, -1.0]), replace(design, pad=Pad(size_mm=5.0))).tolist() == [0, 0, 25]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_forces_of_a_dataset_follow_that_rule(response, protocol):
+    data = simulated(response, protocol)
+    assert np.array_equal(data.force_n, data.traction_mpa * 144.0 * np.array([1.0, 1.0, -1.0]))
+    assert (data.force_n[..., 2] >= 0).all()
+
+
+def superposed(response, traction_mpa: np.ndarray) -> np.ndarray:
+    """Displacement of each electrode by the sum over pads and axes as the file's dims spell it."""
+    newtons = traction_mpa * response.design.pad.size_mm**2
+    return np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, newtons)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_displacements_are_the_superposition_of_unit_loads(response, protocol):
+    data = simulated(response, protocol)
+    expected = superposed(response, data.traction_mpa)
+    assert data.displacement_mm == pytest.approx(expected, abs=1e-13)  # rounding of sums of millimetres
+
+
+def test_superposition_is_linear(response):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 4, 6, 3))
+    both = displacements(response, 2.0 * a - 3.0 * b)
+    apart = 2.0 * displacements(response, a) - 3.0 * displacements(response, b)
+    assert both == pytest.approx(apart, abs=1e-12)  # rounding
+    assert np.abs(both).max() > 1.0
+
+
+def test_unit_load_moves_electrodes_as_its_column_of_the_influence_says(response):
+    traction = np.zeros((1, 6, 3))
+    traction[0, 1 * 3 + 2, 0] = 1.0 / 144.0  # 1 N along x on row 1, col 2
+    moved = displacements(response, traction)[0].reshape(2, 3, 2, 3)
+    assert moved == pytest.approx(response.influence_mm_per_n[..., 1, 2, 0], rel=1e-12)
+
+
+def test_skipping_unloaded_axes_changes_nothing(response):
+    traction = np.zeros((5, 6, 3))
+    traction[..., 2] = np.random.default_rng(0).normal(size=(5, 6))
+    assert displacements(response, traction, ("z",)) == pytest.approx(
+        displacements(response, traction), abs=1e-14
+    )  # rounding: the same products, summed in another order
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_lengths_and_resistances_follow_from_the_displacements(response, protocol):
+    """By hand from the electrodes' places: z from L1 to U1, x from L2 to U1, y from L1 to U2."""
+    data = simulated(response, protocol)
+    L1, L2 = np.array([-5.0, -5.0, 0.0]), np.array([5.0, -5.0, 0.0])
+    U1 = np.array([-5.0, -5.0, 10.0]) + data.displacement_mm[..., 0, :]
+    U2 = np.array([-5.0, 5.0, 10.0]) + data.displacement_mm[..., 1, :]
+    lengths = [np.linalg.norm(top - low, axis=-1) for low, top in ((L1, U1), (L2, U1), (L1, U2))]
+    assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)  # rounding
+    rest_mm = np.array([10.0, np.sqrt(200), np.sqrt(200)])
+    resistance = 4000.0 * data.length_mm**2 / (4.0 * rest_mm)
+    assert data.resistance_ohm == pytest.approx(resistance, rel=1e-14)
+
+
+@pytest.mark.parametrize("measurement", [{}, {"noise": 0.01, "bits": 12}], ids=["exact", "measured"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_sample_is_the_same_alone_and_in_a_batch(response, protocol, measurement):
+    """To the last bit, in its first block and in a later one."""
+    many = simulated(response, protocol, BLOCK + 3, cap=0.2, **measurement)
+    for n in (1, BLOCK, BLOCK + 1):
+        few = simulated(response, protocol, n, cap=0.2, **measurement)
+        for name in ARRAYS:
+            assert np.array_equal(getattr(few, name), getattr(many, name)[:n]), name
+
+
+def test_blocks_differ(response):
+    data = simulated(response, samples=2 * BLOCK)
+    assert not np.any(data.traction_mpa[:BLOCK] == data.traction_mpa[BLOCK:])
+
+
+def test_the_same_seed_gives_the_same_and_another_seed_another_dataset(response):
+    first, again, other = (simulated(response, seed=seed, noise=0.01) for seed in (1, 1, 2))
+    for name in ARRAYS:
+        assert np.array_equal(getattr(first, name), getattr(again, name))
+        assert not np.any(getattr(first, name) == getattr(other, name))
+
+
+def test_noise_touches_the_resistances_alone(response):
+    exact, noisy = simulated(response), simulated(response, noise=0.01)
+    for name in ARRAYS[:-1]:
+        assert np.array_equal(getattr(exact, name), getattr(noisy, name))
+    error = noisy.resistance_ohm / exact.resistance_ohm - 1.0
+    assert error.std() == pytest.approx(0.01, rel=4 / np.sqrt(2 * error.size))  # of a deviation
+
+
+def test_converter_steps_are_seen_in_the_resistances(response):
+    read = simulated(response, bits=8).resistance_ohm
+    counts = 255 * 1e4 / (read + 1e4)
+    assert counts == pytest.approx(np.rint(counts), abs=1e-9)  # rounding
+    assert len(np.unique(read)) < 256
+
+
+def strains(data) -> np.ndarray:
+    rest_mm = np.array([10.0, np.sqrt(200), np.sqrt(200)])
+    return np.abs(data.length_mm / rest_mm - 1.0).max(axis=(1, 2, 3))
+
+
+@pytest.mark.parametrize("protocol", ["independent-fz", "three-axis", "contact"])
+def test_cap_holds_and_redrawn_samples_are_counted(response, protocol):
+    free = simulated(response, protocol, 200, cap=0.99)
+    over = strains(free) > 0.2
+    assert 0 < over.sum() < 200  # the cap matters here, and not for all
+    capped = simulated(response, protocol, 200, cap=0.2)
+    assert strains(capped).max() <= 0.2
+    assert free.made_from["redrawn"] == 0
+    assert capped.made_from["redrawn"] >= over.sum()
+    # those within the cap are what they were; the others are new
+    same = (capped.traction_mpa == free.traction_mpa).all(axis=(1, 2, 3))
+    assert np.array_equal(same, ~over)
+
+
+def test_redrawn_counts_only_the_samples_that_are_kept(response):
+    counts = [simulated(response, samples=n, cap=0.2).made_from["redrawn"] for n in (10, 20, BLOCK)]
+    assert counts == sorted(counts)
+    assert counts[0] < counts[2]
+
+
+def test_impossible_cap_is_refused_in_one_line(response, monkeypatch):
+    monkeypatch.setattr("dataset.simulate.MOST_ROUNDS", 20)  # 1000 would take a second
+    with pytest.raises(LoadError) as caught:
+        simulated(response, "independent-fz", 3, cap=1e-6)
+    assert isinstance(caught.value, TriPillarError)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith("protocol 'independent-fz' strained some pillar beyond cap=1e-06 in 20 draws on end")
+    assert "raise the cap" in message
+    assert "smaller pad (size_mm=12)" in message
+
+
+def test_broken_response_reaches_no_dataset(response, monkeypatch):
+    monkeypatch.setattr("dataset.simulate.MOST_ROUNDS", 20)
+    influence = response.influence_mm_per_n.copy()
+    influence[0, 0, 0, 2, 0, 0, 2] = np.nan
+    with pytest.raises(ValueError, match=r"length_mm has a value of nan|draws on end"):
+        simulated(replace(response, influence_mm_per_n=influence))
+
+
+def test_progress_adds_up_to_the_samples(response):
+    told = []
+    settings = DatasetSettings(protocol="contact-fz", samples=2 * BLOCK + 5)
+    simulate(response, settings, told.append)
+    assert told == [BLOCK, BLOCK, 5]
+
+
+def test_dataset_says_what_made_it(response):
+    settings = DatasetSettings(protocol="contact", samples=3, seed=7, noise=0.01, bits=12)
+    made_from = simulate(response, settings).made_from
+    assert asdict(settings).items() <= made_from.items()
+    assert made_from["summary"] == PROTOCOLS["contact"].summary
+    assert made_from["mesh_hash"] == response.mesh_hash
+    assert made_from["residual"] == response.residual
+    assert made_from["response_hash"] == response.content_hash
+    assert made_from["recipe"] == dataset_recipe(response, settings)
+
+
+def test_recipe_changes_with_all_that_a_dataset_depends_on(response):
+    settings = DatasetSettings(protocol="contact", samples=3)
+    changed = [
+        {"protocol": "contact-fz"}, {"samples": 4}, {"seed": 1}, {"cap": 0.2}, {"noise": 0.01}, {"bits": 12},
+    ]  # fmt: skip
+    recipes = {dataset_recipe(response, replace(settings, **change)) for change in changed}
+    recipes.add(dataset_recipe(response, settings))
+    recipes.add(dataset_recipe(replace(response, influence_mm_per_n=2 * response.influence_mm_per_n), settings))
+    other = replace(response.design, resistivity_ohm_mm=1.0)  # has the same influence
+    recipes.add(dataset_recipe(replace(response, design=other), settings))
+    assert len(recipes) == 9
+
+
+def test_resistivity_scales_resistances_alone(response):
+    other = replace(response, design=replace(response.design, resistivity_ohm_mm=8000.0))
+    first, second = simulated(response), simulated(other)
+    assert np.array_equal(first.length_mm, second.length_mm)
+    assert second.resistance_ohm == pytest.approx(2 * first.resistance_ohm, rel=1e-15)  # rounding
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"protocol": "contact-fy"}, "protocol='contact-fy' is unknown; known are independent-fz, "),
+        ({"samples": 0}, "samples=0 must be at least 1"),
+        ({"samples": 2.5}, "samples=2.5 must be a whole number"),
+        ({"samples": True}, "samples=True must be a whole number"),
+        ({"samples": "10"}, "samples='10' must be a whole number"),
+        ({"seed": -1}, "seed=-1 must be from 0"),
+        ({"seed": 2**63}, f"seed={2**63} must be from 0 to below 2⁶³"),
+        ({"seed": 1.5}, "seed=1.5 must be a whole number"),
+        ({"cap": 0.0}, "cap=0 must be between 0 and 1; the paper uses 0.2 and 0.3"),
+        ({"cap": 1.0}, "cap=1 must be between 0 and 1"),
+        ({"cap": float("nan")}, "cap=nan must be a finite number"),
+        ({"noise": -0.001}, "noise=-0.001 must be from 0 to 0.1"),
+        ({"noise": 0.11}, "noise=0.11 must be from 0 to 0.1"),
+        ({"noise": "loud"}, "noise='loud' must be a finite number"),
+        ({"bits": 3}, "bits=3 must be from 4 to 24"),
+        ({"bits": 25}, "bits=25 must be from 4 to 24"),
+        ({"bits": 12.5}, "bits=12.5 must be from 4 to 24"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused_by_name(changed, message):
+    with pytest.raises(DesignError) as caught:
+        DatasetSettings(**{"protocol": "contact", "samples": 10, **changed})
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_largest_noise_allowed_leaves_resistances_above_zero(response):
+    assert simulated(response, samples=BLOCK, noise=0.1).resistance_ohm.min() > 0
+
+
+def test_axes_of_protocols_are_axes():
+    assert all(set(protocol.axes) <= set(AXES) for protocol in PROTOCOLS.values())
