@@ -1,5 +1,7 @@
 """Pictures of the deformed sensor, by pyvista; drawn off screen."""
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,8 @@ def draw_deformed(design: SensorDesign, mesh: TetMesh, traction_mpa: FloatArray,
     path : Path
         PNG file to write.
     """
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
     moved_mm = displacement_field(design, mesh, traction_mpa)
     body = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
     body.point_data["u"] = moved_mm
@@ -61,9 +65,8 @@ def draw_deformed(design: SensorDesign, mesh: TetMesh, traction_mpa: FloatArray,
         },
     )  # fmt: skip
     plotter.add_mesh(pads, scalars="pressure", cmap="Reds", clim=(-0.5, 1.0), line_width=4, show_scalar_bar=False)
-    x, y, h = design.slab_mm
-    plotter.camera_position = [(1.0 * x, -1.65 * y, 1.1 * x), (0.1 * x, -0.03 * y, -0.2 * h), (0.0, 0.0, 1.0)]
-    plotter.camera.zoom(1.2)
+    plotter.view_vector((1.0, -1.65, 1.1), viewup=(0.0, 0.0, 1.0))
+    plotter.camera.zoom(1.35)
     with replacing(path) as temporary:
         plotter.screenshot(temporary)
     plotter.close()

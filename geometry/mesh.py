@@ -32,15 +32,16 @@ VOLUME_TOLERANCE = 2e-3  #: relative, of each region's volume against the CAD's
 class MeshSettings:
     """How fine a mesh is. Edges in mm, never a share of the bounding box: they mean the same in any array."""
 
-    edge_top_mm: float = quantity(1.5, "wanted edge length at the touched surface, where loads begin and end")
-    edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base; linear in z between")
+    edge_top_mm: float = quantity(1.25, "wanted edge length at the touched surface, where loads begin and end")
+    edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base")
+    grading: float = quantity(0.6, "exponent of the depth with which edges grow from top to base")
     envelope_mm: float = quantity(
         0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time"
     )
 
     def __post_init__(self) -> None:
         require_numbers(self)
-        require_positive(self, "edge_top_mm", "edge_base_mm", "envelope_mm")
+        require_positive(self, "edge_top_mm", "edge_base_mm", "grading", "envelope_mm")
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
@@ -146,10 +147,11 @@ def tetrahedra(
     triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
 
-    # wanted edge lengths live on a coarse background mesh, a little larger than the body
+    # wanted edge lengths live on a coarse background mesh, a little larger than the body, in layers of a tenth
     x, y, _ = (np.array([a - 1.0, b + 1.0]) for a, b in zip(low, high, strict=True))
-    background = MeshTet.init_tensor(x, y, np.array([-1.0, 0.0, height_mm, height_mm + 1.0]))
-    share = np.clip(background.p[2] / height_mm, 0.0, 1.0)
+    background = MeshTet.init_tensor(x, y, np.linspace(-0.1, 1.1, 13) * height_mm)
+    depth = np.clip(1.0 - background.p[2] / height_mm, 0.0, 1.0)
+    edge_mm = settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**settings.grading
     # the mesher prints, and drops a file where it stands
     with _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
         points, cells = pytetwild.tetrahedralize(
@@ -159,7 +161,7 @@ def tetrahedra(
             epsilon=settings.envelope_mm / float(np.linalg.norm(high - low)),
             bg_vertices=background.p.T.copy(),
             bg_tets=background.t.T.astype(np.int32),
-            bg_values=settings.edge_base_mm + (settings.edge_top_mm - settings.edge_base_mm) * share,
+            bg_values=edge_mm,
         )
     return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
 
