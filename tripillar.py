@@ -1,7 +1,7 @@
 """TriPillar's command line: one sub-command a stage, in the order of the pipeline.
 
-Results go to stdout (with --json one object), progress and messages to stderr. A user's mistake is one line and exit code
-2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
+Results go to stdout (with --json one object), progress and messages to stderr. A user's mistake is one line and exit
+code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
 import json
@@ -170,10 +170,7 @@ def train(
     if json_:
         show_json({"file": str(out), **figures})
     else:
-        print(
-            f"{history.iterations} iterations in {history.seconds:.1f} s to mse {history.mse:.2e} "
-            f"({history.reason})"
-        )
+        print(f"{history.iterations} iterations in {history.seconds:.1f} s to mse {history.mse:.2e} ({history.reason})")
     wrote([out])
 
 

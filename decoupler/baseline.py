@@ -14,9 +14,7 @@ from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
 _LENGTHENS = {"x": -1.0, "y": 1.0, "z": -1.0}
 
 
-def hooke_forces(
-    resistance_ohm: FloatArray, design: SensorDesign, component: Component
-) -> FloatArray:
+def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Component) -> FloatArray:
     """Forces as if each pillar stood alone, shape (n_samples, rows, cols, n_axes) [N].
 
     Parameters

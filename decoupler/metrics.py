@@ -37,8 +37,7 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     """
     if predicted_n.shape != actual_n.shape or not actual_n.size:
         raise SampleError(
-            f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: "
-            "give both alike, with samples."
+            f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
         )
     error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
     full_scale = size.max()
@@ -51,15 +50,10 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     )
 
 
-def component_errors(
-    predicted_n: FloatArray, data: LabelledData, component: Component
-) -> dict[str, ForceErrors]:
+def component_errors(predicted_n: FloatArray, data: LabelledData, component: Component) -> dict[str, ForceErrors]:
     """Errors of every force of a component; `predicted_n` has shape (n_samples, rows, cols, n_axes)."""
     actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
-    return {
-        name: force_errors(predicted_n[..., axis], actual[..., axis])
-        for axis, name in enumerate(component.forces)
-    }
+    return {name: force_errors(predicted_n[..., axis], actual[..., axis]) for axis, name in enumerate(component.forces)}
 
 
 def evaluate(decoupler: Decoupler, data: LabelledData) -> dict[str, ForceErrors]:

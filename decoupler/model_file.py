@@ -104,11 +104,7 @@ def require_same_sensor(decoupler: Decoupler, data: LabelledData, model: Path, d
 
 def _design_differences(model: SensorDesign, data: SensorDesign) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
-    return [
-        f"{name}: model {ours[name]:.10g}, data {theirs[name]:.10g}"
-        for name in ours
-        if ours[name] != theirs[name]
-    ]
+    return [f"{name}: model {ours[name]:.10g}, data {theirs[name]:.10g}" for name in ours if ours[name] != theirs[name]]
 
 
 def _flat(table: dict[str, Any], group: str = "") -> dict[str, float]:

@@ -40,9 +40,7 @@ def projected(samples: Samples, hidden: Tensor, ridge: float) -> Point:
     return Point(hidden, output, cost, squares / residual.numel())
 
 
-def train_varpro(
-    samples: Samples, hidden: Tensor, config: TrainingConfig, progress: Progress
-) -> tuple[Point, Outcome]:
+def train_varpro(samples: Samples, hidden: Tensor, config: TrainingConfig, progress: Progress) -> tuple[Point, Outcome]:
     """Train from the given hidden weights.
 
     Notes

@@ -1,8 +1,8 @@
 """From a meshed sensor to its response.
 
-In: a design and its mesh. Out: the influence matrix of the array (`ArrayResponse`): displacement of every upper electrode
-per newton on every pad, along each axis. Open `response.py` first, then `elasticity.py` (the equations), `assembly.py` (the
-matrices), `patch.py` (loads and electrodes) and `linear_solver.py`.
+In: a design and its mesh. Out: the influence matrix of the array (`ArrayResponse`), the displacement of every upper
+electrode per newton on every pad, along each axis. Open `response.py` first, then `elasticity.py` (the equations),
+`assembly.py` (the matrices), `patch.py` (loads and electrodes) and `linear_solver.py`.
 """
 
 from fem.elasticity import ElasticBody, displacement_form, taylor_hood

@@ -1,8 +1,8 @@
 """Element matrices by one vectorised contraction, on scikit-fem's bases and mappings.
 
-scikit-fem's stock vector forms evaluate each pair of the 30 displacement functions of a P2 tetrahedron in turn. Here the
-scalar gradient products G[a i, b j] = ∫ ∂ᵢφₐ ∂ⱼφ_b dx of all elements come from one batched matrix product, and every
-elastic block is a combination of them.
+scikit-fem's stock vector forms evaluate each pair of the 30 displacement functions of a P2 tetrahedron in turn. Here
+the scalar gradient products D[a i, b j] = ∫ ∂ᵢφₐ ∂ⱼφ_b dx of all elements come from one batched matrix product, and
+every elastic block is a combination of them.
 """
 
 import numpy as np
@@ -80,8 +80,8 @@ class SparsePattern:
 
     def fill(self, element_values: FloatArray) -> FloatArray:
         """Sum of the element values (n_elements, n_rows, n_cols) in each entry of the pattern, shape (nnz,)."""
-        sums: FloatArray = np.bincount(self._entry, weights=element_values.ravel(), minlength=len(self.rows))
-        return sums
+        sums = np.bincount(self._entry, weights=element_values.ravel(), minlength=len(self.rows))
+        return sums.astype(np.float64, copy=False)  # they are already; numpy's type stubs do not know
 
     def matrix(self, element_values: FloatArray) -> sp.csr_matrix:
         """The global matrix of the element values (n_elements, n_rows, n_cols)."""

@@ -5,8 +5,8 @@ Find u, vanishing on the base, and p with
     ∫ 2μ ε(u):ε(v) + ∫ p div v = ∫ t·v      for all v,
     ∫ div u q − ∫ p q / λ      = 0           for all q,
 
-so that p → λ div u. Displacement-only elements of low order lock as λ/μ grows (50 at ν = 0.49); this pair does not, for any
-ν up to the incompressible limit. The matrix is symmetric and quasi-definite: no pivoting is needed to factor it.
+so that p → λ div u. Displacement-only elements of low order lock as λ/μ grows (49 at ν = 0.49); this pair does not,
+for any ν up to the incompressible limit. The matrix is symmetric and quasi-definite, so factoring it needs no pivoting.
 """
 
 from dataclasses import dataclass
@@ -107,15 +107,10 @@ def displacement_form(
     return ElasticBody(basis=basis, matrix=A[free][:, free].tocsr(), free=free, n_pressure=0)
 
 
-def _lame(
-    material: list[Material], region: IntArray, at_least_poisson: float = 0.0
-) -> tuple[FloatArray, FloatArray]:
+def _lame(material: list[Material], region: IntArray, at_least_poisson: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
     table = np.array(
-        [
-            Material(young_mpa=m.young_mpa, poisson=max(m.poisson, at_least_poisson)).lame_mpa
-            for m in material
-        ]
+        [Material(young_mpa=m.young_mpa, poisson=max(m.poisson, at_least_poisson)).lame_mpa for m in material]
     )
     return table[region, 0], table[region, 1]
 

@@ -1,7 +1,5 @@
 """The displacement of the whole body under given loads: for pictures; no dataset needs it."""
 
-import numpy as np
-
 from fem.linear_solver import checked_solve, factorized
 from fem.response import elastic_body, patch_means
 from geometry.design import SensorDesign

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +102,10 @@ def _pad_outlines(design: SensorDesign, traction_mpa: FloatArray) -> pv.PolyData
     for (x0, y0, x1, y1), share in zip(pad_squares(design), size / max(size.max(), 1e-300), strict=True):
         steps = np.linspace(0.0, 1.0, 9)[:-1, None]
         around = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
-        points = np.vstack([a + steps * (b - a) for a, b in zip(around[:-1], around[1:], strict=True)])
-        outline = pv.lines_from_points(np.column_stack([points, np.full(len(points), design.unit.height_mm)]), close=True)
+        points = np.vstack([a + steps * (b - a) for a, b in pairwise(around)])
+        outline = pv.lines_from_points(
+            np.column_stack([points, np.full(len(points), design.unit.height_mm)]), close=True
+        )
         outline.point_data["pressure"] = np.full(outline.n_points, share)
         outlines.append(outline)
     return pv.merge(outlines, merge_points=False)

@@ -1,7 +1,7 @@
 """Factor once, solve for many right-hand sides, and check every answer.
 
-`factorized(matrix)` picks the solver: MKL PARDISO where its wheel is installed (x86-64), SuperLU of scipy elsewhere. Both
-give the same object: a function from right-hand sides to solutions.
+`factorized(matrix)` picks the solver: MKL PARDISO where its wheel is installed (x86-64), SuperLU of scipy elsewhere.
+Both give the same object: a function from right-hand sides to solutions.
 """
 
 from collections.abc import Callable
@@ -95,7 +95,9 @@ def _pardiso(matrix: sp.csr_matrix) -> Solve:
 def _superlu(matrix: sp.csr_matrix) -> Solve:
     try:
         # symmetric mode keeps the fill of a symmetric ordering; quasi-definite matrices need no pivoting
-        factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = splu(
+            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
     except RuntimeError as error:
         raise SolverError(f"{matrix.shape[0]} unknowns could not be factored: {error}") from None
     return factor.solve

@@ -51,8 +51,9 @@ def array_response(
 ) -> tuple[ArrayResponse, Path, bool]:
     """Response of a sensor, from the cache if it is there.
 
-    `progress` is called as each step begins: mesh, assemble, factor, and solve once a row of pads. Returns the response,
-    its file, and whether it was there already. Only what bends the body counts: another resistivity finds the same file.
+    `progress` is called as each step begins: mesh, assemble, factor, and solve once a row of pads. Returns the
+    response, its file, and whether it was there already. Only what bends the body counts: another resistivity finds the
+    same file.
 
     Raises
     ------
@@ -138,8 +139,6 @@ def patch_means(body: ElasticBody, rectangles: FloatArray) -> sp.csr_matrix:
     area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
     means = sp.diags_array(1 / area_mm2) @ patch_integrals(body.basis, rectangles)
     return sp.kron(means, sp.eye_array(3), format="csr")
-
-
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:

@@ -94,9 +94,7 @@ class Info:
 
     def __post_init__(self) -> None:
         _require_whole(self, protocol=(PROTOCOL, PROTOCOL), rows=(1, _BYTE), cols=(1, _BYTE), bits=(8, 16))
-        _require_whole(
-            self, rate_hz=(1, _SHORT), serial=(0, _WORD), sense_ohm=(1, _WORD), vref_mv=(1, _SHORT)
-        )
+        _require_whole(self, rate_hz=(1, _SHORT), serial=(0, _WORD), sense_ohm=(1, _WORD), vref_mv=(1, _SHORT))
         if self.n_crossings > _MAX_COUNT:
             raise FrameError(
                 f"rows={self.rows}, cols={self.cols} make {self.n_crossings} crossings; "

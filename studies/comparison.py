@@ -34,9 +34,7 @@ class Comparison:
     entries: list[Entry]
 
 
-def compare(
-    protocol: str, training: LabelledData, test: LabelledData, models: dict[str, Decoupler]
-) -> Comparison:
+def compare(protocol: str, training: LabelledData, test: LabelledData, models: dict[str, Decoupler]) -> Comparison:
     """Errors of networks and of the two marks they must beat: eq. 8, and least squares on √R."""
     component = next(iter(models.values())).component
     narrow = min(model.network.hidden for model in models.values() if model.network.net == "plain")

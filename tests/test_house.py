@@ -56,6 +56,9 @@ def test_help_loads_nothing_heavy(command):
 
 
 def test_training_and_replay_load_no_cad_and_no_mesher():
-    code = "import sys, decoupler.training, hardware\nprint(*[n for n in ('build123d', 'skfem', 'pyvista') if n in sys.modules])"
+    code = (
+        "import sys, decoupler.training, hardware\n"
+        "print(*[name for name in ('build123d', 'skfem', 'pyvista') if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == ""

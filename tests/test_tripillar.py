@@ -27,7 +27,9 @@ class House:
 
     def tripillar(self, *words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "tripillar", *words]
-        return subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False)
+        return subprocess.run(
+            command, capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False
+        )
 
     def result(self, *words: str) -> dict:
         """What a command that must succeed prints as JSON."""

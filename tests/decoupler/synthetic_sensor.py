@@ -40,9 +40,7 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Labe
         force_n[..., AXES.index(axis)] = generator.uniform(*_RANGE_N[axis], (n_samples, rows * cols))
     centres = unit_centres(design)
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
-    neighbour = np.where(
-        distance == 0, 1.0, -0.15 * np.exp(1.0 - distance)
-    )  # incompressible: neighbours bulge
+    neighbour = np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
     pushed = force_n * [1.0, 1.0, -1.0]  # compression moves electrodes along −z
     displacement_mm = np.einsum("kl,eij,nlj->nkei", neighbour, _OWN, pushed)
     length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)

@@ -28,9 +28,7 @@ def test_a_pillar_alone_follows_hooke():
     assert force.item() == pytest.approx(6.1 * 4 * 0.1, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("axis", "displacement_mm"), [("x", [0.5, 0, 0]), ("y", [0, 0.5, 0]), ("z", [0, 0, -0.5])]
-)
+@pytest.mark.parametrize(("axis", "displacement_mm"), [("x", [0.5, 0, 0]), ("y", [0, 0.5, 0]), ("z", [0, 0, -0.5])])
 def test_a_positive_force_is_positive(axis, displacement_mm):
     """Fx and Fy along their axes, Fz in compression: each moves its electrodes that way."""
     assert hooke_forces(resistances(displacement_mm), DESIGN, component_named(f"f{axis}")).item() > 0
@@ -51,9 +49,7 @@ def test_least_squares_is_exact_where_force_is_linear_in_root_resistance():
     force_n[..., 2] = (root @ generator.standard_normal((6, 6)) + 7.0).reshape(60, 2, 3)
     train, test = split(replace(data, force_n=force_n), 40)
     forces = LeastSquares.fitted(train, component_named("fz")).forces(test.resistance_ohm)
-    np.testing.assert_allclose(
-        forces[..., 0], test.force_n[..., 2], rtol=1e-8
-    )  # of a matrix of condition 1e4
+    np.testing.assert_allclose(forces[..., 0], test.force_n[..., 2], rtol=1e-8)  # of a matrix of condition 1e4
 
 
 def test_least_squares_takes_fewer_samples_than_unknowns():

@@ -52,9 +52,7 @@ def test_the_first_bad_resistance_is_named(value):
     decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     R = DATA.resistance_ohm.copy()
     R[4:, 1, 2, 0] = value
-    with pytest.raises(
-        SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"
-    ):
+    with pytest.raises(SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"):
         decoupler.forces(R)
 
 

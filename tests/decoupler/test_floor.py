@@ -20,9 +20,7 @@ def test_low_dimensional_loads_pass_a_narrow_net():
     """Forces made of three patterns have no floor from width 3 on, and one below."""
     generator = np.random.default_rng(0)
     force_n = np.zeros((50, 2, 3, 3))
-    force_n[..., 2] = 100 + (generator.standard_normal((50, 3)) @ generator.standard_normal((3, 6))).reshape(
-        50, 2, 3
-    )
+    force_n[..., 2] = 100 + (generator.standard_normal((50, 3)) @ generator.standard_normal((3, 6))).reshape(50, 2, 3)
     assert pca_floor(force_n, FZ, 3).rmse_n < 1e-12
     assert pca_floor(force_n, FZ, 2).rmse_n > 0.1
 

@@ -75,9 +75,7 @@ def test_singular_matrix_gives_no_step():
     """Without damping a constant input doubles the bias: no step rather than a wild one."""
     inputs = torch.ones(10, 1, dtype=torch.float64)
     samples = Samples(inputs, inputs, skip=True)
-    blocks = GaussNewton(
-        samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64)
-    )
+    blocks = GaussNewton(samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64))
     assert blocks.step(0.0) is None
 
 
@@ -88,9 +86,7 @@ def test_variable_projection_has_the_exact_gradient(problem):
     point = projected(samples, hidden, ridge)
     variable = hidden.clone().requires_grad_()
     A = samples.activations(variable)
-    output = torch.linalg.solve(
-        A.T @ A + ridge * torch.eye(A.shape[1], dtype=torch.float64), A.T @ samples.targets
-    )
+    output = torch.linalg.solve(A.T @ A + ridge * torch.eye(A.shape[1], dtype=torch.float64), A.T @ samples.targets)
     cost = 0.5 * ((A @ output - samples.targets) ** 2).sum() + 0.5 * ridge * (output**2).sum()
     cost.backward()
     assert point.cost == pytest.approx(cost.item(), rel=1e-12)

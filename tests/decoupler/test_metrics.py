@@ -38,9 +38,7 @@ def test_each_axis_is_measured_by_itself():
     """An error on Fy of every unit shows under fy and nowhere else."""
     data = labelled(sensor(2, 3), "xyz", n_samples=4, seed=0)
     errors = component_errors(data.force_n + np.array([0.0, 2.0, 0.0]), data, component_named("all"))
-    assert {name: value.rmse_n for name, value in errors.items()} == pytest.approx(
-        {"fx": 0, "fy": 2, "fz": 0}
-    )
+    assert {name: value.rmse_n for name, value in errors.items()} == pytest.approx({"fx": 0, "fy": 2, "fz": 0})
 
 
 def test_a_force_that_is_no_number_is_named():

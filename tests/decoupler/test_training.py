@@ -39,9 +39,7 @@ def test_second_order_trainers_reach_the_goal(trainer, net):
 
 def test_momentum_rule_learns():
     """It creeps, but ends well below the spread of the forces (scaled variance 1/3)."""
-    _, history = train(
-        TRAIN, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer="momentum", max_iterations=400)
-    )
+    _, history = train(TRAIN, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer="momentum", max_iterations=400))
     assert history.reason == "iterations"
     assert history.mse < 0.02
 
@@ -49,9 +47,7 @@ def test_momentum_rule_learns():
 @pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
 def test_reported_error_is_that_of_the_model(trainer):
     """Found again from forces in newtons; 1e-6 is for the rounding of the scaling."""
-    decoupler, history = train(
-        TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5)
-    )
+    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5))
     error_n = decoupler.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
     scaled = error_n.reshape(len(error_n), -1) / decoupler.output_scaling.half_range
     assert np.mean(scaled**2) == pytest.approx(history.mse, rel=1e-6)

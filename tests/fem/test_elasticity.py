@@ -162,9 +162,7 @@ def test_linear_tetrahedra_lock_and_the_mixed_form_does_not():
     """
     fine = {nu: _pressed_block("mixed", nu, 8) for nu in (0.3, 0.4999)}
     assert abs(_pressed_block("P2", 0.3, 8) / fine[0.3] - 1) < 0.01  # two routes on one mesh: its own error, near 1 %
-    error = {
-        (form, nu): abs(_pressed_block(form, nu, 4) / fine[nu] - 1) for form in ("mixed", "P1") for nu in fine
-    }
+    error = {(form, nu): abs(_pressed_block(form, nu, 4) / fine[nu] - 1) for form in ("mixed", "P1") for nu in fine}
     assert error["P1", 0.4999] > 2 * error["P1", 0.3]  # from a quarter to more than half of the answer
     assert error["P1", 0.4999] > 0.5
     assert error["mixed", 0.4999] < 1.2 * error["mixed", 0.3]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.linear_solver import checked_solve, factorized
 from fem.response import (
     array_response,
     elastic_body,
@@ -14,7 +15,6 @@ from fem.response import (
     solve_response,
     write_response,
 )
-from fem.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import FileFormatError
 from geometry.layout import pad_squares

@@ -64,16 +64,12 @@ def union_volume(unit: Unit) -> float:
 
 
 def test_pillar_volume_is_section_times_length(design):
-    assert [p.volume for p in pillar_solids(design.unit)] == pytest.approx(
-        pillar_volumes(design.unit), rel=EXACT
-    )
+    assert [p.volume for p in pillar_solids(design.unit)] == pytest.approx(pillar_volumes(design.unit), rel=EXACT)
 
 
 def test_pillars_end_flush_on_the_centres_of_their_electrodes(design):
     for pillar, ends in zip(pillar_solids(design.unit), pillar_ends(design.unit), strict=True):
-        flat = sorted(
-            (f for f in pillar.faces() if abs(f.normal_at().Z) > 1 - 1e-12), key=lambda f: f.center().Z
-        )
+        flat = sorted((f for f in pillar.faces() if abs(f.normal_at().Z) > 1 - 1e-12), key=lambda f: f.center().Z)
         assert [tuple(face.center()) for face in flat] == [pytest.approx(end, abs=EXACT) for end in ends]
 
 
@@ -86,9 +82,7 @@ def test_section_perpendicular_to_the_axis_is_a_square_of_the_pillars_width(desi
         # each side lies half a width from the axis, and square to or opposite each other side
         distances = [n @ (np.array(tuple(f.center())) - bottom) for n, f in zip(normals, sides, strict=True)]
         assert distances == pytest.approx([design.unit.pillar_width_mm / 2] * 4, abs=EXACT)
-        assert np.sort(normals @ normals.T, axis=1) == pytest.approx(
-            np.tile([-1, 0, 0, 1], (4, 1)), abs=EXACT
-        )
+        assert np.sort(normals @ normals.T, axis=1) == pytest.approx(np.tile([-1, 0, 0, 1], (4, 1)), abs=EXACT)
 
 
 def test_unit_volume_by_closed_form_and_by_sections(design):
@@ -105,16 +99,12 @@ def test_unit_is_one_valid_body_that_spans_its_footprint(design):
     assert solid.is_valid
     assert len(solid.solids()) == 1
     reach = (unit.span_mm + unit.oblique_width_mm) / 2
-    assert bounds(solid) == pytest.approx(
-        np.array([[-reach, -reach, 0], [reach, reach, unit.height_mm]]), abs=1e-6
-    )
+    assert bounds(solid) == pytest.approx(np.array([[-reach, -reach, 0], [reach, reach, unit.height_mm]]), abs=1e-6)
 
 
 def test_array_is_a_unit_at_every_centre(design):
     units = array_solid(design).solids()
-    assert [u.volume for u in units] == pytest.approx(
-        [unit_solid(design.unit).volume] * design.n_units, rel=EXACT
-    )
+    assert [u.volume for u in units] == pytest.approx([unit_solid(design.unit).volume] * design.n_units, rel=EXACT)
     one = bounds(unit_solid(design.unit))
     for unit, centre in zip(units, unit_centres(design), strict=True):
         assert bounds(unit) == pytest.approx(one + np.append(centre, 0.0), abs=1e-6)
@@ -132,9 +122,7 @@ def test_matrix_is_the_slab_without_the_pillars(design):
     assert bounds(matrix) == pytest.approx(np.array([[-x / 2, -y / 2, 0], [x / 2, y / 2, h]]), abs=1e-6)
     assert matrix.is_valid
     assert len(matrix.solids()) == 1
-    assert matrix.volume == pytest.approx(
-        slab.volume - design.n_units * unit_solid(design.unit).volume, rel=EXACT
-    )
+    assert matrix.volume == pytest.approx(slab.volume - design.n_units * unit_solid(design.unit).volume, rel=EXACT)
     assert all(face.geom_type == GeomType.PLANE for face in matrix.faces())
 
 

@@ -124,9 +124,7 @@ def test_pitch_below_the_unit_is_refused_with_the_least_allowed():
     assert SensorDesign(array=Array(pitch_mm=least)).array.pitch_mm == least  # pillars of two units may touch
 
 
-@pytest.mark.parametrize(
-    "pad", [Pad(size_mm=15.1), Pad(offset_x_mm=1.6), Pad(offset_x_mm=-1.6), Pad(offset_y_mm=1.6)]
-)
+@pytest.mark.parametrize("pad", [Pad(size_mm=15.1), Pad(offset_x_mm=1.6), Pad(offset_x_mm=-1.6), Pad(offset_y_mm=1.6)])
 def test_overlapping_pads_are_refused(pad):
     message = refusal(SensorDesign, pad=pad)
     assert message.startswith(f"pad size_mm={pad.size_mm:g}")

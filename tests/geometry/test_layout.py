@@ -34,9 +34,7 @@ def test_papers_unit():
     """U1 and U2 over L1's row; z stands from L1 to U1, x leans from L2 to U1, y from L1 to U2."""
     U1, U2, L1, L2 = (-5.0, -5.0, 10.0), (-5.0, 5.0, 10.0), (-5.0, -5.0, 0.0), (5.0, -5.0, 0.0)
     assert upper_electrodes(Unit()).tolist() == [list(U1), list(U2)]
-    assert pillar_ends(Unit()).tolist() == [
-        [list(bottom), list(top)] for bottom, top in ((L1, U1), (L2, U1), (L1, U2))
-    ]
+    assert pillar_ends(Unit()).tolist() == [[list(bottom), list(top)] for bottom, top in ((L1, U1), (L2, U1), (L1, U2))]
     oblique = 10 * np.sqrt(2)
     assert rest_lengths(Unit()) == pytest.approx([10.0, oblique, oblique], rel=EXACT)
     assert pillar_volumes(Unit()) == pytest.approx([40.0, 4 * oblique, 4 * oblique], rel=EXACT)
@@ -75,9 +73,7 @@ def test_electrodes_are_unit_major_squares_over_the_pillars_tops():
 
 
 def test_pads_are_squares_about_their_offset():
-    design = SensorDesign(
-        array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0)
-    )
+    design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0))
     assert pad_squares(design).tolist() == [[-14.5, 0.0, -10.5, 4.0], [0.5, 0.0, 4.5, 4.0]]
 
 

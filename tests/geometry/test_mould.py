@@ -45,9 +45,7 @@ def test_closed_mould_without_clearance_leaves_room_for_the_units_and_nothing_el
     parts = mould_solids(small_design, Mould(wall_mm=4.0, plate_mm=2.5, clearance_mm=0.0))
     unit, n, h = small_design.unit, small_design.n_units, small_design.unit.height_mm
     block = rim_area(small_design) * (h + 2 * MOULD.plate_mm)
-    openings = (
-        n * MOULD.plate_mm * (2 * unit.pillar_width_mm**2 + ((unit.span_mm - unit.pillar_width_mm) / 2) ** 2)
-    )
+    openings = n * MOULD.plate_mm * (2 * unit.pillar_width_mm**2 + ((unit.span_mm - unit.pillar_width_mm) / 2) ** 2)
     rubber = block - openings - parts["mould_pillars"].volume - parts["mould_lid"].volume
     assert rubber == pytest.approx(array_solid(small_design).volume, rel=EXACT)
 
@@ -66,11 +64,7 @@ def test_lid_is_open_over_upper_electrodes_and_at_the_centre_of_every_unit(desig
     boxes = [wire.bounding_box(optimal=True) for wire in lid_top.inner_wires()]
     openings = [(b.center().X, b.center().Y, b.size.X, b.size.Y) for b in boxes]
     w, room = design.unit.pillar_width_mm, design.unit.span_mm - design.unit.pillar_width_mm
-    vents = [
-        (*(centre + top[:2]), w, w)
-        for centre in unit_centres(design)
-        for top in upper_electrodes(design.unit)
-    ]
+    vents = [(*(centre + top[:2]), w, w) for centre in unit_centres(design) for top in upper_electrodes(design.unit)]
     windows = [(*centre, room / 2, room / 2) for centre in unit_centres(design)]
     found, expected = (sorted(np.round(o, 6).tolist()) for o in (openings, vents + windows))
     assert found == expected

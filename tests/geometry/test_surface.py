@@ -33,9 +33,7 @@ def test_surfaces_enclose_what_their_solids_do(design):
     ):
         surface = surface_from_solid(solid)
         check_surface(surface, solid.volume, "body")
-        assert surface.volume_mm3 == pytest.approx(
-            solid.volume, rel=1e-12
-        )  # flat faces: exact but for rounding
+        assert surface.volume_mm3 == pytest.approx(solid.volume, rel=1e-12)  # flat faces: exact but for rounding
 
 
 def test_surfaces_have_the_topology_of_their_solids(design):
@@ -91,9 +89,7 @@ def test_triangle_without_area_is_refused(unit_surface, volume_mm3):
         check_surface(replace(unit_surface, vertices=vertices), volume_mm3, "unit")
 
 
-@pytest.mark.parametrize(
-    "factor", [1 + 1e-6, 1 - 1e-6, np.nan]
-)  # a volume three times as far off as is allowed
+@pytest.mark.parametrize("factor", [1 + 1e-6, 1 - 1e-6, np.nan])  # a volume three times as far off as is allowed
 def test_surface_of_another_size_is_refused(unit_surface, volume_mm3, factor):
     broken = replace(unit_surface, vertices=unit_surface.vertices * factor)
     with pytest.raises(GeometryError, match=r"encloses .* mm³, its solid 141.823376 mm³"):

@@ -133,9 +133,7 @@ def test_bit_flips_at_one_in_ten_thousand():
     assert is_subsequence(received, wires)
     hit = flips.reshape(15_000, 232).astype(bool)
     unhurt = ~hit.any(axis=1) & ~np.roll(hit[:, -1], 1)  # nor the delimiter before it
-    assert is_subsequence(
-        [wire for wire, is_unhurt in zip(wires, unhurt, strict=True) if is_unhurt], received
-    )
+    assert is_subsequence([wire for wire, is_unhurt in zip(wires, unhurt, strict=True) if is_unhurt], received)
     n_sent_between = wires.index(received[-1]) - wires.index(received[0]) + 1
     assert decoder.statistics.lost == n_sent_between - len(received) > 2000
     assert decoder.statistics.restarts == 0

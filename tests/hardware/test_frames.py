@@ -39,9 +39,7 @@ def read_by_table(packed, heading, n=0):
     fields = {}
     for name, (offset, size, kind) in table(heading).items():
         start, width = at(offset, n), int(kind.split("u")[-1]) // 8
-        numbers = [
-            int.from_bytes(packed[k : k + width], "little") for k in range(start, start + at(size, n), width)
-        ]
+        numbers = [int.from_bytes(packed[k : k + width], "little") for k in range(start, start + at(size, n), width)]
         fields[name] = numbers[0] if kind[0] == "u" and name != "counts" else numbers
     return fields
 

@@ -43,9 +43,7 @@ def test_what_was_written_is_read(tmp_path):
 def test_time_runs_on_through_the_clocks_rollover():
     """The board's clock restarts from 0 every 2³² µs, 71.6 min; 5 ms a frame all the same."""
     recording = parse_recording(a_recording(6, first_us=2**32 - 12_000))
-    assert np.diff(recording.time_s) == pytest.approx(
-        np.full(5, 0.005), abs=1e-9
-    )  # µs exact, float64 to spare
+    assert np.diff(recording.time_s) == pytest.approx(np.full(5, 0.005), abs=1e-9)  # µs exact, float64 to spare
     assert recording.time_s[0] == pytest.approx(2**32 * 1e-6 - 0.012)
     assert recording.statistics.restarts == 0
 

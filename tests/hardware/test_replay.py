@@ -98,9 +98,7 @@ def test_a_damaged_frame_is_left_out_and_its_neighbours_keep_their_time():
 
 def test_a_model_of_another_array_is_refused():
     recording = parse_recording(recording_from_resistances(resistances_of(2), INFO))
-    with pytest.raises(
-        FileFormatError, match=r"recording is of 2 × 3 units, the model of 6 × 6: replay with a model"
-    ):
+    with pytest.raises(FileFormatError, match=r"recording is of 2 × 3 units, the model of 6 × 6: replay with a model"):
         replay(recording, RootModel(6, 6))
 
 

@@ -32,9 +32,7 @@ def test_order_of_a_1_by_2_array_is_the_hand_written_one():
 
 
 def test_page_lists_the_same_order():
-    listed = re.findall(
-        r"^\| (\d) \| (\d) \| (\d) \| (\d) \| (\d) \| ([xyz]) \|$", PAGE.read_text(), re.MULTILINE
-    )
+    listed = re.findall(r"^\| (\d) \| (\d) \| (\d) \| (\d) \| (\d) \| ([xyz]) \|$", PAGE.read_text(), re.MULTILINE)
     assert [(*map(int, line[1:5]), line[5]) for line in listed] == ONE_BY_TWO
 
 
