@@ -13,6 +13,7 @@ from geometry.mesh import (
     REGIONS,
     MeshSettings,
     TetMesh,
+    _stdout_to_stderr,
     boundary_faces,
     cell_volumes,
     check_volumes,
@@ -153,6 +154,14 @@ def test_remeshing_keeps_the_volume_and_leaves_no_trace(tmp_path, monkeypatch, c
     assert list(cache.iterdir()) == [path]
     assert Path.cwd() == here
     assert capfd.readouterr().out == ""
+
+
+def test_what_compiled_code_prints_goes_to_stderr(capfd):
+    """Stdout belongs to results. The mesher is silent in these meshes, so its guard is tried by hand."""
+    with _stdout_to_stderr():
+        os.write(1, b"noise")
+    os.write(1, b"result")
+    assert capfd.readouterr() == ("result", "noise")
 
 
 def cube(tets: int = 5) -> TetMesh:
