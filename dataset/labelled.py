@@ -128,9 +128,7 @@ def file_recipe(path: Path) -> str | None:
 
 def _numbers(path: Path, name: str, values: np.ndarray) -> FloatArray:
     if values.dtype.kind not in "fiu":
-        raise FileFormatError(
-            f"{path}: {name} is of type {values.dtype}, expected numbers: store it as float64."
-        )
+        raise FileFormatError(f"{path}: {name} is of type {values.dtype}, expected numbers: store it as float64.")
     if not values.size:
         raise FileFormatError(f"{path}: {name} is empty, expected at least one sample of one unit.")
     return values.astype(np.float64, copy=False)

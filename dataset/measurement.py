@@ -13,9 +13,7 @@ from geometry.layout import FloatArray
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
 
-def counts_from_resistance(
-    resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM
-) -> NDArray[np.int64]:
+def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:
     """Counts that a `bits`-bit converter reads for each resistance; any shape.
 
     >>> counts_from_resistance(np.array([0.0, 10_000.0]), bits=10)
@@ -33,9 +31,7 @@ def resistance_from_counts(counts: NDArray[np.int64], bits: int, sense_ohm: floa
         return sense_ohm * ((2**bits - 1) / np.asarray(counts, dtype=np.float64) - 1.0)
 
 
-def measured(
-    resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator
-) -> FloatArray:
+def measured(resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator) -> FloatArray:
     """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then converter steps.
 
     ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number a

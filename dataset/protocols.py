@@ -112,11 +112,7 @@ PROTOCOLS = {
     "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), _independent_fz),
     "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), _independent_fx),
     "contact-fz": Protocol("1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), _contact_fz),
-    "contact-fx": Protocol(
-        "1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx
-    ),
+    "contact-fx": Protocol("1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx),
     "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
-    "three-axis": Protocol(
-        "every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis
-    ),
+    "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
 }

@@ -31,9 +31,7 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     return np.sqrt(np.einsum("...k,...k->...", along, along))
 
 
-def pillar_resistances(
-    length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float
-) -> FloatArray:
+def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
     """Resistance of conductive pillars that keep their volume as they deform.
 
     Parameters

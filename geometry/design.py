@@ -24,12 +24,8 @@ def require_numbers(values: Any) -> None:
             raise DesignError(f"{spec.name}={value!r} must be a whole number; {spec.metadata['meaning']}.")
         if spec.type is float:
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            if (
-                not number or not abs(value) <= sys.float_info.max
-            ):  # so that NaN and endless integers are refused
-                raise DesignError(
-                    f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}."
-                )
+            if not number or not abs(value) <= sys.float_info.max:  # so that NaN and endless integers are refused
+                raise DesignError(f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}.")
             object.__setattr__(values, spec.name, float(value))
 
 
@@ -124,9 +120,7 @@ class Material:
 class SensorDesign:
     """Everything that defines a sensor; the default is the paper's."""
 
-    resistivity_ohm_mm: float = quantity(
-        4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ"
-    )
+    resistivity_ohm_mm: float = quantity(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
     unit: Unit = field(
         default_factory=Unit,
         metadata={"meaning": "one sensing unit: three pillars between four electrodes"},

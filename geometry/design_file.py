@@ -74,9 +74,7 @@ def read_design(path: Path) -> SensorDesign:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DesignError(
-            f"{path}: cannot be read as text: {error}; write one with 'tripillar design'."
-        ) from None
+        raise DesignError(f"{path}: cannot be read as text: {error}; write one with 'tripillar design'.") from None
     return design_from_toml(text, str(path))
 
 

@@ -248,9 +248,7 @@ def read_mesh(path: Path) -> TetMesh:
     except (KeyError, ValueError, AttributeError, RuntimeError) as error:
         if isinstance(error, FileFormatError):
             raise
-        raise FileFormatError(
-            f"{path}: truncated or not a mesh of this program; delete it to mesh again."
-        ) from None
+        raise FileFormatError(f"{path}: truncated or not a mesh of this program; delete it to mesh again.") from None
 
 
 @contextmanager

@@ -22,9 +22,7 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from build123d import Shape
 
-CHORD_MM = (
-    1e-3  #: how far a triangle may leave a curved face; the bodies drawn here are flat-faced, so none does
-)
+CHORD_MM = 1e-3  #: how far a triangle may leave a curved face; the bodies drawn here are flat-faced, so none does
 COINCIDENT_MM = 1e-7  #: points closer than this are one point: the CAD kernel's own precision
 VOLUME_TOLERANCE = 1e-6  #: relative; see `check_surface`
 
@@ -89,9 +87,7 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
     body = _as_trimesh(surface)
     corners = surface.vertices[surface.triangles]
     edges_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    flat = 2 * body.area_faces <= COINCIDENT_MM * edges_mm.max(
-        axis=1
-    )  # its least height is 2·area / longest edge
+    flat = 2 * body.area_faces <= COINCIDENT_MM * edges_mm.max(axis=1)  # its least height is 2·area / longest edge
     if flat.any():
         raise GeometryError(
             f"surface '{name}': {flat.sum()} of {len(flat)} triangles have no area (first: {flat.argmax()}): "
@@ -109,9 +105,7 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
             "out; turn them over."
         )
     if body.volume < 0:
-        raise GeometryError(
-            f"surface '{name}' faces inward (volume {body.volume:g} mm³): turn its triangles over."
-        )
+        raise GeometryError(f"surface '{name}' faces inward (volume {body.volume:g} mm³): turn its triangles over.")
     if not abs(body.volume - expected_volume_mm3) <= VOLUME_TOLERANCE * expected_volume_mm3:
         raise GeometryError(
             f"surface '{name}' encloses {body.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³, "
