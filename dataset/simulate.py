@@ -4,7 +4,9 @@ Samples are drawn in blocks, each with random generators of its own. So a sample
 number alone, not on how many are made with it, and a dataset can be extended without changing what it holds.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -51,9 +53,7 @@ class DatasetSettings:
         if not 0 < self.cap < 1:
             raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
         if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
-            raise DesignError(
-                f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance."
-            )
+            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
         if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
             raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
 
@@ -90,14 +90,21 @@ def simulate(
         "length_mm": np.empty((n, design.n_units, 3)),
         "resistance_ohm": np.empty((n, design.n_units, 3)),
     }
+    starts = range(0, n, BLOCK)
+
+    def fill(start: int) -> tuple[int, int]:
+        """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
+        kept = min(BLOCK, n - start)
+        block, redrawn = _block(response, settings, start // BLOCK)
+        for name, values in block.items():
+            arrays[name][start : start + kept] = values[:kept]
+        return kept, int(redrawn[:kept].sum())
+
     redrawn = 0
-    with threadpool_limits(1, "blas"):  # a block's matrix product is too small to share between threads
-        for number, start in enumerate(range(0, n, BLOCK)):
-            kept = min(BLOCK, n - start)
-            block, tries = _block(response, settings, number)
-            for name, values in block.items():
-                arrays[name][start : start + kept] = values[:kept]
-            redrawn += int(tries[:kept].sum())
+    # a block's matrix product is too small for two BLAS threads to share; two blocks side by side are not
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
+        for kept, again in pool.map(fill, starts):
+            redrawn += again
             progress(kept)
     by_unit = {name: values.reshape(n, rows, cols, *values.shape[2:]) for name, values in arrays.items()}
     return SimulatedData(
@@ -121,9 +128,7 @@ def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
     return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
 
 
-def displacements(
-    response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES
-) -> FloatArray:
+def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
     """Displacement of the upper electrodes (n, n_units, 2, 3) [mm] under tractions (n, n_units, 3) [MPa].
 
     Tractions along other axes than `axes` are known to be 0 and are skipped.
@@ -135,9 +140,7 @@ def displacements(
     return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
 
 
-def _block(
-    response: ArrayResponse, settings: DatasetSettings, number: int
-) -> tuple[dict[str, FloatArray], np.ndarray]:
+def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> tuple[dict[str, FloatArray], np.ndarray]:
     """All samples of one block by the name of their variable, and how often each was redrawn.
 
     A whole block is made even when only a part of it is wanted, so that no sample depends on how many are.
