@@ -187,6 +187,8 @@ def evaluate(
 
     decoupler, labelled = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, labelled, model, data)
+    if labelled.design is None:
+        print(f"{data} states no design that can be read: only the array's size was compared", file=sys.stderr)
     errors = errors_on(decoupler, labelled)
     if json_:
         show_json(plain(errors))

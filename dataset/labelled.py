@@ -13,7 +13,7 @@ import numpy as np
 from geometry import files
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import FileFormatError
+from geometry.errors import DesignError, FileFormatError
 from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.netcdf import read_netcdf, write_netcdf
 
@@ -68,7 +68,7 @@ class LabelledData:
 
     resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3): pillars z, x, y
     force_n: FloatArray  #: (n_samples, rows, cols, 3): axes x, y, z; Fz positive in compression
-    design: SensorDesign | None  #: None if the file does not say
+    design: SensorDesign | None  #: None if the file does not state it as a design TOML
     content_hash: str  #: of both arrays
 
 
@@ -100,8 +100,7 @@ def read_labelled(path: Path) -> LabelledData:
     _require_sane(path, "force_n", force_n, np.isfinite(force_n), "a finite number")
     sound = np.isfinite(resistance_ohm) & (resistance_ohm > 0)
     _require_sane(path, "resistance_ohm", resistance_ohm, sound, "finite and above 0")
-    text = data.attrs.get("design")
-    design = None if text is None else design_from_toml(str(text), f"{path}, attribute 'design'")
+    design = _stated_design(data.attrs.get("design"))
     if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
         raise FileFormatError(
             f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
@@ -113,6 +112,14 @@ def read_labelled(path: Path) -> LabelledData:
         design=design,
         content_hash=files.digest(force_n, resistance_ohm),
     )
+
+
+def _stated_design(text: object) -> SensorDesign | None:
+    """The design of a file's attribute; None where other hands describe it in another way."""
+    try:
+        return None if text is None else design_from_toml(str(text))
+    except DesignError:
+        return None
 
 
 def file_recipe(path: Path) -> str | None:

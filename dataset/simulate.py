@@ -23,7 +23,7 @@ from geometry.files import digest
 from geometry.layout import AXES, FloatArray, pillar_volumes, rest_lengths
 
 METHOD = 1  #: raise when the same settings give other samples
-BLOCK = 256  #: samples drawn with one generator
+BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
 MOST_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
 
@@ -150,17 +150,18 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
     displacement = np.empty((BLOCK, design.n_units, 2, 3))
     length = np.empty((BLOCK, design.n_units, 3))
     redrawn = np.zeros(BLOCK, dtype=np.int64)
-    waiting = np.arange(BLOCK)
+    waiting: slice | np.ndarray = slice(None)  # all; a slice copies nothing
     for attempt in range(MOST_ROUNDS):
         generator = np.random.default_rng([settings.seed, number, attempt])
         traction[waiting] = protocol.draw(generator, BLOCK, design)[waiting]
         displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
         length[waiting] = pillar_lengths(displacement[waiting], design.unit)
         strain = np.abs(length[waiting] / rest_lengths(design.unit) - 1.0).max(axis=(1, 2))
-        waiting = waiting[strain > settings.cap]
-        redrawn[waiting] += 1
-        if not len(waiting):
+        over = np.arange(BLOCK)[waiting][strain > settings.cap]
+        redrawn[over] += 1
+        if not len(over):
             break
+        waiting = over
     else:
         raise LoadError(
             f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in "
