@@ -18,14 +18,16 @@ import numpy as np
 
 
 def digest(*parts: Any) -> str:
-    """Hash of dataclasses, arrays and plain values, as 16 hexadecimal digits.
+    """Hash of dataclasses, arrays, bytes and plain values, as 16 hexadecimal digits.
 
     >>> digest("mesh", 1, {"edge_mm": 2.0}) == digest("mesh", 1, {"edge_mm": 2.0})
     True
     """
     sha = hashlib.sha256()
     for part in parts:
-        if isinstance(part, np.ndarray):
+        if isinstance(part, bytes):
+            sha.update(part)
+        elif isinstance(part, np.ndarray):
             sha.update(f"{part.dtype}{part.shape}".encode())
             sha.update(np.ascontiguousarray(part).tobytes())
         else:

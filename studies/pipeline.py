@@ -135,7 +135,7 @@ def _intact_files(made: Path, recipe: str) -> list[Path]:
 
 
 def _file_hash(path: Path) -> str:
-    return digest(path.read_bytes().hex())
+    return digest(path.read_bytes())
 
 
 def meshed(design: SensorDesign, bars: Bars) -> Stage:

@@ -1,8 +1,18 @@
 """What every test gets: a cache of its own, so that nothing is read from or left in the working tree."""
 
+import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis.configuration import set_hypothesis_home_dir
+
+# hypothesis starts to write while tests are still being collected, before any fixture
+_hypothesis_home = tempfile.TemporaryDirectory(prefix="hypothesis-")
+set_hypothesis_home_dir(_hypothesis_home.name)
+
+
+def pytest_unconfigure() -> None:
+    _hypothesis_home.cleanup()
 
 
 @pytest.fixture(autouse=True)

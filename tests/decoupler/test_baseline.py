@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_sensor import labelled, sensor, split
 
 from dataset import LabelledData, pillar_lengths, pillar_resistances
 from decoupler import LeastSquares, component_named, hooke_forces
 from geometry import SensorDesign
 from geometry.layout import pillar_volumes
+from tests.decoupler.synthetic_sensor import labelled, sensor, split
 
 DESIGN = SensorDesign()
 

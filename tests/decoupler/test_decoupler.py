@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 import torch
-from synthetic_sensor import labelled, sensor
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig
 from decoupler.network import Network
 from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=101, seed=0)
 FEW = TrainingConfig(max_iterations=3)

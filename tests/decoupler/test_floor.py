@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from synthetic_sensor import labelled, sensor
 
 from decoupler import component_named, pca_floor
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 FZ = component_named("fz")
 

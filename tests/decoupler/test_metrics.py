@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_sensor import labelled, sensor
 
 from decoupler import SampleError, component_errors, component_named, force_errors
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 
 def test_errors_by_hand():

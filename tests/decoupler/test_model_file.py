@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
-from synthetic_sensor import labelled, sensor
 
 from decoupler import (
     NetworkConfig,
@@ -19,6 +18,7 @@ from decoupler import (
 )
 from decoupler.training import train
 from geometry import Array, FileFormatError
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)
 NETWORK = NetworkConfig(hidden=4)

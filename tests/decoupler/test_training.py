@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic_sensor import labelled, sensor, split
 
 from decoupler import (
     LeastSquares,
@@ -19,6 +18,7 @@ from decoupler import (
     pca_floor,
 )
 from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, sensor, split
 
 SENSOR = sensor(2, 3)
 TRAIN, TEST = split(labelled(SENSOR, "x", n_samples=400, seed=0), 300)
