@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from geometry.design import SensorDesign, quantity, require_numbers, require_positive
 from geometry.errors import DesignError, FileFormatError, GeometryError
-from geometry.files import cache_folder, digest, replacing
+from geometry.files import cache_folder, digest, replacing, uninterrupted
 from geometry.layout import FloatArray, inside_pillars
 from geometry.surface import Surface, check_surface
 
@@ -153,7 +153,7 @@ def tetrahedra(
     depth = np.clip(1.0 - background.p[2] / height_mm, 0.0, 1.0)
     edge_mm = settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**settings.grading
     # the mesher prints, and drops a file where it stands
-    with _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
+    with uninterrupted(), _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
         points, cells = pytetwild.tetrahedralize(
             vertices,
             triangles.astype(np.int32),

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.errors import FileFormatError
-from geometry.files import replacing
+from geometry.files import replacing, uninterrupted
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def write_netcdf(data: "xr.Dataset", path: Path) -> None:
     """Write a dataset as NetCDF-4, whole or not at all."""
     no_fill = {name: {"_FillValue": None} for name in data.variables}
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, uninterrupted():
         data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
 
 
@@ -38,7 +38,7 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
     import xarray as xr
 
     try:
-        with xr.open_dataset(path, engine="netcdf4") as opened:
+        with uninterrupted(), xr.open_dataset(path, engine="netcdf4") as opened:
             missing = [name for name in wanted if name not in opened]
             if missing:
                 raise FileFormatError(

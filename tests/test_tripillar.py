@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import netCDF4
@@ -215,6 +217,20 @@ def test_a_nan_in_the_resistances_is_named(house, tmp_path):
         opened["resistance_ohm"][7, 0, 1, 0] = np.nan
     line = house.refusal("train", "--data", str(copy), "--component", "fz", "--out", "never.safetensors")
     assert "resistance_ohm is nan at sample 7, row 0, col 1, pillar z" in line
+
+
+def test_ctrl_c_while_a_dataset_is_written_leaves_nothing(house):
+    """The interrupt comes when the half-written file is seen; exit code 130, no file of either name, no hang."""
+    folder = house.folder / "stopped"
+    words = ["--protocol", "contact-fz", "--samples", "500000", "--out", "stopped/big.nc", "--design", "small.toml"]
+    command = [sys.executable, "-m", "tripillar", "dataset", *words, "--quiet"]
+    with subprocess.Popen(command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE) as process:
+        while process.poll() is None and not list(folder.glob(".big*")):
+            time.sleep(0.002)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert list(folder.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(house):

@@ -1,6 +1,7 @@
 """Files are written whole or not at all, and a recipe changes with whatever it is made of."""
 
 import os
+import signal
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from geometry import Array, Material, SensorDesign
-from geometry.files import cache_folder, digest, replacing
+from geometry.files import cache_folder, digest, replacing, uninterrupted
 
 
 def write_half(path: Path) -> None:
@@ -118,3 +119,19 @@ def test_cache_is_where_the_environment_says(tmp_path, monkeypatch):
     assert cache_folder() == tmp_path / "elsewhere"
     monkeypatch.delenv("TRIPILLAR_CACHE")
     assert cache_folder().parts == ("out", "cache")
+
+
+def test_an_interrupt_waits_for_the_block_and_then_comes():
+    """Ctrl-C inside the block lets it finish; afterwards it is raised, and the old handler is back."""
+    before = signal.getsignal(signal.SIGINT)
+    finished = []
+    with pytest.raises(KeyboardInterrupt), uninterrupted():  # noqa: PT012, both lines are the point
+        signal.raise_signal(signal.SIGINT)
+        finished.append(True)
+    assert finished
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_no_interrupt_means_nothing_happens():
+    with uninterrupted():
+        pass
