@@ -28,7 +28,7 @@ def comparison_table(comparisons: list[Comparison]) -> Table:
         table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}", "", "")
         for entry in comparison.entries:
             table.add_row("", entry.decoupler, *_error_cells(entry.errors))
-        floor = f"floor of any plain net of {comparison.floor_hidden} nodes"
+        floor = f"PCA floor of {comparison.floor_hidden} nodes"
         table.add_row("", floor, *_error_cells(comparison.plain_floor), style="dim", end_section=True)
     return table
 
