@@ -4,7 +4,9 @@ Results go to stdout (with --json one object), progress and messages to stderr. 
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
+import io
 import json
+import math
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -15,7 +17,7 @@ import typer
 
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, read_design, write_design
-from geometry.errors import TriPillarError
+from geometry.errors import DesignError, TriPillarError
 
 if TYPE_CHECKING:
     from decoupler.metrics import ForceErrors
@@ -187,8 +189,9 @@ def evaluate(
 
     decoupler, labelled = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, labelled, model, data)
-    if labelled.design is None:
-        print(f"{data} states no design that can be read: only the array's size was compared", file=sys.stderr)
+    for file, stated in ((data, labelled.design), (model, decoupler.design)):
+        if stated is None:
+            print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
     errors = errors_on(decoupler, labelled)
     if json_:
         show_json(plain(errors))
@@ -258,14 +261,18 @@ def view(
     quiet: QuietOption = False,
 ) -> None:
     """Draw the array deformed by a round indenter over its middle, at true scale."""
+    if save.suffix != ".png":
+        raise DesignError(f"--save {save} must end in .png.")
+    if not (math.isfinite(pressure) and 0 < pressure <= 100):
+        raise DesignError(f"--pressure {pressure:g} must be above 0 and at most 100 MPa; the paper uses 1 to 5.")
     from fem.figures import bell_pressure, draw_deformed
-    from geometry.mesh import MeshSettings, sensor_mesh
+    from geometry.mesh import sensor_mesh, suited_settings
 
     sensor = chosen(design)
     with progress_bars(quiet) as bars:
         advance = bars.begin("view", total=2)
         advance(0, "mesh")
-        body, _, _ = sensor_mesh(sensor, MeshSettings())
+        body, _, _ = sensor_mesh(sensor, suited_settings(sensor))
         advance(1, "solve and draw")
         draw_deformed(sensor, body, bell_pressure(sensor, pressure), save)
         advance(1, "")
@@ -300,14 +307,21 @@ def wrote(files: Iterable[Path]) -> None:
 
 def main() -> None:
     """Run the command line; a user's mistake ends with one line on stderr and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8")  # Ω and ρ, whatever the console's own encoding
     try:
         sys.exit(app(standalone_mode=False))
     except typer.exceptions.TyperException as error:
         message = error.format_message()
     except (TriPillarError, OSError) as error:
         message = str(error)
+    except MemoryError:
+        message = "not enough memory: ask for fewer samples, hidden nodes or units."
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    if not message:  # a bare command has printed its help
+        sys.exit(0)
     print(f"tripillar: {message}", file=sys.stderr)
     sys.exit(2)
 

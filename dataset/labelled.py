@@ -4,6 +4,7 @@
 it, read from any file that follows the contract, whoever made it.
 """
 
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +13,8 @@ import numpy as np
 
 from geometry import files
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import DesignError, FileFormatError
+from geometry.design_file import design_from_dict, design_to_toml
+from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.netcdf import read_netcdf, write_netcdf
 
@@ -58,7 +59,11 @@ class SimulatedData:
         return xr.Dataset(
             {name: (dims, getattr(self, name), notes) for name, (dims, notes) in VARIABLES.items()},
             coords=COORDINATES,
-            attrs={"design": design_to_toml(self.design), **self.made_from},
+            attrs={
+                "design": design_to_toml(self.design),
+                "content_hash": files.digest(self.force_n, self.resistance_ohm),
+                **self.made_from,
+            },
         )
 
 
@@ -115,22 +120,24 @@ def read_labelled(path: Path) -> LabelledData:
 
 
 def _stated_design(text: object) -> SensorDesign | None:
-    """The design of a file's attribute; None where other hands describe it in another way."""
+    """The design of a file's attribute; None where other hands describe the sensor in other words, or not at all."""
     try:
-        return None if text is None else design_from_toml(str(text))
-    except DesignError:
+        table = tomllib.loads(text) if isinstance(text, str) else {}
+        return design_from_dict(table) if table else None
+    except (tomllib.TOMLDecodeError, DesignError):
         return None
 
 
-def file_recipe(path: Path) -> str | None:
-    """Recipe that a dataset file states, or None if it is missing, foreign or states none."""
+def is_current(path: Path, recipe: str) -> bool:
+    """Whether a dataset file was made by a recipe and still holds what was written."""
     import netCDF4
 
     try:
+        content_hash = read_labelled(path).content_hash
         with netCDF4.Dataset(path) as opened:
-            return str(opened.recipe)
-    except (OSError, AttributeError):
-        return None
+            return bool(opened.recipe == recipe and opened.content_hash == content_hash)
+    except (TriPillarError, OSError, AttributeError):
+        return False
 
 
 def _numbers(path: Path, name: str, values: np.ndarray) -> FloatArray:

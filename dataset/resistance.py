@@ -3,7 +3,7 @@
 import numpy as np
 
 from geometry.design import Unit
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, rest_lengths
 
 
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -29,6 +29,18 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     bottom, top = pillar_ends(unit).transpose(1, 0, 2)
     along = (top - bottom) + displacement_mm[..., PILLAR_TOP, :]
     return np.sqrt(np.einsum("...k,...k->...", along, along))
+
+
+def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Unit) -> FloatArray:
+    """Size of every pillar's strain |l − l₀|/l₀, shape (..., 3); infinite where a pillar has turned over.
+
+    Takes displacements (..., 2, 3) [mm] and the lengths (..., 3) [mm] that `pillar_lengths` gives for them. A length is
+    a distance: an electrode pushed through the base and out below it would pass for a small strain.
+    """
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    rest = top - bottom
+    along_rest = np.einsum("...k,...k->...", rest + displacement_mm[..., PILLAR_TOP, :], rest)
+    return np.where(along_rest > 0, np.abs(length_mm / rest_lengths(unit) - 1.0), np.inf)
 
 
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:

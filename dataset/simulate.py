@@ -15,12 +15,12 @@ from threadpoolctl import threadpool_limits
 from dataset.labelled import SimulatedData
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import pillar_lengths, pillar_resistances
+from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
 from fem.response import ArrayResponse
 from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.errors import DesignError, TriPillarError
 from geometry.files import digest
-from geometry.layout import AXES, FloatArray, pillar_volumes, rest_lengths
+from geometry.layout import AXES, FloatArray, pillar_volumes
 
 METHOD = 1  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
@@ -156,7 +156,7 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
         traction[waiting] = protocol.draw(generator, BLOCK, design)[waiting]
         displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
         length[waiting] = pillar_lengths(displacement[waiting], design.unit)
-        strain = np.abs(length[waiting] / rest_lengths(design.unit) - 1.0).max(axis=(1, 2))
+        strain = pillar_strains(displacement[waiting], length[waiting], design.unit).max(axis=(1, 2))
         over = np.arange(BLOCK)[waiting][strain > settings.cap]
         redrawn[over] += 1
         if not len(over):

@@ -20,13 +20,14 @@ from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 
 FORMAT = "tripillar-model-1"
+METHOD = 1  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"
 
 
 def model_recipe(data_hash: str, component: str, network: NetworkConfig, training: TrainingConfig) -> str:
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
-    return digest(FORMAT, data_hash, component, network, training)
+    return digest(FORMAT, METHOD, data_hash, component, network, training)
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -58,16 +59,16 @@ def read_model(path: Path) -> Decoupler:
     try:
         with safe_open(path, framework="np") as opened:
             metadata = opened.metadata() or {}
+            if HEADER not in metadata:
+                raise FileFormatError(f"{path}: a safetensors file, but no model of this program: {_MEND}.")
             arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file: {_MEND}.") from None
     except (OSError, SafetensorError):
         raise FileFormatError(f"{path}: truncated or no safetensors file: {_MEND}.") from None
-    if HEADER not in metadata:
-        raise FileFormatError(f"{path}: a safetensors file, but no model of this program: {_MEND}.")
     try:
         decoupler = _assembled(json.loads(metadata[HEADER]), arrays)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     for name, shape in _shapes(decoupler).items():
         array = arrays[name]

@@ -8,6 +8,7 @@ from geometry.errors import DesignError
 
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root"]
+MOST_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then takes 11 GB
 Trainer = Literal["varpro", "lm", "momentum"]
 
 _TRAINERS_OWN = {
@@ -40,6 +41,8 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         _require_whole("hidden", self.hidden, 1)
+        if self.hidden > MOST_HIDDEN:
+            raise DesignError(f"hidden={self.hidden} must be at most {MOST_HIDDEN}; its matrix grows with the square.")
         _require_one_of("net", self.net, get_args(Net))
         _require_one_of("feature", self.feature, get_args(Feature))
 

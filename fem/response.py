@@ -20,7 +20,7 @@ from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import cache_folder, digest
 from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares
-from geometry.mesh import MeshSettings, TetMesh, sensor_mesh
+from geometry.mesh import MeshSettings, TetMesh, mesh_recipe, sensor_mesh
 from geometry.netcdf import read_netcdf, write_netcdf
 
 METHOD = 1  #: raise when the same design and mesh give another response, so that cached ones are not reused
@@ -63,21 +63,24 @@ def array_response(
     recipe = response_recipe(design, settings)
     path = cache_folder() / f"response-{recipe}.nc"
     try:
-        return replace(read_response(path), design=design), path, True
+        response = read_response(path)
+        if response.recipe == recipe:
+            return replace(response, design=design), path, True
     except FileFormatError:
-        progress("mesh")
-        start = perf_counter()
-        mesh, _, _ = sensor_mesh(design, settings)
-        meshed = perf_counter() - start
-        response = solve_response(design, mesh, progress)
-        response = replace(response, recipe=recipe, seconds={"mesh": meshed} | response.seconds)
-        write_response(response, path)
-        return response, path, False
+        pass  # missing or damaged: solve again
+    progress("mesh")
+    start = perf_counter()
+    mesh, _, _ = sensor_mesh(design, settings)
+    meshed = perf_counter() - start
+    response = solve_response(design, mesh, progress)
+    response = replace(response, recipe=recipe, seconds={"mesh": meshed} | response.seconds)
+    write_response(response, path)
+    return response, path, False
 
 
 def response_recipe(design: SensorDesign, settings: MeshSettings) -> str:
     """Hash of all that a response depends on: the design without its resistivity, the mesh settings, the method."""
-    return digest("response", METHOD, replace(design, resistivity_ohm_mm=1.0), settings)
+    return digest("response", METHOD, replace(design, resistivity_ohm_mm=1.0), mesh_recipe(design, settings))
 
 
 def solve_response(

@@ -30,10 +30,14 @@ def require_numbers(values: Any) -> None:
 
 
 def require_positive(values: Any, *names: str) -> None:
+    """Refuse what is not above 0, or so large or small that squares of it leave the range of numbers."""
     for name in names:
-        if not getattr(values, name) > 0:
-            meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
-            raise DesignError(f"{name}={getattr(values, name):g} must be above 0; {meaning}.")
+        value = getattr(values, name)
+        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
+        if not value > 0:
+            raise DesignError(f"{name}={value:g} must be above 0; {meaning}.")
+        if not 1e-12 <= value <= 1e12:
+            raise DesignError(f"{name}={value:g} must be from 1e-12 to 1e12; {meaning}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +71,9 @@ class Unit:
         return self.span_mm + max(self.oblique_width_mm, self.electrode_mm)
 
 
+MOST_UNITS = 255  #: along x or y: what a board's frames can state
+
+
 @dataclass(frozen=True, kw_only=True)
 class Array:
     """A rows × cols grid of identical units on one slab."""
@@ -78,6 +85,8 @@ class Array:
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "rows", "cols", "pitch_mm")
+        if max(self.rows, self.cols) > MOST_UNITS:
+            raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MOST_UNITS} each.")
 
 
 @dataclass(frozen=True, kw_only=True)

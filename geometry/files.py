@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from geometry.errors import FileFormatError
+
 
 def digest(*parts: Any) -> str:
     """Hash of dataclasses, arrays, bytes and plain values, as 16 hexadecimal digits.
@@ -47,6 +49,8 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary name keeps the suffix, by which many writers choose their format.
     """
     path = Path(path)
+    if path.is_dir():
+        raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
     os.close(handle)
@@ -65,8 +69,9 @@ def replacing(path: Path) -> Iterator[Path]:
 def uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back until the block is done, then raise it.
 
-    For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds,
-    and the mesher takes the handler of Ctrl-C away. Does nothing outside the main thread, which gets no signals.
+    For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds.
+    The mesher replaces the handler, so that Ctrl-C kills while it runs; afterwards the old one is back. Does nothing
+    outside the main thread, which gets no signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -77,7 +82,7 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if caught:
+    if caught and before is not signal.SIG_IGN:
         raise KeyboardInterrupt
 
 

@@ -49,6 +49,18 @@ class MeshSettings:
             )
 
 
+def suited_settings(design: SensorDesign) -> MeshSettings:
+    """Mesh settings for a sensor: the defaults, which suit the paper's, scaled down with the pitch for smaller ones."""
+    scale = min(1.0, design.array.pitch_mm / 15.0)
+    usual = MeshSettings()
+    return replace(
+        usual,
+        edge_top_mm=usual.edge_top_mm * scale,
+        edge_base_mm=usual.edge_base_mm * scale,
+        envelope_mm=usual.envelope_mm * scale,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class TetMesh:
     """Tetrahedra with region labels. Lengths in mm."""
@@ -74,6 +86,11 @@ def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
     return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
 
 
+def mesh_recipe(design: SensorDesign, settings: MeshSettings) -> str:
+    """Hash of all that a mesh depends on, but for the mesher's own chance."""
+    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
+
+
 def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, Path, bool]:
     """Mesh of a sensor, from the cache if it is there.
 
@@ -86,20 +103,36 @@ def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, 
     GeometryError
         If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
     """
-    recipe = digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
+    recipe = mesh_recipe(design, settings)
     path = cache_folder() / f"mesh-{recipe}.vtu"
     try:
-        return read_mesh(path), path, True
+        mesh = read_mesh(path)
+        if mesh.recipe == recipe:
+            return mesh, path, True
     except FileFormatError:
-        mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
-        write_mesh(mesh, path)
-        return mesh, path, False
+        pass  # missing or damaged: mesh again
+    mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
+    write_mesh(mesh, path)
+    return mesh, path, False
 
 
 def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
     # build123d takes seconds to load: only when a mesh is made
     from geometry.cad import array_solid, slab_solid
     from geometry.surface import surface_from_solid
+
+    thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
+    if not design.is_homogeneous and design.unit.pillar_width_mm < thinnest_mm:
+        raise GeometryError(
+            f"pillar_width_mm={design.unit.pillar_width_mm:g} is too thin to be meshed with surfaces that may move by "
+            f"{settings.envelope_mm:g} mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}; thicken "
+            "the pillars, or give pillars and matrix one material."
+        )
+    if design.unit.height_mm < thinnest_mm:
+        raise GeometryError(
+            f"height_mm={design.unit.height_mm:g} is too thin to be meshed with surfaces that may move by "
+            f"{settings.envelope_mm:g} mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}."
+        )
 
     solids = {"slab": slab_solid(design)} | ({} if design.is_homogeneous else {"array": array_solid(design)})
     surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}

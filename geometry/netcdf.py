@@ -38,7 +38,7 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
     import xarray as xr
 
     try:
-        with uninterrupted(), xr.open_dataset(path, engine="netcdf4") as opened:
+        with uninterrupted(), xr.open_dataset(path, engine="netcdf4", decode_times=False) as opened:
             missing = [name for name in wanted if name not in opened]
             if missing:
                 raise FileFormatError(
@@ -55,6 +55,7 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, FileFormatError):
             raise
-        reason = "no such file" if isinstance(error, FileNotFoundError) else "truncated or not NetCDF"
+        missing_file = isinstance(error, FileNotFoundError)
+        reason = "a folder" if Path(path).is_dir() else "no such file" if missing_file else "truncated or not NetCDF"
         raise FileFormatError(f"{path}: {reason}: give a file made by '{made_by}'.") from None
     return data.assign({name: data[name].transpose(*dims) for name, dims in wanted.items()})

@@ -11,7 +11,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from dataset.labelled import LabelledData, file_recipe, read_labelled, write_dataset
+from dataset.labelled import LabelledData, is_current, read_labelled, write_dataset
 from dataset.simulate import DatasetSettings, dataset_recipe, simulate
 from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
@@ -22,7 +22,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
-from geometry.mesh import MeshSettings, sensor_mesh
+from geometry.mesh import sensor_mesh, suited_settings
 from geometry.quality import quality
 from studies.comparison import Comparison, compare
 from studies.progress import Bars
@@ -142,7 +142,7 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh the sensor and judge the mesh."""
     start = perf_counter()
     advance = bars.begin("mesh", total=1)
-    mesh, path, reused = sensor_mesh(design, MeshSettings())
+    mesh, path, reused = sensor_mesh(design, suited_settings(design))
     shape = quality(mesh)
     note = (
         f"{shape.cells} tetrahedra, scaled Jacobian {shape.worst_scaled_jacobian:.2f} at worst, "
@@ -157,7 +157,7 @@ def respond(design: SensorDesign, bars: Bars) -> tuple[Stage, ArrayResponse]:
     start = perf_counter()
     steps = 3 + design.array.rows
     advance = bars.begin("response", total=steps)
-    response, path, reused = array_response(design, MeshSettings(), lambda step: advance(1, step))
+    response, path, reused = array_response(design, suited_settings(design), lambda step: advance(1, step))
     note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
     advance(steps if reused else 0, "reused" if reused else note)
     return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=(path,), note=note), response
@@ -190,7 +190,7 @@ def make_dataset(
     response: ArrayResponse, settings: DatasetSettings, path: Path, progress: Callable[[int], None]
 ) -> bool:
     """Simulate and write a dataset unless `path` holds it already; returns whether it did."""
-    if file_recipe(path) == dataset_recipe(response, settings):
+    if is_current(path, dataset_recipe(response, settings)):
         return True
     write_dataset(simulate(response, settings, progress), path)
     return False

@@ -7,7 +7,7 @@ from rich.table import Table
 
 from decoupler.metrics import ForceErrors
 from studies.comparison import Comparison
-from studies.pipeline import Stage
+from studies.pipeline import CAP, SPLITS, Stage
 
 
 def show(table: Table) -> None:
@@ -18,7 +18,8 @@ def show(table: Table) -> None:
 
 def comparison_table(comparisons: list[Comparison]) -> Table:
     """Errors of every decoupler on every protocol's test samples, beside the paper's."""
-    table = Table(title="Decoupling errors on 200 test samples (2000 for training, strain ≤ 30 %)")
+    (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
+    table = Table(title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%})")
     table.add_column("data")
     table.add_column("decoupler")
     for header in ("relative error", "RMSE [N]", "% of full scale"):

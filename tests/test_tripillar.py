@@ -86,6 +86,21 @@ def test_a_second_run_reuses_everything_and_says_so(house):
     assert shown.stdout.count("reused, nothing changed") == 5
 
 
+def test_a_dataset_changed_by_hand_is_made_again(house):
+    path = house.folder / "out/data/contact-fz-test.nc"
+    with netCDF4.Dataset(path, "a") as opened:
+        opened["resistance_ohm"][3, 0, 0, 0] = np.nan
+    again = house.result("run", "--design", "small.toml", "--quiet")
+    assert [s["name"] for s in again["stages"] if not s["reused"]] == ["datasets", "table"]
+    assert again["comparisons"] == house.outcome["comparisons"]
+
+
+def test_a_bare_command_prints_its_help(house):
+    done = house.tripillar()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage" in done.stdout
+
+
 def test_another_resistivity_draws_meshes_and_solves_nothing(house):
     (house.folder / "ohms.toml").write_text("resistivity_ohm_mm = 8000\n" + SMALL)
     again = house.result("run", "--design", "ohms.toml", "--out", "ohms", "--until", "dataset", "--quiet")
@@ -185,6 +200,10 @@ def test_a_bad_design_is_one_line(house, tmp_path, text, says):
         (["train", "--data", "small.toml", "--component", "fz", "--out", "x.safetensors"], "truncated or not NetCDF"),
         (["replay", "small.toml", "--model", "out/models/contact-fz-skip36.safetensors"], "small.toml"),
         (["run", "--design", "nowhere.toml"], "nowhere.toml"),
+        (["view", "--save", "picture.txt"], "must end in .png"),
+        (["view", "--save", "picture.png", "--pressure", "nan"], "--pressure nan must be above 0"),
+        (["design", "--out", "out"], "out is a folder"),
+        (["evaluate", "--model", "out/models/contact-fz-skip36.safetensors", "--data", "out"], "out: a folder"),
     ],
     ids=lambda value: "-".join(value[:3]) if isinstance(value, list) else None,
 )

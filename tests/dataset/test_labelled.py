@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from dataset import SimulatedData, read_labelled, write_dataset
-from dataset.labelled import file_recipe
+from dataset.labelled import is_current
 from dataset.simulate import DatasetSettings, simulate
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.netcdf import write_netcdf
@@ -214,7 +214,7 @@ def test_design_of_another_array_is_refused(path):
     assert "holds 1 × 3 units, its attribute 'design' says 2 × 3" in message
 
 
-@pytest.mark.parametrize("design", ["[unit]\nspam_mm = 1\n", "not TOML", 5])
+@pytest.mark.parametrize("design", ["a 6 × 6 array", "", "# by hand", "[sensor]\npitch = 15\n", 5])
 def test_a_design_in_other_words_is_not_known(path, design):
     """Whoever made the file may describe the sensor in another way; the arrays are the contract."""
     assert read_labelled(rewritten(path, lambda d: d.assign_attrs(design=design))).design is None
@@ -225,21 +225,28 @@ def test_truncated_file_is_refused(path, share):
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     assert "truncated or not NetCDF" in refusal(path)
-    assert file_recipe(path) is None
 
 
 def test_missing_file_is_refused(tmp_path):
     assert "no such file" in refusal(tmp_path / "none.nc")
 
 
-def test_recipe_of_a_file_is_what_made_it(path, data, tmp_path):
-    assert file_recipe(path) == data.made_from["recipe"]
-    assert file_recipe(tmp_path / "none.nc") is None
+def test_a_file_is_current_while_recipe_and_content_are(path, data, tmp_path):
+    recipe = data.made_from["recipe"]
+    assert is_current(path, recipe)
+    assert not is_current(path, "0123456789abcdef")
+    assert not is_current(tmp_path / "none.nc", recipe)
     (tmp_path / "text.nc").write_text("hello\n" * 100)
-    assert file_recipe(tmp_path / "text.nc") is None
-    (tmp_path / "plain.nc").unlink(missing_ok=True)
+    assert not is_current(tmp_path / "text.nc", recipe)
     write_netcdf(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "plain.nc")
-    assert file_recipe(tmp_path / "plain.nc") is None
+    assert not is_current(tmp_path / "plain.nc", recipe)
+
+
+@pytest.mark.parametrize("value", [1.5e4, np.nan])
+def test_a_file_changed_by_hand_is_not_current(path, data, value):
+    with netCDF4.Dataset(path, "a") as opened:
+        opened["resistance_ohm"][1, 0, 0, 0] = value
+    assert not is_current(path, data.made_from["recipe"])
 
 
 def test_failed_write_leaves_the_old_file_and_no_litter(path, data):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dataset import pillar_lengths, pillar_resistances
+from dataset.resistance import pillar_strains
 from geometry import SensorDesign, Unit
 from geometry.layout import PILLARS, pillar_volumes, rest_lengths
 
@@ -78,3 +79,25 @@ def test_collapsed_pillar_is_refused(length_mm):
     lengths[1, 2] = length_mm
     with pytest.raises(ValueError, match=rf"length_mm has a value of {length_mm:g}, must be above 0: lower"):
         pillar_resistances(lengths, pillar_volumes(Unit()), 4000.0)
+
+
+def test_strain_is_that_of_the_length_until_a_pillar_turns_over():
+    """U1 pushed 1 mm down: z shortens by a tenth. Pushed 19 mm down, out below the base: a tenth by length alone."""
+    unit = Unit()
+    moved = np.zeros((2, 2, 3))
+    moved[:, 0, 2] = [-1.0, -19.0]
+    strain = pillar_strains(moved, pillar_lengths(moved, unit), unit)
+    assert np.isclose(strain[0, 0], 0.1, rtol=1e-12)
+    assert strain[0, 2] == 0.0
+    assert np.isinf(strain[1, 0])
+    assert np.isfinite(strain[1, 2])  # U2 has not moved
+
+
+def test_an_oblique_pillar_turned_over_by_a_slide_is_seen():
+    """U1 slid 20 mm along +x: the x pillar leans the other way at its old length."""
+    unit = Unit()
+    moved = np.zeros((2, 3))
+    moved[0, 0] = 20.0
+    length = pillar_lengths(moved, unit)
+    assert np.isclose(length[1], rest_lengths(unit)[1], rtol=1e-12)
+    assert np.isinf(pillar_strains(moved, length, unit)[1])

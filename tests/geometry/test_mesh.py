@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry import Array, FileFormatError, GeometryError, Material, SensorDesign
+from geometry import Array, FileFormatError, GeometryError, Material, Pad, SensorDesign, Unit
 from geometry.layout import inside_pillars
 from geometry.mesh import (
     REGIONS,
@@ -21,6 +21,7 @@ from geometry.mesh import (
     read_mesh,
     sensor_mesh,
     snap_to_box,
+    suited_settings,
     write_mesh,
 )
 
@@ -329,3 +330,34 @@ def refuse(path: Path, capfd) -> None:
         read_mesh(path)
     assert str(caught.value) == f"{path}: truncated or not a mesh of this program; delete it to mesh again."
     assert capfd.readouterr().out == ""
+
+
+def test_small_sensors_get_smaller_edges_and_large_ones_the_usual():
+    small = SensorDesign(
+        unit=Unit(span_mm=1.0, height_mm=1.0, pillar_width_mm=0.2, electrode_mm=0.2),
+        array=Array(rows=1, cols=1, pitch_mm=1.5),
+        pad=Pad(size_mm=1.2),
+    )
+    assert suited_settings(SensorDesign()) == MeshSettings()
+    assert suited_settings(SensorDesign(array=Array(pitch_mm=30.0))) == MeshSettings()
+    assert suited_settings(small).edge_top_mm == pytest.approx(0.125)
+    mesh, _, _ = sensor_mesh(
+        small, suited_settings(small)
+    )  # a tenth of the paper's sensor: as many cells as of one unit
+    assert mesh.region_volumes()[0] == pytest.approx(1.5**2)
+    assert len(mesh.cells) < 10_000
+
+
+@pytest.mark.parametrize(
+    ("name", "design"),
+    [
+        ("pillar_width_mm", replace(SOFT, unit=Unit(pillar_width_mm=0.5))),
+        (
+            "height_mm",
+            replace(ONE, unit=Unit(height_mm=0.5, pillar_width_mm=0.5), array=Array(rows=1, cols=1, pitch_mm=21.0)),
+        ),
+    ],
+)
+def test_what_is_too_thin_to_mesh_is_refused_by_name(name, design):
+    with pytest.raises(GeometryError, match=f"{name}=0.5 is too thin to be meshed"):
+        sensor_mesh(design, suited_settings(design))

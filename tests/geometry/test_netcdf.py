@@ -102,3 +102,8 @@ def test_failed_write_leaves_the_old_file(tmp_path):
         write_netcdf(broken, tmp_path / "a.nc")
     assert (tmp_path / "a.nc").read_bytes() == before
     assert list(tmp_path.iterdir()) == [tmp_path / "a.nc"]
+
+
+def test_a_folder_is_named_as_one(tmp_path):
+    with pytest.raises(FileFormatError, match="a folder"):
+        read_netcdf(tmp_path, {"a": ("x",)}, made_by="")
