@@ -63,15 +63,17 @@ def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> Fl
     pressure = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
     drag = _in_disc(generator, (n, MOST_INDENTERS)) * FRICTION
     traction = np.empty((n, design.n_units, 3))
-    traction[..., :2] = np.einsum("sik,sia->ska", pressure, drag)
+    traction[..., :2] = pressure.transpose(0, 2, 1) @ drag  # summed over indenters
     traction[..., 2] = -NORMAL_PRELOAD_MPA - pressure.sum(axis=1)
     return traction
 
 
 def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    pressure = generator.uniform(*NORMAL_MPA, (n, design.n_units, 1))
-    shear = _in_disc(generator, (n, design.n_units)) * FRICTION * pressure
-    return np.concatenate([shear, -pressure], axis=2)
+    pressure = generator.uniform(*NORMAL_MPA, (n, design.n_units))
+    traction = np.empty((n, design.n_units, 3))
+    traction[..., :2] = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
+    traction[..., 2] = -pressure
+    return traction
 
 
 def _indenters(
@@ -93,8 +95,8 @@ def _indenters(
     strength = generator.uniform(*peak_mpa, (n, MOST_INDENTERS, 1)) - preload_mpa
     number = generator.integers(1, MOST_INDENTERS + 1, (n, 1, 1))
     present = np.arange(MOST_INDENTERS)[:, None] < number
-    from_centre = unit_centres(design) - centre
-    squared = np.einsum("sika,sika->sik", from_centre, from_centre)
+    dx, dy = (unit_centres(design)[:, axis] - centre[..., axis] for axis in (0, 1))  # each (n, indenters, units)
+    squared = dx * dx + dy * dy
     traction = present * strength * np.exp(-squared / (2 * width**2))
     limit = peak_mpa[1] - preload_mpa
     most = np.maximum(traction.sum(axis=1).max(axis=1), limit)
@@ -105,7 +107,10 @@ def _in_disc(generator: np.random.Generator, shape: tuple[int, int]) -> FloatArr
     """Points spread evenly over the unit disc, shape (*shape, 2)."""
     radius = np.sqrt(generator.uniform(0.0, 1.0, shape))
     angle = generator.uniform(0.0, 2 * np.pi, shape)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+    points = np.empty((*shape, 2))
+    points[..., 0] = radius * np.cos(angle)
+    points[..., 1] = radius * np.sin(angle)
+    return points
 
 
 PROTOCOLS = {

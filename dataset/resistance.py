@@ -38,9 +38,13 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     a distance: an electrode pushed through the base and out below it would pass for a small strain.
     """
     bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    rest = top - bottom
+    rest, rest_mm = top - bottom, rest_lengths(unit)
+    strain = np.abs(length_mm / rest_mm - 1.0)
+    farthest_mm = max(displacement_mm.max(initial=0.0), -displacement_mm.min(initial=0.0))
+    if farthest_mm * np.sqrt(3.0) < rest_mm.min():
+        return strain  # no electrode has moved as far as a pillar is long, so none has turned over
     along_rest = np.einsum("...k,...k->...", rest + displacement_mm[..., PILLAR_TOP, :], rest)
-    return np.where(along_rest > 0, np.abs(length_mm / rest_lengths(unit) - 1.0), np.inf)
+    return np.where(along_rest > 0, strain, np.inf)
 
 
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:

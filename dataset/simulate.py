@@ -151,9 +151,10 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
     length = np.empty((BLOCK, design.n_units, 3))
     redrawn = np.zeros(BLOCK, dtype=np.int64)
     waiting: slice | np.ndarray = slice(None)  # all; a slice copies nothing
+    n_waiting = BLOCK
     for attempt in range(MOST_ROUNDS):
         generator = np.random.default_rng([settings.seed, number, attempt])
-        traction[waiting] = protocol.draw(generator, BLOCK, design)[waiting]
+        traction[waiting] = protocol.draw(generator, n_waiting, design)
         displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
         length[waiting] = pillar_lengths(displacement[waiting], design.unit)
         strain = pillar_strains(displacement[waiting], length[waiting], design.unit).max(axis=(1, 2))
@@ -161,7 +162,7 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
         redrawn[over] += 1
         if not len(over):
             break
-        waiting = over
+        waiting, n_waiting = over, len(over)
     else:
         raise LoadError(
             f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in "
