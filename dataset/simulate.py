@@ -22,7 +22,7 @@ from geometry.errors import DesignError, TriPillarError
 from geometry.files import digest
 from geometry.layout import AXES, FloatArray, pillar_volumes
 
-METHOD = 1  #: raise when the same settings give other samples
+METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
 MOST_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
