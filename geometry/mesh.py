@@ -25,6 +25,7 @@ from geometry.surface import Surface, check_surface
 
 REGIONS = ("matrix", "pillar")  #: meaning of a cell's region number
 METHOD = 1  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
+ATTEMPTS = 3  #: meshes tried, each with half the envelope of the one before, until the volumes are right
 VOLUME_TOLERANCE = 2e-3  #: relative, of each region's volume against the CAD's
 
 
@@ -139,8 +140,26 @@ def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
     for name, surface in surfaces.items():
         check_surface(surface, solids[name].volume, name)
 
+    expected_mm3 = np.array([solids["slab"].volume, 0.0])
+    if not design.is_homogeneous:
+        expected_mm3 += solids["array"].volume * np.array([-1.0, 1.0])
+    for attempt in range(ATTEMPTS):
+        # chance may round the pillars off by more than the volume check allows; a tighter envelope rounds less
+        tighter = replace(settings, envelope_mm=settings.envelope_mm / 2**attempt)
+        mesh = _one_mesh(design, list(surfaces.values()), tighter)
+        try:
+            check_volumes(mesh, expected_mm3)
+            break
+        except GeometryError:
+            if attempt == ATTEMPTS - 1:
+                raise
+    return mesh
+
+
+def _one_mesh(design: SensorDesign, surfaces: Sequence[Surface], settings: MeshSettings) -> TetMesh:
+    """One run of the mesher, snapped and labelled."""
     x, y, h = design.slab_mm
-    points, cells = tetrahedra(list(surfaces.values()), settings, h)
+    points, cells = tetrahedra(surfaces, settings, h)
     low, high = np.array([-x / 2, -y / 2, 0.0]), np.array([x / 2, y / 2, h])
     points = snap_to_box(points, cells, low, high, settings.envelope_mm)
     cells = outward(points, cells)
@@ -148,10 +167,7 @@ def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
         region = np.zeros(len(cells), dtype=np.int64)
     else:
         region = inside_pillars(points[cells].mean(axis=1), design).astype(np.int64)
-    mesh = TetMesh(points, cells, region)
-    pillars_mm3 = 0.0 if design.is_homogeneous else solids["array"].volume
-    check_volumes(mesh, np.array([solids["slab"].volume - pillars_mm3, pillars_mm3]))
-    return mesh
+    return TetMesh(points, cells, region)
 
 
 def tetrahedra(

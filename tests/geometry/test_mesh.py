@@ -114,7 +114,7 @@ def test_recipe_depends_on_what_shapes_the_mesh_alone(tmp_path, monkeypatch):
 
     def note(path: Path) -> TetMesh:
         asked.append(path.name)
-        return cube()
+        return replace(cube(), recipe=path.stem.removeprefix("mesh-"))
 
     monkeypatch.setattr("geometry.mesh.read_mesh", note)
     stiff = Material(young_mpa=10.0)
@@ -361,3 +361,17 @@ def test_small_sensors_get_smaller_edges_and_large_ones_the_usual():
 def test_what_is_too_thin_to_mesh_is_refused_by_name(name, design):
     with pytest.raises(GeometryError, match=f"{name}=0.5 is too thin to be meshed"):
         sensor_mesh(design, suited_settings(design))
+
+
+def test_a_mesh_of_wrong_volume_is_tried_again_with_a_tighter_envelope(monkeypatch):
+    """Chance may round a pillar off; the second try has half the envelope, and the third is the last."""
+    envelopes = []
+
+    def badly(design, surfaces, settings):
+        envelopes.append(settings.envelope_mm)
+        return cube()
+
+    monkeypatch.setattr("geometry.mesh._one_mesh", badly)
+    with pytest.raises(GeometryError, match="off by more than"):
+        sensor_mesh(ONE, COARSE)
+    assert envelopes == [0.04, 0.02, 0.01]
