@@ -1,0 +1,274 @@
+"""Look at a scene before anything is computed: choose the method, name what is skipped, and say why.
+
+Every saving has a name, by which `no_skip` switches it off: so a benchmark can show what it saves and that the answer
+stays.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fem.scene import Load, Prism, Rectangle, Scene, SceneError, Sensor
+from geometry.design import Material
+from geometry.layout import AXES
+
+Method = Literal["nothing", "grid", "cells", "tetrahedra"]
+
+SAVINGS = {
+    "zero-load": "a scene without load is answered without a mesh",
+    "one-material": "what is of the body's own material gets no region",
+    "hexahedra": "a structured grid of hexahedra where sides allow; off: tetrahedra",
+    "symmetry": "a half or a quarter of the grid where body and load mirror themselves",
+    "substructuring": "arrays with pillars from one condensed cell; off: the whole array meshed",
+    "field": "no displacement of the whole body, no file for pictures, unless asked for",
+    "cache": "tetrahedral meshes are kept on disk and found again; off: meshed anew",
+}
+GRID_ELEMENTS = {
+    "Q2": "27-node hexahedra, the volume change integrated on 2×2×2 points: fourth order, whatever ν",
+    "S2": "20-node hexahedra, integrated on 2×2×2 points",
+}
+TETRAHEDRAL_ELEMENTS = {
+    "TH": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
+    "P2": "10-node tetrahedra, which converge slowly as ν nears 0.5",
+    "P1": "4-node tetrahedra, which lock as ν nears 0.5",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """One choice of the plan and its reason."""
+
+    name: str
+    choice: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.choice}, {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mirror:
+    """A vertical plane in which body and loads mirror themselves."""
+
+    axis: int  #: of the plane's normal: 0 for x, 1 for y
+    position_mm: float  #: where the plane cuts that axis
+    parity: int  #: +1 if the loads equal their mirror image, −1 if they are its opposite
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What will be computed, what is skipped, and why."""
+
+    method: Method
+    element: str  #: a key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`
+    solver: str | None  #: direct solver by name; None: the solver module chooses
+    regions: tuple[tuple[Prism, Material], ...]  #: prisms inside the body that need a region of their own
+    mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
+    keeps: frozenset[str]  #: names of the savings switched off
+    decisions: tuple[Decision, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """The decisions for people, one line each."""
+        return [str(decision) for decision in self.decisions]
+
+    def saves(self, name: str) -> bool:
+        """True unless that saving was switched off."""
+        return name not in self.keeps
+
+    def deciding(self, name: str, choice: str, reason: str) -> "Plan":
+        """The plan with one more decision."""
+        return replace(self, decisions=(*self.decisions, Decision(name=name, choice=choice, reason=reason)))
+
+
+def make_plan(
+    scene: Scene,
+    *,
+    no_skip: Iterable[str] = (),
+    element: str | None = None,
+    solver: str | None = None,
+    field: bool = False,
+) -> Plan:
+    """Decide how to solve a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    no_skip : names of `SAVINGS`
+        Savings to switch off.
+    element : str, optional
+        A key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`; a tetrahedral one also switches the grid off.
+    solver : str, optional
+        Direct solver by name.
+    field : bool
+        True if the displacement of the whole body is asked for.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, or an element that this scene cannot be meshed with.
+    """
+    keeps = frozenset(no_skip)
+    for name in sorted(keeps - SAVINGS.keys()):
+        raise SceneError(f"unknown saving '{name}'; known are {', '.join(SAVINGS)}.")
+    if element is not None and element not in GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS:
+        known = ", ".join(GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)
+        raise SceneError(f"unknown element '{element}'; known are {known}.")
+
+    regions, one_material = _regions(scene, keeps)
+    method, mesh = _method(scene, regions, keeps, element, field)
+    mirrors: tuple[Mirror, ...] = ()
+    decisions = [*one_material, mesh]
+    if method == "grid":
+        mirrors, symmetry = _symmetry(scene, regions, keeps)
+        decisions.append(symmetry)
+    if method != "nothing":
+        chosen = element or ("Q2" if method == "grid" else "TH")
+        why = "asked for: " if element else ""
+        decisions.append(
+            Decision(name="element", choice=chosen, reason=why + (GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)[chosen])
+        )
+    else:
+        chosen = element or "Q2"
+    decisions.append(_field(scene, keeps, field))
+    return Plan(
+        method=method,
+        element=chosen,
+        solver=solver,
+        regions=tuple(regions),
+        mirrors=mirrors,
+        keeps=keeps,
+        decisions=tuple(decisions),
+    )
+
+
+def _regions(scene: Scene, keeps: frozenset[str]) -> tuple[list[tuple[Prism, Material]], list[Decision]]:
+    every = scene.regions
+    if not every:
+        return [], []
+    what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
+    own = [entry for entry in every if entry[1] != scene.material]
+    same = len(every) - len(own)
+    if "one-material" in keeps:
+        return every, [Decision(name="one-material", choice="off", reason=f"{_count(every, what)} with a region each")]
+    if not same:
+        theirs = " and ".join(sorted({_rubber(material) for _, material in own}))
+        reason = f"{_count(own, what)} of {theirs} in {_rubber(scene.material)}"
+        return own, [Decision(name="one-material", choice="nothing to skip", reason=reason)]
+    reason = f"{same} of {_count(every, what)} are of the body's own material"
+    return own, [Decision(name="one-material", choice="interfaces skipped", reason=reason)]
+
+
+def _method(
+    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], element: str | None, field: bool
+) -> tuple[Method, Decision]:
+    if scene.is_unloaded and not field and "zero-load" not in keeps:
+        return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
+    oblique = sum(not prism.is_upright for prism, _ in regions)
+    units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
+    if element in TETRAHEDRAL_ELEMENTS:
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=f"element {element} was asked for")
+    if units > 1 and "substructuring" not in keeps and element is None:
+        reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
+        return "cells", Decision(name="mesh", choice="one cell", reason=reason)
+    if oblique or units:
+        what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
+        reason = f"{oblique} of {_count(regions, what)} of another material lean"
+        if element is not None:
+            raise SceneError(
+                f"element '{element}' needs a grid, but {reason}: take one of {', '.join(TETRAHEDRAL_ELEMENTS)}."
+            )
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=reason)
+    if "hexahedra" in keeps:
+        if element is not None:
+            raise SceneError(f"element '{element}' needs the saving 'hexahedra', which was switched off.")
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason="the grid was switched off")
+    shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
+    boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
+    return "grid", Decision(name="mesh", choice="structured hexahedra", reason=boxes + shape)
+
+
+def _symmetry(
+    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str]
+) -> tuple[tuple[Mirror, ...], Decision]:
+    if "symmetry" in keeps:
+        return (), Decision(name="symmetry", choice="unused", reason="it was switched off")
+    mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
+    if not mirrors:
+        return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors body and loads alike")
+    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
+    share = {1: "half", 2: "a quarter"}[len(mirrors)]
+    return mirrors, Decision(name="symmetry", choice=f"{share} of the grid", reason=f"all mirrors in {planes} mm")
+
+
+def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> Mirror | None:
+    """The body's middle plane across an axis, if body, inclusions and loads mirror themselves in it."""
+    outline, slack = scene.outline, scene.rounding_mm
+    if outline.base_mm[axis] != outline.top_mm[axis]:
+        return None
+    middle = outline.base_mm[axis]
+    own = [(_prism_row(prism), material) for prism, material in regions]
+    image = [(_mirrored(row, axis, middle, (0, 3)), material) for row, material in own]
+    if not all(any(_near(row, other, slack) and m == n for other, n in own) for row, m in image):
+        return None
+    loads = _summed(scene.loads)
+    parities = [parity for parity in (1, -1) if _loads_mirror(loads, axis, middle, parity, slack)]
+    return Mirror(axis=axis, position_mm=middle, parity=parities[0]) if parities else None
+
+
+def _prism_row(prism: Prism) -> np.ndarray:
+    return np.array([*prism.base_mm, *prism.top_mm, *prism.section_mm])
+
+
+def _mirrored(row: np.ndarray, axis: int, middle: float, starts: tuple[int, ...]) -> np.ndarray:
+    image = row.copy()
+    for start in starts:
+        image[start + axis] = 2 * middle - row[start + axis]
+    return image
+
+
+def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
+    return bool(np.abs(one - other).max() <= slack)
+
+
+def _summed(loads: tuple[Load, ...]) -> dict[Rectangle, np.ndarray]:
+    """Total traction of every loaded rectangle."""
+    sums: dict[Rectangle, np.ndarray] = {}
+    for load in loads:
+        sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
+    return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
+
+
+def _loads_mirror(loads: dict[Rectangle, np.ndarray], axis: int, middle: float, parity: int, slack: float) -> bool:
+    """True if the mirror image of the loads, times the parity, are the loads."""
+    flip = np.ones(3)
+    flip[axis] = -1.0
+    for rectangle, traction in loads.items():
+        image = np.array(rectangle)
+        image[axis], image[axis + 2] = 2 * middle - rectangle[axis + 2], 2 * middle - rectangle[axis]
+        wanted = parity * flip * traction
+        largest = np.abs(traction).max()
+        if not any(
+            _near(image, np.array(other), slack) and np.abs(wanted - given).max() <= 1e-12 * largest
+            for other, given in loads.items()
+        ):
+            return False
+    return True
+
+
+def _count(entries: Sequence[object], what: str) -> str:
+    return f"{len(entries)} {what}{'' if len(entries) == 1 else 's'}"
+
+
+def _rubber(material: Material) -> str:
+    return f"E = {material.young_mpa:g} MPa, ν = {material.poisson:g}"
+
+
+def _field(scene: Scene, keeps: frozenset[str], asked: bool) -> Decision:
+    if asked:
+        return Decision(name="field", choice="computed", reason="a picture was asked for")
+    if "field" in keeps:
+        return Decision(name="field", choice="computed", reason="it was not to be skipped")
+    return Decision(name="field", choice="skipped", reason=f"{_count(scene.probes, 'probe')} asked for, no picture")

@@ -1,0 +1,427 @@
+"""A scene as numbers: one elastic body, what presses it and what to report, refusing nonsense by name.
+
+Lengths in mm, moduli and tractions in MPa. The base z = 0 is clamped, the top face is loaded, every other face is free.
+Coordinates: a block extends from the origin corner, a pillar stands where its ends are, a unit and an array are centred
+on the origin as their design says.
+"""
+
+import reprlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+
+from geometry.design import Material, SensorDesign
+from geometry.errors import TriPillarError
+from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
+
+LENGTHS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
+LARGEST_MPA = 1e12  #: of a traction; energies go with its square
+ROUNDING = 1e-9  #: of a body's extent: how far rounding may put an edge past the face it lies on
+
+
+class SceneError(TriPillarError, ValueError):
+    """A scene that cannot be built or makes no sense."""
+
+
+def shown(value: Any) -> str:
+    """A value for a message: one line, cut where it is long."""
+    return f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+
+
+def require_vectors(values: Any, lengths: dict[str, int], largest: float = LENGTHS_MM[1]) -> None:
+    """Turn the named fields into tuples of so many floats; refuse all else, and components beyond `largest`."""
+    for name, length in lengths.items():
+        value = getattr(values, name)
+        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
+        listed = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
+        if len(listed) != length or not all(_is_finite(number) for number in listed):
+            raise SceneError(f"{name}={shown(value)} must be {length} finite numbers; {meaning}.")
+        if not all(abs(number) <= largest for number in listed):
+            raise SceneError(f"{name}={shown(value)} must be at most {largest:g} in size; {meaning}.")
+        object.__setattr__(values, name, tuple(float(number) for number in listed))
+
+
+def require_extents(values: Any, *names: str) -> None:
+    """Refuse vectors of sizes that are not all above 0."""
+    for name in names:
+        value = getattr(values, name)
+        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
+        if not min(value) > 0:
+            raise SceneError(f"{name}={list(value)} must be above 0 along every axis; {meaning}.")
+        if not min(value) >= LENGTHS_MM[0]:
+            raise SceneError(f"{name}={list(value)} must be from {LENGTHS_MM[0]:g} to {LENGTHS_MM[1]:g}; {meaning}.")
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    limit = sys.float_info.max
+    return bool(-limit <= value <= limit)  # so that NaN and endless integers are refused
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prism:
+    """A straight prism between two equal horizontal rectangles: the shape of every body and every inclusion."""
+
+    base_mm: Triple = field(metadata={"meaning": "centre of the lower end"})
+    top_mm: Triple = field(metadata={"meaning": "centre of the upper end"})
+    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y"})
+
+    @property
+    def is_upright(self) -> bool:
+        """True if its sides are vertical, so that it is a box."""
+        return self.base_mm[:2] == self.top_mm[:2]
+
+    @property
+    def height_mm(self) -> float:
+        return self.top_mm[2] - self.base_mm[2]
+
+    @property
+    def volume_mm3(self) -> float:
+        return self.section_mm[0] * self.section_mm[1] * self.height_mm
+
+    def axis_at(self, z_mm: FloatArray) -> FloatArray:
+        """Centre of the section at heights (n,), shape (n, 2) [mm]."""
+        base, top = np.array(self.base_mm), np.array(self.top_mm)
+        share = (z_mm - base[2]) / self.height_mm
+        return base[:2] + share[:, None] * (top - base)[:2]
+
+    def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> np.ndarray:
+        """Which of the points (n, 3) lie inside or on its faces, widened by a slack, shape (n,)."""
+        z = points_mm[:, 2]
+        level = (z >= self.base_mm[2] - slack_mm) & (z <= self.top_mm[2] + slack_mm)
+        across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
+        return level & across.all(axis=1)
+
+    def corners(self) -> FloatArray:
+        """The corners of the lower end, anticlockwise from above, then those of the upper, shape (8, 3) [mm]."""
+        signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+        half = signs * np.array([*self.section_mm, 0.0]) / 2
+        return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
+
+    def cuts(self, other: "Prism", slack_mm: float) -> bool:
+        """True if two prisms share more than faces: penetration by up to the slack counts as touching."""
+        low = max(self.base_mm[2], other.base_mm[2])
+        high = min(self.top_mm[2], other.top_mm[2])
+        if high - low <= slack_mm:
+            return False
+        # the offset of the axes is linear in z, so each axis overlaps over one interval of z
+        at_low, at_high = (self.axis_at(np.array([z]))[0] - other.axis_at(np.array([z]))[0] for z in (low, high))
+        reach = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
+        first, last = 0.0, 1.0
+        for start, end, half in zip(at_low, at_high, reach, strict=True):
+            if start == end:
+                if not abs(start) < half:
+                    return False
+                continue
+            one, two = sorted(((half - start) / (end - start), (-half - start) / (end - start)))
+            first, last = max(first, one), min(last, two)
+        return bool((last - first) * (high - low) > slack_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A box from the origin corner."""
+
+    size_mm: Triple = field(metadata={"meaning": "extent of the block along x, y and z from the origin corner, in mm"})
+
+    def __post_init__(self) -> None:
+        require_vectors(self, {"size_mm": 3})
+        require_extents(self, "size_mm")
+
+    @property
+    def outline(self) -> Prism:
+        x, y, z = self.size_mm
+        return Prism(base_mm=(x / 2, y / 2, 0.0), top_mm=(x / 2, y / 2, z), section_mm=(x, y))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pillar:
+    """A straight free pillar, upright or oblique, of constant horizontal section."""
+
+    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y, in mm"})
+    base_mm: Triple = field(metadata={"meaning": "centre of the clamped lower end: x, y, 0, in mm"})
+    top_mm: Triple = field(metadata={"meaning": "centre of the upper end: x, y, z, in mm"})
+
+    def __post_init__(self) -> None:
+        require_vectors(self, {"section_mm": 2, "base_mm": 3, "top_mm": 3})
+        require_extents(self, "section_mm")
+        _require_upward(self)
+        if self.base_mm[2] != 0.0:
+            raise SceneError(f"base_mm={list(self.base_mm)} must lie on the clamped base: its third number must be 0.")
+
+    @property
+    def outline(self) -> Prism:
+        return Prism(base_mm=self.base_mm, top_mm=self.top_mm, section_mm=self.section_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """A unit or an array of a design: its slab with the pillars in it. A unit is the design as a 1 × 1 array."""
+
+    design: SensorDesign = field(default_factory=SensorDesign)
+    kind: Literal["unit", "array"] = "array"
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("unit", "array"):
+            raise SceneError(f"kind={shown(self.kind)} must be 'unit' or 'array'.")
+        if self.kind == "unit":
+            alone = replace(self.design, array=replace(self.design.array, rows=1, cols=1))
+            object.__setattr__(self, "design", alone)
+
+    @property
+    def outline(self) -> Prism:
+        x, y, h = self.design.slab_mm
+        return Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, h), section_mm=(x, y))
+
+    @property
+    def pillars(self) -> list[Prism]:
+        """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
+        unit = self.design.unit
+        shapes = list(zip(pillar_ends(unit), pillar_sections(unit), strict=True))
+        return [
+            Prism(
+                base_mm=(float(x + base[0]), float(y + base[1]), float(base[2])),
+                top_mm=(float(x + top[0]), float(y + top[1]), float(top[2])),
+                section_mm=(float(section[0]), float(section[1])),
+            )
+            for x, y in unit_centres(self.design)
+            for (base, top), section in shapes
+        ]
+
+
+Body = Block | Pillar | Sensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inclusion(Prism):
+    """A straight prism of another material inside a block; it may touch the block's faces from inside."""
+
+    material: Material = field(default_factory=Material)
+
+    def __post_init__(self) -> None:
+        require_vectors(self, {"base_mm": 3, "top_mm": 3, "section_mm": 2})
+        require_extents(self, "section_mm")
+        _require_upward(self)
+
+
+def _require_upward(prism: Any) -> None:
+    height_mm = prism.top_mm[2] - prism.base_mm[2]
+    if not height_mm >= LENGTHS_MM[0]:
+        raise SceneError(
+            f"top_mm={list(prism.top_mm)} must lie above base_mm={list(prism.base_mm)}: its height would be "
+            f"{height_mm:g} mm; swap or part them."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load:
+    """A uniform traction on a rectangle of the top face. Where loads overlap they add up."""
+
+    center_mm: Pair = field(metadata={"meaning": "centre of the loaded rectangle: x, y, in mm"})
+    size_mm: Pair = field(metadata={"meaning": "extent of the loaded rectangle along x and y, in mm"})
+    traction_mpa: Triple = field(metadata={"meaning": "traction along x, y, z, in MPa; z negative pushes down"})
+
+    def __post_init__(self) -> None:
+        require_vectors(self, {"center_mm": 2, "size_mm": 2})
+        require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
+        require_extents(self, "size_mm")
+
+    @property
+    def rectangle(self) -> Rectangle:
+        return _rectangle(self.center_mm, self.size_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """What to report: the mean displacement of a rectangle of the top face, or the displacement of a point."""
+
+    name: str
+    kind: Literal["mean", "point"]
+    center_mm: Pair | None = field(
+        default=None, metadata={"meaning": "centre of the rectangle of a mean probe: x, y, in mm"}
+    )
+    size_mm: Pair | None = field(
+        default=None, metadata={"meaning": "extent of the rectangle of a mean probe along x and y, in mm"}
+    )
+    position_mm: Triple | None = field(default=None, metadata={"meaning": "position of a point probe: x, y, z, in mm"})
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise SceneError(f"name={shown(self.name)} must be a word by which the probe is reported.")
+        needed = {"mean": {"center_mm": 2, "size_mm": 2}, "point": {"position_mm": 3}}
+        if not isinstance(self.kind, str) or self.kind not in needed:
+            raise SceneError(f"kind={shown(self.kind)} must be 'mean' or 'point'.")
+        for name in ("center_mm", "size_mm", "position_mm"):
+            if (getattr(self, name) is not None) != (name in needed[self.kind]):
+                raise SceneError(
+                    f"a probe of kind '{self.kind}' takes {' and '.join(needed[self.kind])}: "
+                    f"{name} is {'missing' if name in needed[self.kind] else 'not one of them'}."
+                )
+        require_vectors(self, needed[self.kind])
+        if self.kind == "mean":
+            require_extents(self, "size_mm")
+
+    @property
+    def rectangle(self) -> Rectangle:
+        """Of a mean probe."""
+        if self.center_mm is None or self.size_mm is None:
+            raise SceneError(f"probe '{self.name}' is a point: it has no rectangle.")
+        return _rectangle(self.center_mm, self.size_mm)
+
+
+def _rectangle(center_mm: Pair, size_mm: Pair) -> Rectangle:
+    (x, y), (a, b) = center_mm, size_mm
+    return x - a / 2, y - b / 2, x + a / 2, y + b / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One body, its materials, its loads and its probes: all that a solve needs to know.
+
+    Of a unit or an array the rubbers are those of the design; `material` then states the matrix's.
+    """
+
+    body: Body
+    material: Material = field(default_factory=Material)
+    inclusions: tuple[Inclusion, ...] = ()
+    loads: tuple[Load, ...] = ()
+    probes: tuple[Probe, ...] = ()
+    tolerance: float = 1e-3  #: relative error wanted on the probes
+
+    def __post_init__(self) -> None:
+        for name in ("inclusions", "loads", "probes"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not _is_finite(self.tolerance) or not 0 < self.tolerance < 1:
+            raise SceneError(
+                f"tolerance={shown(self.tolerance)} must be a number above 0 and below 1: the relative error wanted "
+                "on the probes; write 1e-3."
+            )
+        object.__setattr__(self, "tolerance", float(self.tolerance))
+        if isinstance(self.body, Sensor) and self.material != self.body.design.matrix_material:
+            raise SceneError("material must be the design's matrix_material where the body is a unit or an array.")
+        if self.inclusions and not isinstance(self.body, Block):
+            raise SceneError("inclusions go with a block only: remove them, or make the body a block.")
+        self._check_inclusions()
+        self._check_loads_and_probes()
+
+    def _check_inclusions(self) -> None:
+        for number, inclusion in enumerate(self.inclusions, start=1):
+            corners = inclusion.corners()
+            if not self.outline.holds(corners, self.rounding_mm).all():
+                raise SceneError(
+                    f"inclusion {number} reaches from {_row(corners.min(axis=0))} to {_row(corners.max(axis=0))} mm, "
+                    f"outside the block [0, 0, 0] to {_row(self.outline.corners().max(axis=0))}: move or shrink it."
+                )
+        for (one, first), (two, second) in combinations(enumerate(self.inclusions, start=1), 2):
+            if first.cuts(second, self.rounding_mm):
+                raise SceneError(f"inclusions {one} and {two} overlap: part or shrink them; they may touch.")
+
+    def _check_loads_and_probes(self) -> None:
+        if not self.probes:
+            raise SceneError("the scene has no probe, so there is nothing to report: add a [[probe]].")
+        names = [probe.name for probe in self.probes]
+        for name in names:
+            if names.count(name) > 1:
+                raise SceneError(f"two probes have the name {shown(name)}: give each a name of its own.")
+        for number, load in enumerate(self.loads, start=1):
+            self._require_on_top(f"load {number}", load.rectangle)
+        for probe in self.probes:
+            if probe.kind == "mean":
+                self._require_on_top(f"probe '{probe.name}'", probe.rectangle)
+            elif not self.outline.holds(np.array([probe.position_mm]), self.rounding_mm)[0]:
+                corners = self.outline.corners()
+                raise SceneError(
+                    f"probe '{probe.name}' at {_row(probe.position_mm or ())} mm is in the air: the body lies within "
+                    f"{_row(corners.min(axis=0))} to {_row(corners.max(axis=0))}"
+                    f"{'' if self.outline.is_upright else ' along its oblique axis'}; move it inside."
+                )
+
+    def _require_on_top(self, name: str, rectangle: Rectangle) -> None:
+        x0, y0, x1, y1 = self.top_mm
+        a0, b0, a1, b1 = rectangle
+        if max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) > self.rounding_mm:
+            raise SceneError(
+                f"{name} covers x {a0:g} to {a1:g}, y {b0:g} to {b1:g} mm, not wholly on the body's top face, "
+                f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g}: move or shrink it."
+            )
+
+    @property
+    def outline(self) -> Prism:
+        """The body's own shape."""
+        return self.body.outline
+
+    @property
+    def height_mm(self) -> float:
+        return self.outline.height_mm
+
+    @property
+    def rounding_mm(self) -> float:
+        """How far apart coordinates may be that mean the same place."""
+        return ROUNDING * float(np.ptp(self.outline.corners(), axis=0).max())
+
+    @property
+    def top_mm(self) -> Rectangle:
+        """The top face."""
+        return _rectangle(self.outline.top_mm[:2], self.outline.section_mm)
+
+    @property
+    def regions(self) -> list[tuple[Prism, Material]]:
+        """Every prism inside the body with its material, whether it differs from the body's or not."""
+        if isinstance(self.body, Sensor):
+            return [(pillar, self.body.design.pillar_material) for pillar in self.body.pillars]
+        return [(inclusion, inclusion.material) for inclusion in self.inclusions]
+
+    @property
+    def load_rectangles_mm(self) -> FloatArray:
+        """Loaded rectangles, shape (n_loads, 4)."""
+        return self._on_top([load.rectangle for load in self.loads])
+
+    @property
+    def tractions_mpa(self) -> FloatArray:
+        """Traction of every load, shape (n_loads, 3)."""
+        return np.array([load.traction_mpa for load in self.loads], dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def mean_probes(self) -> list[Probe]:
+        return [probe for probe in self.probes if probe.kind == "mean"]
+
+    @property
+    def point_probes(self) -> list[Probe]:
+        return [probe for probe in self.probes if probe.kind == "point"]
+
+    @property
+    def probe_rectangles_mm(self) -> FloatArray:
+        """Rectangles of the mean probes, in their order, shape (n_means, 4)."""
+        return self._on_top([probe.rectangle for probe in self.mean_probes])
+
+    @property
+    def probe_points_mm(self) -> FloatArray:
+        """Positions of the point probes, in their order, shape (n_points, 3)."""
+        return np.array([probe.position_mm for probe in self.point_probes], dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def is_unloaded(self) -> bool:
+        """True if no load remains once those on equal rectangles are added up."""
+        sums: dict[Rectangle, FloatArray] = {}
+        for load in self.loads:
+            sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
+        return not any(traction.any() for traction in sums.values())
+
+    def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
+        """Rectangles without what rounding puts past the top face."""
+        x0, y0, x1, y1 = self.top_mm
+        limits = np.array([[x0, y0, x0, y0], [x1, y1, x1, y1]])
+        return np.clip(np.array(rectangles, dtype=np.float64).reshape(-1, 4), *limits)
+
+
+def _row(numbers: Any) -> str:
+    return "[" + ", ".join(f"{number:.6g}" for number in numbers) + "]"

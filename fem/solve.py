@@ -1,0 +1,73 @@
+"""Solve any scene: plan it, then hand it to the method that the plan chose."""
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+
+import numpy as np
+
+from fem.plan import Plan, make_plan
+from fem.scene import Scene, SceneError
+from fem.solution import Solution
+
+
+def solve_scene(
+    scene: Scene,
+    *,
+    no_skip: Iterable[str] = frozenset(),
+    element: str | None = None,
+    solver: str | None = None,
+    field: bool = False,
+) -> tuple[Solution, Plan]:
+    """Displacement of a scene's probes to its tolerance.
+
+    Parameters
+    ----------
+    scene : Scene
+    no_skip : names of `fem.plan.SAVINGS`, optional
+        Savings to switch off.
+    element, solver : str, optional
+        Override what the plan would choose.
+    field : bool
+        Also return the displacement of the whole body.
+
+    Returns
+    -------
+    Solution and the Plan it followed
+
+    Raises
+    ------
+    SceneError
+        For unknown names, or an element this scene cannot be meshed with.
+    GeometryError, SolverError
+        If the mesh or an answer cannot be trusted.
+    """
+    plan = make_plan(scene, no_skip=no_skip, element=element, solver=solver, field=field)
+    with_field = field or not plan.saves("field")
+    if plan.method == "nothing":
+        return unmoved(scene), plan
+    if plan.method == "grid" and find_spec("fem.structured"):
+        from fem.structured import solve_on_grid
+
+        return solve_on_grid(scene, plan, with_field), plan
+    if plan.method == "cells" and find_spec("fem.substructured"):
+        from fem.substructured import solve_by_cells
+
+        return solve_by_cells(scene, plan, with_field), plan
+    from fem.tetrahedral import solve_on_tetrahedra
+
+    return solve_on_tetrahedra(scene, plan, with_field), plan
+
+
+def unmoved(scene: Scene) -> Solution:
+    """The answer to a scene without load: nothing moves, exactly."""
+    if not scene.is_unloaded:
+        raise SceneError("the scene is loaded, so it moves: solve it.")
+    return Solution(
+        probes={probe.name: np.zeros(3) for probe in scene.probes},
+        energy_mj=0.0,
+        residual=0.0,
+        unknowns=0,
+        error_estimate=0.0,
+        seconds=dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0),
+        steps=("nothing loads the body, so nothing was computed",),
+    )
