@@ -1,0 +1,275 @@
+"""The half-space against Navier's equation, the load it carries, quadrature, reciprocity and finite elements."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.lib.array_utils import byte_bounds
+from numpy.polynomial.legendre import leggauss
+from skfem import MeshTet
+
+from fem.elasticity import taylor_hood
+from fem.halfspace import HalfspaceError, halfspace_response, mean_compliance, patch_compliance, point_compliance
+from fem.linear_solver import checked_solve, factorized
+from fem.patch import patch_integrals
+from fem.response import read_response, write_response
+from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.layout import electrode_squares, pad_squares
+
+RUBBER = Material(young_mpa=6.1, poisson=0.3)
+LOAD = np.array([-1.0, -0.5, 2.0, 1.5])
+POINTS = np.array([[3.0, 1.0, -2.0], [-1.0, 4.0, -1.0], [0.5, -0.5, -3.0], [-4.0, -2.0, -0.5]])
+STEP = 0.05  #: of the differences, of order 6: they err by (STEP/r)⁶, near 1e-10
+CENTRAL = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+DOWNWARD = {0: 49 / 20, -1: -6.0, -2: 15 / 2, -3: -20 / 3, -4: 15 / 4, -5: -6 / 5, -6: 1 / 6}
+
+
+def gradient(field, points, stencils=(CENTRAL,) * 3):
+    """∂ along x, y, z as a last axis of a field (n, ...) at points (n, 3)."""
+    unit = np.eye(3) * STEP
+    return np.stack(
+        [sum(c * field(points + k * unit[a]) for k, c in stencil.items()) / STEP for a, stencil in enumerate(stencils)],
+        axis=-1,
+    )
+
+
+def navier_misfit(field, points, material):
+    """G ∇²u + (λ+G) ∇ div u over the largest of its terms, for displacement fields (n, 3, loads) one by one."""
+    second = gradient(lambda p: gradient(field, p), points)  # (n, i, load, a, b)
+    lame, G = material.lame_mpa
+    laplace = G * np.einsum("niqaa->niq", second)
+    gradient_of_div = (lame + G) * np.einsum("nkqki->niq", second)
+    largest = np.abs(laplace).max(axis=(0, 1)) + np.abs(gradient_of_div).max(axis=(0, 1))
+    return np.abs(laplace + gradient_of_div).max(axis=(0, 1)) / largest
+
+
+def stress(field, points, material, stencils=(CENTRAL,) * 3):
+    """σ (n, i, j, load) of displacement fields (n, 3, loads)."""
+    lame, G = material.lame_mpa
+    strain = gradient(field, points, stencils).transpose(0, 1, 3, 2)  # (n, i, a, load)
+    strain = (strain + strain.transpose(0, 2, 1, 3)) / 2
+    return lame * np.einsum("nkkq,ij->nijq", strain, np.eye(3)) + 2 * G * strain
+
+
+def of_point(material):
+    return lambda p: point_compliance(p, material)
+
+
+def of_patch(material):
+    return lambda p: patch_compliance(p, LOAD, material)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
+@pytest.mark.parametrize("of", [of_point, of_patch])
+def test_the_solutions_satisfy_navier_s_equation(of, nu):
+    """In the body, for forces along x, y and z: to the 1e-7 of differences of order 6 taken twice."""
+    material = replace(RUBBER, poisson=nu)
+    assert navier_misfit(of(material), POINTS, material).max() < 1e-6
+
+
+def test_equation_14_as_printed_is_no_solution():
+    """The paper's u_x, u_y and u_z, in its axes (z into the body), miss Navier's equation by their own size.
+
+    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign. Mended they are
+    the normal column of `point_compliance`, which satisfies it.
+    """
+    nu, (_, G) = RUBBER.poisson, RUBBER.lame_mpa
+
+    def printed(p):
+        x, y, z = p.T * np.array([[1.0], [1.0], [-1.0]])
+        r = np.sqrt(x**2 + y**2 + z**2)
+        u_x = x * z / r**3 - (1 - 2 * nu) * x * z / (r * (r + z))
+        u_y = y * z / r**3 - (1 - 2 * nu) * z / (r * (r + z))
+        u_z = z**2 / r**3 - 2 * (1 - nu) / r
+        return np.stack([u_x, u_y, -u_z], axis=1)[..., None] / (4 * np.pi * G)
+
+    def mended(p):
+        x, y, z = p.T * np.array([[1.0], [1.0], [-1.0]])
+        r = np.sqrt(x**2 + y**2 + z**2)
+        u_x = x * z / r**3 - (1 - 2 * nu) * x / (r * (r + z))
+        u_y = y * z / r**3 - (1 - 2 * nu) * y / (r * (r + z))
+        u_z = z**2 / r**3 + 2 * (1 - nu) / r
+        return np.stack([u_x, u_y, -u_z], axis=1)[..., None] / (4 * np.pi * G)
+
+    assert navier_misfit(printed, POINTS, RUBBER)[0] > 0.1
+    assert navier_misfit(mended, POINTS, RUBBER)[0] < 1e-6
+    assert np.allclose(mended(POINTS)[..., 0], point_compliance(POINTS, RUBBER) @ [0.0, 0.0, -1.0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("of", [of_point, of_patch])
+def test_a_hemisphere_carries_the_whole_load(of):
+    """∮ σ n over a hemisphere around the load balances it: the force to 1e-7, for Gauss points and differences."""
+    cosine, weight = leggauss(12)
+    cosine, weight = (cosine + 1) / 2, weight / 2
+    angle = np.arange(48) * 2 * np.pi / 48
+    sine = np.sqrt(1 - cosine**2)
+    n = np.stack(
+        [np.outer(sine, np.cos(angle)), np.outer(sine, np.sin(angle)), np.outer(-cosine, np.ones(48))], axis=-1
+    )
+    n, area = n.reshape(-1, 3), np.repeat(weight, 48) * 2 * np.pi / 48
+    radius = 60.0  # so large that the uppermost Gauss point lies a stencil below the surface
+    sigma = stress(of(RUBBER), radius * n, RUBBER)
+    carried = radius**2 * np.einsum("nijq,nj,n->iq", sigma, n, area)
+    assert np.allclose(carried, -np.eye(3), atol=1e-7)
+
+
+def test_the_surface_bears_the_patch_s_traction_and_nothing_else():
+    """σ_z at the surface is force/area on the rectangle and 0 off it."""
+    inside = np.array([[0.5, 0.5, 0.0], [-0.5, 0.0, 0.0], [1.5, 1.0, 0.0]])
+    outside = np.array([[3.5, 0.5, 0.0], [0.0, -2.5, 0.0], [-3.0, 4.0, 0.0]])
+    downward = (CENTRAL, CENTRAL, DOWNWARD)
+    area_mm2 = 6.0
+    loaded = stress(of_patch(RUBBER), inside, RUBBER, downward)[:, :, 2]
+    free = stress(of_patch(RUBBER), outside, RUBBER, downward)[:, :, 2]
+    assert np.allclose(area_mm2 * loaded, np.eye(3), atol=2e-4)  # differences half a millimetre from an edge
+    assert np.allclose(area_mm2 * free, 0.0, atol=1e-6)
+    point = stress(of_point(RUBBER), outside, RUBBER, downward)[:, :, 2]
+    assert np.abs(point).max() < 1e-6 * np.abs(stress(of_point(RUBBER), outside, RUBBER, downward)).max()
+
+
+@pytest.mark.parametrize(
+    "point", [[0.3, 0.2, -1.0], [2.0, 1.5, -1.0], [-1.0, 0.3, -2.0], [0.5, 1.5, -0.8], [5.0, -3.0, 0.0]]
+)
+def test_a_patch_is_the_sum_of_its_points(point):
+    """Below the load, its edges and corners, and beside it, to rounding: 60 × 60 Gauss points."""
+    nodes, weights = leggauss(60)
+    x, y = 0.5 + 1.5 * nodes, 0.5 + 1.0 * nodes
+    offsets = np.stack(np.broadcast_arrays(point[0] - x[:, None], point[1] - y, point[2]), axis=-1)
+    summed = np.einsum("a,b,abij->ij", weights, weights, point_compliance(offsets, RUBBER)) / 4
+    assert np.allclose(patch_compliance(point, LOAD, RUBBER), summed, rtol=0, atol=1e-13 * np.abs(summed).max())
+
+
+def test_a_patch_is_the_sum_of_its_parts_even_at_their_corners():
+    """Split at a point of the surface, so that the sum is taken at four corners where logarithms are infinite."""
+    split = np.array([0.25, 0.5])
+    (x0, y0), (x1, y1) = LOAD[:2], LOAD[2:]
+    parts = np.array([
+        [x0, y0, *split], [split[0], y0, x1, split[1]], [x0, split[1], split[0], y1], [*split, x1, y1],
+    ])  # fmt: skip
+    area = (parts[:, 2] - parts[:, 0]) * (parts[:, 3] - parts[:, 1])
+    for z in (0.0, -1e-9, -0.7):
+        whole = patch_compliance([*split, z], LOAD, RUBBER)
+        summed = np.einsum("n,nij->ij", area / area.sum(), patch_compliance([*split, z], parts, RUBBER))
+        assert np.allclose(summed, whole, rtol=0, atol=1e-14)
+        near = patch_compliance([*(split + 1e-9), z], parts, RUBBER)  # continuous there, up to a · log a
+        assert np.allclose(near, patch_compliance([*split, z], parts, RUBBER), rtol=0, atol=1e-8)
+
+
+TARGETS = np.array([[1.2, -1.0, 4.0, 3.0], LOAD, [5.0, 5.0, 7.0, 6.0], [2.0, 1.5, 3.0, 3.0], [0.0, 0.0, 0.5, 0.5]])
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=["overlapping", "same", "apart", "corner", "within"])
+def test_the_mean_over_a_rectangle_is_that_of_its_points(target):
+    """Against Gauss points split at the load's edges and graded towards them, as the gradient is infinite there."""
+    nodes, weights = leggauss(60)
+    graded, weights = (15 * nodes - 10 * nodes**3 + 3 * nodes**5) / 8, weights * 15 * (1 - nodes**2) ** 2 / 8
+    axes = []
+    for low, high in ((0, 2), (1, 3)):
+        cuts = [edge for edge in (LOAD[low], LOAD[high]) if target[low] < edge < target[high]]
+        ends = np.array([target[low], *cuts, target[high]])
+        half = np.diff(ends)[:, None] / 2
+        axes.append((((ends[:-1, None] + half * (1 + graded)).ravel()), (half * weights).ravel()))
+    (x, wx), (y, wy) = axes
+    points = np.stack(np.broadcast_arrays(x[:, None], y, 0.0), axis=-1)
+    summed = np.einsum("a,b,abij->ij", wx, wy, patch_compliance(points, LOAD, RUBBER)) / (wx.sum() * wy.sum())
+    mean = mean_compliance(target, LOAD, RUBBER)
+    assert np.allclose(mean, summed, rtol=0, atol=1e-12 * np.abs(mean).max())
+
+
+def test_rectangles_obey_reciprocity_and_energy_is_positive():
+    """Betti: mean over B by a load on A is the transpose of that over A by B; any forces do positive work."""
+    compliance = mean_compliance(TARGETS[:, None], TARGETS[None], RUBBER)
+    assert np.allclose(compliance, compliance.transpose(1, 0, 3, 2), rtol=0, atol=1e-14)
+    assert np.abs(compliance[..., 0, 2]).max() > 0.01 * np.abs(compliance).max()  # the skew part is really there
+    assert np.linalg.eigvalsh(compliance.transpose(0, 2, 1, 3).reshape(15, 15)).min() > 0
+
+
+def test_scales_and_symmetries():
+    """Twice as large is half as compliant, so is twice as stiff; x and y are alike; a patch far away is a point."""
+    for f, places in (
+        (point_compliance, (POINTS,)),
+        (patch_compliance, (POINTS, LOAD)),
+        (mean_compliance, (TARGETS, LOAD)),
+    ):
+        here = f(*places, RUBBER)
+        assert np.allclose(f(*(2 * place for place in places), RUBBER), here / 2, rtol=1e-11, atol=1e-16)
+        assert np.allclose(f(*places, replace(RUBBER, young_mpa=12.2)), here / 2, rtol=1e-12)
+    swap = [1, 0, 2]
+    swapped = patch_compliance(POINTS[:, swap], LOAD[[1, 0, 3, 2]], RUBBER)[:, swap][:, :, swap]
+    assert np.allclose(swapped, patch_compliance(POINTS, LOAD, RUBBER), rtol=0, atol=1e-15)
+    far = np.array([80.0, -60.0, 0.0])
+    distant = mean_compliance(np.array([-1.0, -1.0, 1.0, 1.0]) + far[[0, 1, 0, 1]], [-2.0, -2.0, 2.0, 2.0], RUBBER)
+    assert np.allclose(distant, point_compliance(far, RUBBER), rtol=0, atol=1e-3 * np.abs(distant).max())  # (2/100)²
+
+
+def pushed_block(outer, layers):
+    """Means of three squares, one loaded, by finite elements on a graded block, and in closed form: (3, 3, 3) each."""
+    core = np.arange(-6.0, 7.0, 2.0)
+    across = np.concatenate([-np.array(outer)[::-1], core, outer])
+    mesh = MeshTet.init_tensor(across, across, np.array(layers, dtype=float))
+    material = Material(poisson=0.49)
+    body = taylor_hood(mesh, [material], np.zeros(mesh.nelements, dtype=int))
+    squares = np.array([[-4.0, -4.0, 4.0, 4.0], [6.0, -2.0, 10.0, 2.0], [-10.0, -10.0, -6.0, -6.0]])
+    means = sp.kron(patch_integrals(body.basis, squares), sp.eye_array(3), format="csr")  # times area
+    solution, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
+    elements = (means @ body.displacements(solution)).reshape(3, 3, 3) / np.array([64.0, 16.0, 16.0])[:, None, None]
+    return elements, mean_compliance(squares, squares[0], material)
+
+
+def test_finite_elements_tend_to_the_half_space():
+    """A clamped block, ever larger, sinks under a pad relative to two squares beside it as a half-space does.
+
+    The differences drop what the far base takes away. 3 % are the mesh's: four edges of 2 mm across the load.
+    """
+    misfits = []
+    for block in (([10.0], [0, 8, 12, 14, 16]), ([10.0, 20.0, 40.0], [0, 20, 32, 38, 40, 42])):
+        elements, closed = pushed_block(*block)
+        error = (elements[0] - elements[1:]) - (closed[0] - closed[1:])
+        misfits.append(np.linalg.norm(error) / np.linalg.norm(closed[0] - closed[1:]))
+    assert misfits[0] > 0.3
+    assert misfits[1] < 0.03
+
+
+def test_the_response_holds_every_pair_of_electrode_and_pad():
+    """Unequal rows and columns, a shifted pad, and no symmetry to hide a mistaken index behind."""
+    design = SensorDesign(array=Array(rows=2, cols=3), pad=Pad(size_mm=8.0, offset_x_mm=1.0, offset_y_mm=-2.0))
+    influence = halfspace_response(design).influence_mm_per_n
+    pairs = mean_compliance(electrode_squares(design)[:, None], pad_squares(design), design.matrix_material)
+    direct = pairs.reshape(2, 3, 2, 2, 3, 3, 3).transpose(0, 1, 2, 5, 3, 4, 6)
+    assert influence.shape == (2, 3, 2, 3, 2, 3, 3)
+    assert np.allclose(influence, direct, rtol=0, atol=1e-13 * np.abs(direct).max())
+
+
+def test_a_response_is_written_and_read_like_any_other(tmp_path):
+    response = halfspace_response(SensorDesign(array=Array(rows=2, cols=3)))
+    write_response(response, tmp_path / "r.nc")
+    again = read_response(tmp_path / "r.nc")
+    assert np.array_equal(again.influence_mm_per_n, response.influence_mm_per_n)
+    assert (again.recipe, again.unknowns, again.residual) == (response.recipe, 0, 0.0)
+
+
+def test_a_large_array_takes_no_memory_to_speak_of():
+    """48 × 48 units have 764 MB of influence, and 95 × 95 offsets."""
+    influence = halfspace_response(SensorDesign(array=Array(rows=48, cols=48))).influence_mm_per_n
+    low, high = byte_bounds(influence)
+    assert influence.nbytes > 7e8
+    assert high - low < 2e6
+    assert not influence.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: point_compliance([0.0, 0.0, 0.0], RUBBER), "infinite at a point force; spread"),
+        (lambda: point_compliance([np.nan, 0.0, -1.0], RUBBER), "0 or no number"),
+        (lambda: point_compliance([1.0, 0.0, 0.1], RUBBER), r"z=0.1 lies above the surface"),
+        (lambda: patch_compliance([[1.0, 0.0, -1.0], [0.0, 0.0, 2.0]], LOAD, RUBBER), r"z=2 lies above the surface"),
+        (lambda: patch_compliance([1.0, 0.0], LOAD, RUBBER), r"shape \(2,\), expected \(\.\.\., 3\)"),
+        (lambda: patch_compliance([1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], RUBBER), "a rectangle is empty"),
+        (lambda: mean_compliance(LOAD[:3], LOAD, RUBBER), r"shape \(3,\), expected \(\.\.\., 4\)"),
+    ],
+)
+def test_what_has_no_answer_is_refused_by_name(call, message):
+    with pytest.raises(HalfspaceError, match=message):
+        call()
