@@ -71,14 +71,18 @@ class MultigridFactor(Factor):
     def __init__(
         self, matrix: sp.csr_matrix, modes: FloatArray, tolerance: float = 1e-10, max_iterations: int = 1000
     ) -> None:
-        from pyamg import smoothed_aggregation_solver
-
         super().__init__(matrix)
         if modes.shape[0] != self.n_unknowns or self.n_unknowns % 3:
             raise ValueError(
                 f"modes have shape {modes.shape}, expected ({self.n_unknowns}, 6), three unknowns a node: "
                 "give rigid_body_modes of the free nodes."
             )
+        try:
+            from pyamg import smoothed_aggregation_solver
+        except ImportError:
+            raise SolverError(
+                "the iterative solver needs pyamg: pip install pyamg, which compiles on ARM Linux."
+            ) from None
         self.tolerance, self.max_iterations = tolerance, max_iterations
         hierarchy = smoothed_aggregation_solver(
             matrix.tobsr((3, 3)), B=modes, smooth="jacobi", max_coarse=100, coarse_solver="splu"

@@ -1,6 +1,7 @@
 """Every solver gives the same answers on every problem it takes, and a wrong answer is not passed on."""
 
 import gc
+import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -27,8 +28,9 @@ from tests.fem.boxes import box_mesh
 
 PARDISO = pytest.param("pardiso", marks=pytest.mark.skipif(not find_spec("pypardiso"), reason="no wheel of MKL here"))
 CHOLMOD = pytest.param("cholmod", marks=pytest.mark.skipif(not find_spec("kvxopt"), reason="kvxopt is optional"))
+MULTIGRID = pytest.param("multigrid", marks=pytest.mark.skipif(not find_spec("pyamg"), reason="no wheel of pyamg here"))
 DIRECT = [PARDISO, "superlu"]  #: of any symmetric matrix
-DEFINITE = [PARDISO, CHOLMOD, "superlu", "multigrid"]
+DEFINITE = [PARDISO, CHOLMOD, "superlu", MULTIGRID]
 HALVES = [PARDISO, CHOLMOD]
 
 
@@ -266,7 +268,7 @@ def test_pardiso_wants_the_whole_diagonal():
         factorized(sp.csr_matrix(np.array([[0.0, 1.0], [1.0, 0.0]])), "pardiso")
 
 
-@pytest.mark.parametrize("solver", [PARDISO, CHOLMOD, "superlu", "multigrid"])
+@pytest.mark.parametrize("solver", [PARDISO, CHOLMOD, "superlu", MULTIGRID])
 def test_right_hand_sides_of_another_length_are_refused(definite, solver):
     """The libraries are told an address and a length; a wrong length must not reach them."""
     matrix, modes, exact = definite
@@ -289,7 +291,15 @@ def test_what_a_solver_cannot_do_is_said(definite):
         factorized(matrix, "multigrid", definite=True, modes=modes[:9])
 
 
+def test_a_missing_package_is_said(definite, monkeypatch):
+    matrix, modes, _ = definite
+    monkeypatch.setitem(sys.modules, "pyamg", None)
+    with pytest.raises(SolverError, match="needs pyamg: pip install pyamg"):
+        factorized(matrix, "multigrid", definite=True, modes=modes)
+
+
 def test_a_factor_that_does_not_fit_is_refused_or_avoided(definite, mixed):
+    pytest.importorskip("pyamg")
     matrix, modes, exact = definite
     with pytest.raises(FactorMemoryError, match=r"GB of 1e-05 GB available: take a coarser mesh"):
         factorized(mixed[0], memory_gb=1e-5)
@@ -313,6 +323,7 @@ def test_the_default_is_the_fastest_solver_installed(definite, mixed, monkeypatc
 
 
 def test_slow_convergence_is_refused(definite):
+    pytest.importorskip("pyamg")
     matrix, modes, exact = definite
     factor = MultigridFactor(matrix, modes, max_iterations=2)
     with pytest.raises(SolverError, match="did not reach 1e-10 in 2 iterations"):
