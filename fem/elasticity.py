@@ -73,7 +73,7 @@ def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> El
     """
     basis = Basis(mesh, ElementTetP2(), intorder=2)
     pressure = Basis(mesh, ElementTetP1(), quadrature=basis.quadrature)
-    lame_mpa, mu_mpa = _lame(material, region, at_least_poisson=1e-6)
+    lame_mpa, mu_mpa = lame_of_regions(material, region, at_least_poisson=1e-6)
 
     nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
     A = nodes.vector_matrix(elastic_blocks(basis, np.zeros_like(mu_mpa), mu_mpa))
@@ -81,16 +81,27 @@ def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> El
     shape_p = np.stack([np.broadcast_to(np.asarray(functions[0]), basis.dx.shape) for functions in pressure.basis])
     gradients = np.stack([functions[0].grad for functions in basis.basis])  # (b, j, e, q)
     div = np.einsum("aeq,bjeq,eq->eabj", shape_p, gradients, basis.dx, optimize=True)
-    B = SparsePattern(pressure.element_dofs, basis.element_dofs, (pressure.N, basis.N)).vector_matrix(
-        div[:, :, :, None, :]
-    )
+    corners = pressure_dofs(mesh, region)
+    n_pressure = int(corners.max()) + 1
+    B = SparsePattern(corners, basis.element_dofs, (n_pressure, basis.N)).vector_matrix(div[:, :, :, None, :])
     mass = np.einsum("aeq,beq,eq->eab", shape_p, shape_p, basis.dx / lame_mpa[:, None], optimize=True)
-    C = SparsePattern(pressure.element_dofs, pressure.element_dofs, (pressure.N, pressure.N)).matrix(mass)
+    C = SparsePattern(corners, corners, (n_pressure, n_pressure)).matrix(mass)
 
     free = _free_dofs(basis)
     A, B = A[free][:, free], B[:, free]
     matrix = sp.bmat([[A, B.T], [B, -C]], format="csr")
-    return ElasticBody(basis=basis, matrix=matrix, free=free, n_pressure=pressure.N)
+    return ElasticBody(basis=basis, matrix=matrix, free=free, n_pressure=n_pressure)
+
+
+def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
+    """Number of the pressure at each corner of each element, shape (4, n_elements).
+
+    Elements of one region share the pressure at a common corner, those of different regions do not: across an interface
+    the pressure jumps, and a continuous one would spoil the order of convergence.
+    """
+    keys = mesh.t.astype(np.int64) * (int(region.max()) + 1) + region
+    _, numbers = np.unique(keys, return_inverse=True)
+    return numbers.reshape(keys.shape)
 
 
 def displacement_form(
@@ -102,12 +113,14 @@ def displacement_form(
     """
     basis = Basis(mesh, element(), intorder=2)
     nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
-    A = nodes.vector_matrix(elastic_blocks(basis, *_lame(material, region)))
+    A = nodes.vector_matrix(elastic_blocks(basis, *lame_of_regions(material, region)))
     free = _free_dofs(basis)
     return ElasticBody(basis=basis, matrix=A[free][:, free].tocsr(), free=free, n_pressure=0)
 
 
-def _lame(material: list[Material], region: IntArray, at_least_poisson: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def lame_of_regions(
+    material: list[Material], region: IntArray, at_least_poisson: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
     """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
     table = np.array(
         [Material(young_mpa=m.young_mpa, poisson=max(m.poisson, at_least_poisson)).lame_mpa for m in material]

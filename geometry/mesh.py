@@ -188,31 +188,65 @@ def tetrahedra(
     -------
     points, shape (n, 3) [mm], and cells, shape (m, 4)
     """
-    import pytetwild
     from skfem import MeshTet
 
-    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
-    vertices = np.vstack([surface.vertices for surface in surfaces])
-    triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-
+    low, high = bounds(surfaces)
     # wanted edge lengths live on a coarse background mesh, a little larger than the body, in layers of a tenth
     x, y, _ = (np.array([a - 1.0, b + 1.0]) for a, b in zip(low, high, strict=True))
     background = MeshTet.init_tensor(x, y, np.linspace(-0.1, 1.1, 13) * height_mm)
     depth = np.clip(1.0 - background.p[2] / height_mm, 0.0, 1.0)
     edge_mm = settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**settings.grading
+    return fill(surfaces, background.p.T, background.t.T, edge_mm, settings.envelope_mm)
+
+
+def fill(
+    surfaces: Sequence[Surface],
+    background_mm: FloatArray,
+    background_cells: NDArray[np.integer],
+    edge_mm: FloatArray,
+    envelope_mm: float,
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Fill the outermost of nested surfaces with tetrahedra of wanted edge lengths.
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+        The body's own, and any inside it, which may cut each other.
+    background_mm, background_cells : arrays, shapes (n, 3) and (m, 4)
+        A mesh of tetrahedra that covers the body.
+    edge_mm : array, shape (n,)
+        Wanted edge length at each of its points.
+    envelope_mm : float
+        How far the mesher may move a surface.
+
+    Returns
+    -------
+    points, shape (n, 3) [mm], and cells, shape (m, 4)
+    """
+    import pytetwild
+
+    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
+    vertices = np.vstack([surface.vertices for surface in surfaces])
+    triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
+    low, high = bounds(surfaces)
     # the mesher prints, and drops a file where it stands
     with uninterrupted(), _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
         points, cells = pytetwild.tetrahedralize(
             vertices,
             triangles.astype(np.int32),
-            edge_length_abs=max(settings.edge_base_mm, settings.edge_top_mm),
-            epsilon=settings.envelope_mm / float(np.linalg.norm(high - low)),
-            bg_vertices=background.p.T.copy(),
-            bg_tets=background.t.T.astype(np.int32),
+            edge_length_abs=float(edge_mm.max()),
+            epsilon=envelope_mm / float(np.linalg.norm(high - low)),
+            bg_vertices=np.ascontiguousarray(background_mm),
+            bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
             bg_values=edge_mm,
         )
     return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+
+
+def bounds(surfaces: Sequence[Surface]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates of surfaces, shape (3,) each [mm]."""
+    vertices = np.vstack([surface.vertices for surface in surfaces])
+    return vertices.min(axis=0), vertices.max(axis=0)
 
 
 def snap_to_box(
