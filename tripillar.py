@@ -9,7 +9,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -74,6 +74,51 @@ def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOpt
     else:
         print(stage.note)
     wrote(stage.files)
+
+
+@app.command()
+def solve(
+    scene: Annotated[Path, typer.Argument(help="Scene TOML: a body, its loads, its probes.")],
+    json_: JsonOption = False,
+    explain: Annotated[bool, typer.Option("--explain", help="Say what is computed, what is skipped, and why.")] = False,
+    tolerance: Annotated[float | None, typer.Option(help="Relative error of the probes; default: the scene's.")] = None,
+    vtu: Annotated[Path | None, typer.Option(help="VTU file for the displacement of the whole body.")] = None,
+    no_skip: Annotated[list[str] | None, typer.Option(help="A saving to do without, by name; repeatable.")] = None,
+    element: Annotated[str | None, typer.Option(help="Q2, S2, TH, P2 or P1; default: the plan's.")] = None,
+    solver: Annotated[str | None, typer.Option(help="Linear solver; default: the plan's.")] = None,
+) -> None:
+    """Solve any scene: a block, a pillar, a unit or an array under loads, to its tolerance."""
+    if vtu is not None and (vtu.suffix != ".vtu" or vtu.is_dir()):
+        raise DesignError(f"--vtu {vtu} must be a file that ends in .vtu.")
+    from fem.plan import make_plan
+    from fem.scene_file import read_scene
+    from fem.solution_file import solution_as_plain, write_field
+    from fem.solve import follow
+
+    body = read_scene(scene)
+    if tolerance is not None:
+        body = replace(body, tolerance=tolerance)
+    plan = make_plan(body, no_skip=no_skip or (), element=element, solver=solver, field=vtu is not None)
+    if explain:
+        print(*plan.lines, sep="\n", file=sys.stderr if json_ else sys.stdout)
+    solution = follow(plan, body, field=vtu is not None)
+    if vtu is not None and solution.field is not None:
+        write_field(solution.field, vtu)
+    if json_:
+        show_json(solution_as_plain(solution, plan))
+    else:
+        from studies.report import show, solution_table
+
+        if explain:
+            print(*solution.steps, sep="\n")
+        show(solution_table(solution))
+    if not solution.error_estimate <= body.tolerance:
+        print(
+            f"warning: the estimated error {solution.error_estimate:.1e} stays above the tolerance {body.tolerance:g}; "
+            "--explain says why",
+            file=sys.stderr,
+        )
+    wrote([] if vtu is None else [vtu])
 
 
 @app.command()

@@ -34,6 +34,8 @@ TETRAHEDRAL_ELEMENTS = {
     "P2": "10-node tetrahedra, which converge slowly as ν nears 0.5",
     "P1": "4-node tetrahedra, which lock as ν nears 0.5",
 }
+SOLVERS = ("pardiso", "cholmod", "superlu", "multigrid")
+FOR_DEFINITE = ("cholmod", "multigrid")  #: which the mixed form, TH, is not
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,7 @@ class Plan:
 
     method: Method
     element: str  #: a key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`
-    solver: str | None  #: direct solver by name; None: the solver module chooses
+    solver: str | None  #: one of `SOLVERS`; None: the solver module chooses
     regions: tuple[tuple[Prism, Material], ...]  #: prisms inside the body that need a region of their own
     mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
     keeps: frozenset[str]  #: names of the savings switched off
@@ -101,7 +103,7 @@ def make_plan(
     element : str, optional
         A key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`; a tetrahedral one also switches the grid off.
     solver : str, optional
-        Direct solver by name.
+        One of `SOLVERS`.
     field : bool
         True if the displacement of the whole body is asked for.
 
@@ -116,6 +118,8 @@ def make_plan(
     if element is not None and element not in GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS:
         known = ", ".join(GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)
         raise SceneError(f"unknown element '{element}'; known are {known}.")
+    if solver is not None and solver not in SOLVERS:
+        raise SceneError(f"unknown solver '{solver}'; known are {', '.join(SOLVERS)}.")
 
     regions, one_material = _regions(scene, keeps)
     method, mesh = _method(scene, regions, keeps, element, field)
@@ -132,6 +136,13 @@ def make_plan(
         )
     else:
         chosen = element or "Q2"
+    if chosen == "TH" and solver in FOR_DEFINITE:
+        raise SceneError(
+            f"solver '{solver}' takes definite matrices only and that of element TH is not: take pardiso or superlu, or "
+            "element P2."
+        )
+    if solver is not None:
+        decisions.append(Decision(name="solver", choice=solver, reason="asked for"))
     decisions.append(_field(scene, keeps, field))
     return Plan(
         method=method,

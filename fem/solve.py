@@ -42,20 +42,25 @@ def solve_scene(
         If the mesh or an answer cannot be trusted.
     """
     plan = make_plan(scene, no_skip=no_skip, element=element, solver=solver, field=field)
+    return follow(plan, scene, field), plan
+
+
+def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
+    """The answer to a scene by the plan that was made for it."""
     with_field = field or not plan.saves("field")
     if plan.method == "nothing":
-        return unmoved(scene), plan
+        return unmoved(scene)
     if plan.method == "grid" and find_spec("fem.structured"):
         from fem.structured import solve_on_grid
 
-        return solve_on_grid(scene, plan, with_field), plan
+        return solve_on_grid(scene, plan, with_field)
     if plan.method == "cells" and find_spec("fem.substructured"):
         from fem.substructured import solve_by_cells
 
-        return solve_by_cells(scene, plan, with_field), plan
+        return solve_by_cells(scene, plan, with_field)
     from fem.tetrahedral import solve_on_tetrahedra
 
-    return solve_on_tetrahedra(scene, plan, with_field), plan
+    return solve_on_tetrahedra(scene, plan, with_field)
 
 
 def unmoved(scene: Scene) -> Solution:

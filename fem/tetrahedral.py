@@ -38,6 +38,7 @@ MOST_MESHES = 40  #: a bound on patience; some 10 are usual
 LEAST_MESHES = 4  #: before an estimate is believed
 MOST_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
+LAST_SHARE = 0.65  #: the same, where little is missing
 EDGES_ACROSS_PATCH = 1.5  #: least edges across every load and probe before the first solve
 
 
@@ -104,7 +105,8 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, field: bool = False) -> Soluti
             steps.append(f"stopped at the limit of {limit}, short of the tolerance {scene.tolerance:g}")
             break
         start = perf_counter()
-        marked = largest_contributors(found.indicators, SHARE if worst > 1.5 * scene.tolerance else SHARE**2)
+        share = SHARE if worst > 1.5 * scene.tolerance else LAST_SHARE
+        marked = largest_contributors(found.indicators, share)
         mesh = mesh.refined(marked)
         seconds["mesh"] += perf_counter() - start
 

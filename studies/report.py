@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from decoupler.metrics import ForceErrors
+from fem.solution import Solution
 from studies.comparison import Comparison
 from studies.pipeline import CAP, SPLITS, Stage
 
@@ -53,6 +55,21 @@ def errors_table(errors: Mapping[str, ForceErrors]) -> Table:
         table.add_column(header, justify="right")
     for name, values in errors.items():
         table.add_row(name, *_error_cells(values))
+    return table
+
+
+def solution_table(solution: Solution) -> Table:
+    """Displacement of every probe of a scene, with how far to trust it below."""
+    seconds = sum(solution.seconds.values())
+    table = Table(
+        caption=f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, "
+        f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s"
+    )
+    table.add_column("probe")
+    for header in ("ux [mm]", "uy [mm]", "uz [mm]"):
+        table.add_column(header, justify="right")
+    for name, displacement in solution.probes.items():
+        table.add_row(escape(name), *(f"{u:.6g}" for u in displacement))
     return table
 
 
