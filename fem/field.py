@@ -1,7 +1,8 @@
 """The displacement of the whole body under given loads: for pictures; no dataset needs it."""
 
 from fem.linear_solver import checked_solve, factorized
-from fem.response import elastic_body, patch_means
+from fem.patch import patch_means
+from fem.response import elastic_body
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pad_squares
 from geometry.mesh import TetMesh
@@ -25,7 +26,7 @@ def displacement_field(design: SensorDesign, mesh: TetMesh, traction_mpa: FloatA
     """
     body = elastic_body(design, mesh)
     newtons = traction_mpa.ravel() * design.pad.size_mm**2
-    loads = patch_means(body, pad_squares(design)).T @ newtons
+    loads = patch_means(body.basis, pad_squares(design)).T @ newtons
     solution, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(loads[:, None]))
     nodes = body.displacements(solution).reshape(-1, 3)
     return nodes[body.basis.nodal_dofs[0]]

@@ -9,12 +9,11 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-import scipy.sparse as sp
 from skfem import MeshTet
 
 from fem.elasticity import ElasticBody, taylor_hood
 from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_integrals
+from fem.patch import patch_means
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
@@ -97,8 +96,8 @@ def solve_response(
 
     progress("assemble")
     body = elastic_body(design, mesh)
-    pads = patch_means(body, pad_squares(design))
-    electrodes = patch_means(body, electrode_squares(design))
+    pads = patch_means(body.basis, pad_squares(design))
+    electrodes = patch_means(body.basis, electrode_squares(design))
     done("assemble")
 
     progress("factor")
@@ -131,17 +130,6 @@ def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
     """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
     skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
     return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
-
-
-def patch_means(body: ElasticBody, rectangles: FloatArray) -> sp.csr_matrix:
-    """Rows that take nodal displacements to mean displacements of rectangles of the top face.
-
-    Shape (n_rectangles·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of
-    a unit force spread evenly over that rectangle.
-    """
-    area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
-    means = sp.diags_array(1 / area_mm2) @ patch_integrals(body.basis, rectangles)
-    return sp.kron(means, sp.eye_array(3), format="csr")
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:

@@ -1,0 +1,133 @@
+"""One unit cell, condensed statically onto the port modes of its side faces.
+
+Everything inside the cell is eliminated. What is left is small and dense: the stiffness between port modes, and what
+rectangles of the top face (pads, electrodes) see of them. The copies of an array are coupled from that (`fem/array.py`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.elasticity import ElasticBody
+from fem.hexahedra import GridBasis, grid_body
+from fem.linear_solver import checked_solve, factorized, schur_product
+from fem.patch import patch_means
+from fem.ports import PARITIES, PortModes, image_signs
+from geometry.layout import FloatArray
+
+ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CondensedCell:
+    """A cell seen from its ports and from k rectangles of its top face, three functionals (x, y, z) each.
+
+    With port displacements q and forces f [N] spread evenly over the rectangles, the cell pulls its ports by S q − L f,
+    and the mean displacements of the rectangles are Lᵀ q + C f.
+    """
+
+    ports: PortModes
+    stiffness: FloatArray  #: S, (n_modes·3, n_modes·3) [N/mm]
+    reach: FloatArray  #: L, (n_modes·3, k·3), no unit
+    compliance: FloatArray  #: C with the ports held, (k·3, k·3) [mm/N]
+    unknowns: int  #: of the largest system that was factored
+    residual: float  #: largest relative residual of the solves that were checked
+
+
+def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> CondensedCell:
+    """Condense a meshed cell, whatever its mesh.
+
+    Parameters
+    ----------
+    body : ElasticBody
+        The cell x, y ∈ [−a, a], its base clamped, its side faces free.
+    ports : PortModes
+    rectangles : array, shape (k, 4)
+        x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed [mm].
+
+    Notes
+    -----
+    S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on the
+    side faces, which follow the port modes Φ, and I the others, all pressures included.
+    """
+    nodes = body.basis.doflocs
+    on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
+    at_ports = body.free[on_side[body.free // 3]]  # displacement degrees of freedom on the side faces
+    number, place = np.unique(at_ports // 3, return_inverse=True)
+    modes = np.zeros((len(at_ports), ports.n_modes, 3))
+    modes[np.arange(len(at_ports)), :, at_ports % 3] = ports.values(nodes[:, number].T)[place]
+    loads = body.loads(patch_means(body.basis, rectangles).T.toarray())
+    S, L, C, residual = _eliminate(body, at_ports, modes.reshape(len(at_ports), -1), loads)
+    return CondensedCell(
+        ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
+    )
+
+
+def condense_by_parity(
+    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, rectangles: FloatArray
+) -> CondensedCell:
+    """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
+
+    A displacement splits into four parities (`PARITIES`), each a problem of the quarter with its own conditions on the
+    mirror planes; four quarters cost far less than one whole. `rectangles` may lie anywhere on the whole cell. Otherwise
+    as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    """
+    n, m = ports.n_modes * 3, len(rectangles) * 3
+    S, L, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, m))
+    nodes = basis.doflocs
+    on_side = (nodes[:2] > ports.half_mm * (1 - ON_FACE)).any(axis=0)
+    images = [patch_means(basis, _mirrored(rectangles, image)).T.toarray() for image in PARITIES]
+    unknowns, residual = 0, 0.0
+    for parity in PARITIES:
+        body = grid_body(basis, stiffness, mirrors=parity)
+        at_ports = body.free[on_side[body.free // 3]]
+        number, place = np.unique(at_ports // 3, return_inverse=True)
+        modes = ports.parity_values(nodes[:, number].T, parity).reshape(len(number), 3, -1)[place, at_ports % 3]
+        # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
+        gathered = sum(
+            means * np.tile(image_signs(parity, image), len(rectangles))
+            for image, means in zip(PARITIES, images, strict=True)
+        )
+        S_quarter, L_quarter, C_quarter, misfit = _eliminate(body, at_ports, modes, body.loads(gathered))
+        share = ports.parity_share(parity)
+        S += 4 * (share.T @ (share.T @ S_quarter).T)
+        L += share.T @ L_quarter
+        C += C_quarter / 4
+        unknowns, residual = max(unknowns, len(body.free)), max(residual, misfit)
+    return CondensedCell(ports=ports, stiffness=S, reach=L, compliance=C, unknowns=unknowns, residual=residual)
+
+
+def _eliminate(
+    body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """S, L and C of `condense`, and the residual of the loads' solves.
+
+    `at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n); `loads` have
+    shape (unknowns, m).
+    """
+    on_port = np.zeros(body.matrix.shape[0], dtype=bool)
+    on_port[np.searchsorted(body.free, at_ports)] = True
+    inner, outer = np.flatnonzero(~on_port), np.flatnonzero(on_port)
+    K_II = body.matrix[inner][:, inner].tocsr()
+    K_IB = body.matrix[inner][:, outer]
+    K_BB = body.matrix[outer][:, outer]
+    factor = factorized(K_II, definite=body.n_pressure == 0)
+    n = modes.shape[1]
+    product = schur_product(factor, np.hstack([K_IB @ modes, loads[inner]]))
+    S = modes.T @ (K_BB @ modes) - product[:n, :n]
+    L = modes.T @ loads[outer] - product[:n, n:]
+    C = product[n:, n:]
+    _, residual = checked_solve(K_II, factor, loads[inner][:, :1])
+    return (S + S.T) / 2, L, (C + C.T) / 2, residual
+
+
+def _mirrored(rectangles: FloatArray, image: tuple[int, int]) -> FloatArray:
+    """Rectangles (k, 4) mirrored in the axes whose sign is −1."""
+    x0, y0, x1, y1 = np.asarray(rectangles, dtype=float).T
+    if image[0] < 0:
+        x0, x1 = -x1, -x0
+    if image[1] < 0:
+        y0, y1 = -y1, -y0
+    return np.stack([x0, y0, x1, y1], axis=1)

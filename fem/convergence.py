@@ -1,0 +1,57 @@
+"""How far the last of a row of answers is from the limit of the row.
+
+Errors fall as C k^(−q) with the level of refinement k. Two answers give C for an assumed rate q, three give q as well.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import brentq
+
+RATE = 2.5  #: of quadratic elements on the first graded grids; it rises to 4 as they get finer
+RATES = (2.0, 4.5)  #: what three answers may make of it
+SAFETY = 0.7  #: of the tolerance, at which the next level aims
+
+
+def error_after(levels: Sequence[float], changes: Sequence[float]) -> float:
+    """Estimated error of the last answer.
+
+    Parameters
+    ----------
+    levels : sequence of n numbers
+        Refinement of each answer, rising.
+    changes : sequence of n − 1 numbers
+        Size of the change from each answer to the next.
+
+    Examples
+    --------
+    >>> exact = [1 / 2**4, 1 / 3**4, 1 / 4**4]
+    >>> round(error_after([2, 3, 4], [exact[0] - exact[1], exact[1] - exact[2]]) * 4**4, 6)
+    1.0
+    """
+    rate = _rate(levels[-3:], changes[-2:]) if len(changes) > 1 else RATE
+    a, b = (np.asarray(levels[-2:], dtype=float)) ** -rate
+    return float(changes[-1] * b / (a - b))
+
+
+def next_level(level: int, estimate: float, tolerance: float) -> int:
+    """The least level whose error should be below the tolerance, with something to spare."""
+    return max(level + 1, int(np.ceil(level * (estimate / (SAFETY * tolerance)) ** (1 / RATE))))
+
+
+def _rate(levels: Sequence[float], changes: Sequence[float]) -> float:
+    """Rate q at which two changes between three levels have the ratio they have, within `RATES`."""
+    k = np.asarray(levels, dtype=float)
+    if not (changes[0] > 0 and changes[1] > 0):
+        return RATE
+
+    def excess(rate: float) -> float:
+        e = k**-rate
+        return float(np.log((e[0] - e[1]) / (e[1] - e[2])) - np.log(changes[0] / changes[1]))
+
+    low, high = RATES
+    if excess(low) >= 0:
+        return low
+    if excess(high) <= 0:
+        return high
+    return float(brentq(excess, low, high))

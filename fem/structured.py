@@ -1,0 +1,289 @@
+"""Scenes of boxes on structured grids of hexahedra, refined until the probes are as accurate as asked.
+
+Grids of rising level contain each other, and their errors fall together, as a power of the level: so two or three answers
+tell how far the last one is from the limit, and which level the tolerance needs.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from time import perf_counter
+
+import numpy as np
+import scipy.sparse as sp
+
+from fem.convergence import error_after, next_level
+from fem.elasticity import ElasticBody
+from fem.grid import Attractor, Grid, graded_lines
+from fem.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.linear_solver import checked_solve, factorized, solver_plan
+from fem.multigrid import rigid_body_modes
+from fem.patch import patch_means
+from fem.plan import Plan
+from fem.scene import Probe, Scene
+from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution, relative_errors
+from geometry.layout import FloatArray
+
+LEVELS = (2, 3)  #: the first two grids
+HIGHEST_LEVEL = 24
+ENOUGH = 0.8  #: of the tolerance: an estimate below it ends the refinement
+MOST_UNKNOWNS = 1_500_000  #: beyond, a grid takes longer than anyone waits for a scene
+EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 1.5, 0.7, 0.3  #: weights of attractors, tuned on the validation scenes
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one grid says."""
+
+    probes: dict[str, FloatArray]
+    energy_mj: float
+    residual: float
+    unknowns: int
+
+
+def solve_on_grid(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
+    """Solve a scene whose every region is a box (or the same sheared box) on grids of rising level.
+
+    Parameters
+    ----------
+    scene : Scene
+    plan : Plan
+        Of method "grid".
+    with_field : bool
+        Also hand back the displacement of the whole body, unfolded from its mirrored part.
+
+    Raises
+    ------
+    SolverError
+        If an answer cannot be trusted.
+    """
+    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+    levels, answers, steps = [], [], []
+    level: int | None = LEVELS[0]
+    estimate = np.inf
+    field = None
+    while level is not None:
+        grid = scene_grid(scene, plan, level)
+        answer, field = _answer(scene, plan, grid, seconds, with_field)
+        levels.append(level)
+        answers.append(answer)
+        estimate = _estimate(levels, answers)
+        steps.append(
+            f"grid of {' × '.join(map(str, grid.shape))} boxes (level {level}): {answer.unknowns} unknowns"
+            + (f", estimated error {estimate:.1e}" if len(levels) > 1 else "")
+        )
+        level = _next(scene, levels, answers, estimate)
+    last = answers[-1]
+    return Solution(
+        probes=last.probes,
+        energy_mj=last.energy_mj,
+        residual=last.residual,
+        unknowns=last.unknowns,
+        error_estimate=estimate,
+        seconds=seconds,
+        steps=tuple(steps),
+        field=field,
+    )
+
+
+def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
+    """The grid of a level: lines at the edges of loads and regions, crowding there; only the mirrored part of the body."""
+    outline = scene.outline
+    height = outline.height_mm
+    lean = tuple((top - base) / height for base, top in zip(outline.base_mm[:2], outline.top_mm[:2], strict=True))
+    loads = [load.rectangle for load in scene.loads]
+    probes = [probe.rectangle for probe in scene.probes if probe.kind == "mean"]
+    sizes = [side for load in scene.loads for side in load.size_mm]
+    length = min([height, *outline.section_mm, *sizes])
+    mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
+
+    axes, exposed = [], 0.0
+    for axis in (0, 1):
+        middle, half = outline.base_mm[axis], outline.section_mm[axis] / 2
+        low, high = middle - half, middle + half
+        shift = lean[axis] * height  # from the base, where lines are stated, to the top, where the loads are
+        load_edges = [rectangle[side] - shift for rectangle in loads for side in (axis, axis + 2)]
+        probe_edges = [rectangle[side] - shift for rectangle in probes for side in (axis, axis + 2)]
+        region_edges = [
+            prism.base_mm[axis] + sign * prism.section_mm[axis] / 2 for prism, _ in plan.regions for sign in (-1, 1)
+        ]
+        reach = max(((max(e - middle, middle - e)) for e in load_edges), default=0.0)
+        beside = float(np.exp(-(half - reach) / length))  # what the load still does at the sides
+        exposed = max(exposed, beside)
+        attractors = _unique(
+            [(e, EDGE_OF_LOAD) for e in load_edges]
+            + [(e, EDGE_OF_REGION) for e in region_edges]
+            + [(e, EDGE_OF_PROBE) for e in probe_edges]
+            + [(low, beside), (high, beside)],
+            length,
+        )
+        stops = [low, high, *load_edges, *region_edges]
+        if axis in mirrored:
+            stops = [middle + abs(stop - middle) for stop in stops] + [middle]
+        stops = [stop for stop in stops if low <= stop <= high]
+        axes.append(graded_lines(_apart(stops, scene.rounding_mm), attractors, level))
+    levels_of_regions = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
+    upright = _unique(
+        [(height, TOP), (0.0, max(0.25, exposed))] + [(z, EDGE_OF_REGION) for z in levels_of_regions], length
+    )
+    z = graded_lines(_apart([0.0, height, *levels_of_regions], scene.rounding_mm), upright, level)
+    grid = Grid(x=axes[0], y=axes[1], z=z, lean=(lean[0], lean[1]))
+    return Grid(x=grid.x, y=grid.y, z=grid.z, lean=grid.lean, region=_regions(grid, plan))
+
+
+def _unique(places: list[tuple[float, float]], length: float) -> list[Attractor]:
+    """One attractor a place, with the greatest weight it was given."""
+    weights: dict[float, float] = {}
+    for place, weight in places:
+        key = round(place, 9)
+        weights[key] = max(weight, weights.get(key, 0.0))
+    return [Attractor(place, length, weight) for place, weight in weights.items()]
+
+
+def _apart(stops: list[float], slack: float) -> list[float]:
+    """Stops without those that only rounding tells from the one before."""
+    kept: list[float] = []
+    for stop in sorted(stops):
+        if not kept or stop - kept[-1] > slack:
+            kept.append(stop)
+    return kept
+
+
+def _regions(grid: Grid, plan: Plan) -> np.ndarray:
+    """Material number of every box: 0 the body, k the k-th region."""
+    region = np.zeros(grid.shape, dtype=np.int64)
+    centres = [(lines[1:] + lines[:-1]) / 2 for lines in (grid.x, grid.y, grid.z)]
+    points = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1).reshape(-1, 3)
+    for number, (prism, _) in enumerate(plan.regions, start=1):
+        region.reshape(-1)[prism.holds(points)] = number
+    return region
+
+
+def _answer(
+    scene: Scene, plan: Plan, grid: Grid, seconds: dict[str, float], with_field: bool
+) -> tuple[Answer, Field | None]:
+    start = perf_counter()
+
+    def spent(step: str) -> None:
+        nonlocal start
+        now = perf_counter()
+        seconds[step] += now - start
+        start = now
+
+    element = "S2" if plan.element == "S2" else "Q2"
+    basis = GridBasis(grid, element)
+    spent("mesh")
+    parities = {mirror.axis: mirror.parity for mirror in plan.mirrors}
+    stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])
+    body = grid_body(basis, stiffness, (parities.get(0, 0), parities.get(1, 0)))
+    forces = np.zeros((basis.N * 3, 1))
+    for load in scene.loads:
+        rectangle = np.array([load.rectangle])
+        a, b = load.size_mm
+        newtons = np.array(load.traction_mpa) * a * b
+        forces += patch_means(basis, rectangle).T @ newtons[:, None]  # the kept part alone: mirrored parts clip away
+    rows = sp.vstack([probe_rows(basis, probe, plan) for probe in scene.probes], format="csr")
+    rhs = body.loads(forces)
+    spent("assemble")
+    modes = None
+    if not solver_plan(rhs.shape[0], definite=True).fits:
+        modes = free_modes(body)
+    factor = factorized(body.matrix, plan.solver, definite=True, modes=modes)
+    spent("factor")
+    solution, residual = checked_solve(body.matrix, factor, rhs)
+    u = body.displacements(solution)
+    seen = (rows @ u).reshape(-1, 3)
+    spent("solve")
+    answer = Answer(
+        probes={probe.name: row for probe, row in zip(scene.probes, seen, strict=True)},
+        energy_mj=float((solution * rhs).sum()) / 2 * 2 ** len(plan.mirrors),
+        residual=residual,
+        unknowns=rhs.shape[0],
+    )
+    return answer, (_unfolded(basis, u.reshape(-1, 3), plan) if with_field else None)
+
+
+def free_modes(body: ElasticBody) -> FloatArray:
+    """Rigid-body modes on a body's free degrees of freedom, for the iterative solver."""
+    return rigid_body_modes(body.basis.doflocs.T)[body.free]
+
+
+def probe_rows(basis: GridBasis, probe: Probe, plan: Plan) -> sp.csr_matrix:
+    """Rows (3, N·3) that take displacements of the mirrored part to a probe anywhere on the body."""
+    rows = sp.csr_matrix((3, basis.N * 3))
+    for image in product(*[(False, True)] * len(plan.mirrors)):
+        flipped = [mirror for mirror, flip in zip(plan.mirrors, image, strict=True) if flip]
+        signs = np.ones(3)
+        for mirror in flipped:
+            signs *= mirror.parity * np.where(np.arange(3) == mirror.axis, -1.0, 1.0)
+        if probe.kind == "mean":
+            rectangle = np.array(probe.rectangle)
+            for mirror in flipped:
+                low, high = rectangle[mirror.axis], rectangle[mirror.axis + 2]
+                rectangle[[mirror.axis, mirror.axis + 2]] = 2 * mirror.position_mm - np.array([high, low])
+            rows = rows + sp.diags_array(signs) @ patch_means(basis, rectangle[None])
+        else:
+            point = np.array(probe.position_mm)
+            if any((point[mirror.axis] < mirror.position_mm) != flip for mirror, flip in zip(plan.mirrors, image, strict=True)):
+                continue
+            for mirror in flipped:
+                point[mirror.axis] = 2 * mirror.position_mm - point[mirror.axis]
+            rows = rows + sp.diags_array(signs) @ sp.kron(basis.values(point[None]), sp.eye_array(3), format="csr")
+    return rows.tocsr()
+
+
+def _unfolded(basis: GridBasis, u: FloatArray, plan: Plan) -> Field:
+    """Displacement of the whole body at the 20 edge nodes of its boxes, from that of the mirrored part."""
+    corners = basis.local
+    order = [int(np.flatnonzero((corners == place).all(axis=1))[0]) for place in VTK_PLACES]
+    points, moved, cells = basis.doflocs.T, u, basis.element_dofs[order].T
+    region = np.broadcast_to(basis.grid.region, basis.grid.shape).ravel()
+    for mirror in plan.mirrors:
+        flip = np.where(np.arange(3) == mirror.axis, -1.0, 1.0)
+        image = points.copy()
+        image[:, mirror.axis] = 2 * mirror.position_mm - image[:, mirror.axis]
+        cells = np.vstack([cells, cells[:, VTK_MIRRORED[mirror.axis]] + len(points)])
+        points, moved = np.vstack([points, image]), np.vstack([moved, mirror.parity * flip * moved])
+        region = np.concatenate([region, region])
+    return Field(
+        points_mm=points, cells=cells, cell_type=QUADRATIC_HEXAHEDRON, displacement_mm=moved, region=region
+    )
+
+
+#: the 20 nodes of VTK's quadratic hexahedron in half steps: corners, lower edges, upper edges, uprights
+VTK_PLACES = np.array(
+    [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)]
+    + [(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)]
+    + [(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)]
+)
+#: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out
+VTK_MIRRORED = [
+    [
+        int(np.flatnonzero((VTK_PLACES == np.where(np.arange(3) == axis, 2 - place, place)).all(axis=1))[0])
+        for place in VTK_PLACES
+    ]
+    for axis in (0, 1)
+]
+
+
+def _estimate(levels: list[int], answers: list[Answer]) -> float:
+    if len(levels) < 2:
+        return np.inf
+    last = answers[-1].probes
+    changes = [
+        relative_errors({name: b.probes[name] - a.probes[name] for name in last}, last)
+        for a, b in zip(answers[:-1], answers[1:], strict=True)
+    ]
+    return max(error_after(levels, [change[name] for change in changes]) for name in last)
+
+
+def _next(scene: Scene, levels: list[int], answers: list[Answer], estimate: float) -> int | None:
+    """The level that the tolerance needs, or None if it is met or out of reach."""
+    if len(levels) == 1:
+        return LEVELS[1]
+    if estimate <= ENOUGH * scene.tolerance:
+        return None
+    wanted = next_level(levels[-1], estimate, scene.tolerance)
+    growth = answers[-1].unknowns / levels[-1] ** 3
+    affordable = int((MOST_UNKNOWNS / growth) ** (1 / 3))
+    level = min(wanted, affordable, HIGHEST_LEVEL)
+    return level if level > levels[-1] else None
