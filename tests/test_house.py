@@ -24,7 +24,7 @@ def imports(path: Path) -> set[str]:
 
 
 def sources() -> list[tuple[str, Path]]:
-    files = [(floor, path) for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py"))]
+    files = [(floor, path) for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
     return [*files, ("tripillar", ROOT / "tripillar.py")]
 
 
