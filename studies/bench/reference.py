@@ -30,14 +30,18 @@ METHOD = (
     "even and odd parts on a quarter of the body where it is symmetric. Two grids: the finer gives the values, their "
     "distance the uncertainty."
 )
-GRADINGS = {  #: scene's first word → coarser and finer grid
+GRADINGS = {  #: how a scene's name begins → coarser and finer grid; layers below 1e-7 of the body round off
     "block": (
         Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=4.0),
         Grading(order=5, load_layers=4, body_layers=3, ratio=0.25, widest_mm=4.0),
     ),
-    "pillar": (
-        Grading(order=5, load_layers=2, body_layers=6, ratio=0.15, widest_mm=2.5),
-        Grading(order=6, load_layers=2, body_layers=8, ratio=0.15, widest_mm=2.5),
+    "pillar-upright": (
+        Grading(order=5, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
+        Grading(order=6, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
+    ),
+    "pillar-oblique": (
+        Grading(order=6, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
+        Grading(order=7, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
     ),
     "stiff": (
         Grading(order=4, load_layers=3, body_layers=4, ratio=0.25, widest_mm=3.0),
@@ -116,7 +120,7 @@ def main(names: list[str]) -> None:
     """Solve the named scenes, or all, and store each as soon as it is known."""
     scenes = all_scenes()
     for name in names or scenes:
-        coarser, finer = GRADINGS[name.split("-")[0]]
+        coarser, finer = next(pair for prefix, pair in GRADINGS.items() if name.startswith(prefix))
         entry = make_reference(scenes[name], coarser, finer)
         stored = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"] if REFERENCES.exists() else {}
         stored = {key: value for key, value in (stored | {name: entry}).items() if key in scenes}

@@ -1,0 +1,185 @@
+"""NGSolve as one who knows it would use it: netgen's graded or hp-refined meshes, orders 2 to 4, its own solver.
+
+The patch outlines are glued into the top face, so that the mesh conforms to them and is refined there: either by local
+edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra.
+"""
+
+import os
+from collections.abc import Callable
+from contextlib import nullcontext
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+
+from fem.scene import Rectangle, Scene
+from studies.bench.contender import Answer, Contender
+from studies.bench.peers.grids import scene_lines
+from studies.bench.stopwatch import Stopwatch
+
+Form = Literal["displacement", "reduced", "mixed"]
+MeshMaker = Callable[[Scene, float], Any]
+
+
+def local_size_mesh(scene: Scene, n: float) -> Any:
+    """Tetrahedra by netgen, shrinking toward the outlines of loads."""
+    patch_mm = min(min(load.size_mm) for load in scene.loads)
+    return _netgen_mesh(scene, largest_mm=scene.height_mm / max(1.0, n / 2), edge_mm=patch_mm / 2 / n**1.5, hp=0)
+
+
+def hp_mesh(scene: Scene, n: float) -> Any:
+    """Tetrahedra and their kin by netgen, refined geometrically twice toward the outlines of loads."""
+    patch_mm = min(min(load.size_mm) for load in scene.loads)
+    return _netgen_mesh(scene, largest_mm=scene.height_mm / n, edge_mm=patch_mm / 2 / n, hp=2)
+
+
+def hexahedra_mesh(scene: Scene, n: float) -> Any:
+    """Graded hexahedra: a structured mesh mapped onto the lines of `grids.scene_lines`."""
+    from ngsolve.meshes import MakeStructured3DMesh
+
+    lines = scene_lines(scene, n, graded=True)
+    counts = [len(line) - 1 for line in lines]
+
+    def mapped(*share: float) -> tuple[float, ...]:
+        # vertices are whole shares of each line, up to rounding
+        return tuple(float(line[round(s * count)]) for line, count, s in zip(lines, counts, share, strict=True))
+
+    return MakeStructured3DMesh(hexes=True, nx=counts[0], ny=counts[1], nz=counts[2], mapping=mapped)
+
+
+def _netgen_mesh(scene: Scene, largest_mm: float, edge_mm: float, hp: int) -> Any:
+    from netgen.occ import Axes, Box, Glue, OCCGeometry, Pnt, WorkPlane, X, Z
+    from ngsolve import Mesh
+
+    x0, y0, x1, y1 = scene.top_mm
+    h = scene.height_mm
+    body = Box(Pnt(x0, y0, 0.0), Pnt(x1, y1, h))
+    rectangles = {tuple(r): True for r in scene.load_rectangles_mm.tolist()}
+    rectangles |= {tuple(r): r in scene.load_rectangles_mm.tolist() for r in scene.probe_rectangles_mm.tolist()}
+    patches = []
+    for (a0, b0, a1, b1), loaded in rectangles.items():
+        face = WorkPlane(Axes(Pnt(a0, b0, h), n=Z, h=X)).Rectangle(a1 - a0, b1 - b0).Face()
+        if loaded:
+            for edge in face.edges:
+                edge.maxh = edge_mm
+                edge.hpref = 1 if hp else 0
+        patches.append(face)
+    shape = Glue([body, *patches])
+    for face in shape.faces:
+        if abs(face.center.z) < 1e-9 * h:
+            face.name = "bottom"
+        elif abs(face.center.z - h) < 1e-9 * h:
+            face.name = "top"
+    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=largest_mm, grading=0.4))
+    if hp:
+        mesh.RefineHP(hp, factor=0.15)
+    return mesh
+
+
+def solve_by_ngsolve(scene: Scene, make_mesh: MeshMaker, n: float, order: int, form: Form) -> Answer:
+    """Mesh, assemble, factor by NGSolve's sparse Cholesky, solve.
+
+    The displacement form condenses what lies inside elements; in its reduced kind the volumetric part is integrated one
+    order lower. The mixed form adds a continuous pressure one order below the displacement (Taylor-Hood).
+    """
+    import ngsolve as ng
+
+    threads = int(os.environ.get("OMP_NUM_THREADS", "2"))
+    ng.SetNumThreads(threads)
+    done = Stopwatch()
+    mesh = make_mesh(scene, n)
+    done("mesh")
+    # a task manager of one thread would only cost
+    with ng.TaskManager() if threads > 1 else nullcontext():
+        answer = _solve(scene, mesh, order, form, done)
+    return answer
+
+
+def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> Answer:
+    import ngsolve as ng
+    from ngsolve import ET, H1, BilinearForm, GridFunction, InnerProduct, IntegrationRule, LinearForm, Sym, VectorH1
+
+    lame, mu = scene.material.lame_mpa
+    V = VectorH1(mesh, order=order, dirichlet="bottom")
+    if form == "mixed":
+        space = V * H1(mesh, order=order - 1)
+        (u, p), (v, q) = space.TnT()
+    else:
+        space = V
+        u, v = space.TnT()
+    a = BilinearForm(space, symmetric=True, condense=True)
+    a += 2 * mu * InnerProduct(Sym(ng.Grad(u)), Sym(ng.Grad(v))) * ng.dx
+    if form == "mixed":
+        a += (p * ng.div(v) + q * ng.div(u) - p * q / lame) * ng.dx
+    elif form == "reduced":
+        a += lame * ng.div(u) * ng.div(v) * ng.dx(intrules={ET.HEX: IntegrationRule(ET.HEX, 2 * order - 1)})
+    else:
+        a += lame * ng.div(u) * ng.div(v) * ng.dx
+    f = LinearForm(space)
+    for load in scene.loads:
+        f += _inside(load.rectangle) * InnerProduct(ng.CF(load.traction_mpa), v) * ng.ds("top")
+    a.Assemble()
+    f.Assemble()
+    done("assemble")
+
+    inverse = a.mat.Inverse(space.FreeDofs(True), inverse="sparsecholesky")
+    done("factor")
+    solution = GridFunction(space)
+    f.vec.data += a.harmonic_extension_trans * f.vec
+    solution.vec.data = inverse * f.vec
+    solution.vec.data += a.harmonic_extension * solution.vec
+    solution.vec.data += a.inner_solve * f.vec
+    displacement = solution.components[0] if form == "mixed" else solution
+    probes = {}
+    for probe in scene.mean_probes:
+        x0, y0, x1, y1 = probe.rectangle
+        inside, area = _inside(probe.rectangle), (x1 - x0) * (y1 - y0)
+        totals = [ng.Integrate(inside * displacement[axis] * ng.ds("top"), mesh) for axis in range(3)]
+        probes[probe.name] = np.array(totals) / area
+    done("solve")
+    return Answer(probes, space.ndof, done.seconds)
+
+
+def _inside(rectangle: Rectangle) -> Any:
+    """1 inside a rectangle, 0 outside: constant on each face, for the mesh conforms to its outline."""
+    import ngsolve as ng
+
+    x0, y0, x1, y1 = rectangle
+    return ng.IfPos((ng.x - x0) * (x1 - ng.x), 1, 0) * ng.IfPos((ng.y - y0) * (y1 - ng.y), 1, 0)
+
+
+def missing() -> str:
+    """The wheel, where it is not installed."""
+    return "" if find_spec("ngsolve") else "ngsolve is not installed (pip install 'tripillar[bench]')"
+
+
+CONTENDERS = [
+    Contender(
+        name="NGSolve P3 tetrahedra, local sizes",
+        family="NGSolve",
+        solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 3, "displacement"),
+        resolutions=(1, 1.5, 2, 3, 4),
+        missing=missing,
+    ),
+    Contender(
+        name="NGSolve Taylor-Hood P2-P1 tetrahedra, local sizes",
+        family="NGSolve",
+        solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 2, "mixed"),
+        resolutions=(1, 2, 3, 4, 5),
+        missing=missing,
+    ),
+    Contender(
+        name="NGSolve P4, hp-refined",
+        family="NGSolve",
+        solve=lambda scene, n: solve_by_ngsolve(scene, hp_mesh, n, 4, "displacement"),
+        resolutions=(1, 1.5, 2, 2.5),
+        missing=missing,
+    ),
+    Contender(
+        name="NGSolve Q3 hexahedra, reduced, graded",
+        family="NGSolve",
+        solve=lambda scene, n: solve_by_ngsolve(scene, hexahedra_mesh, n, 3, "reduced"),
+        resolutions=(1, 1.5, 2, 3, 4),
+        missing=missing,
+    ),
+]

@@ -1,0 +1,81 @@
+"""scikit-fem as its own examples use it: stock `linear_elasticity`, `condense` and the default sparse solver.
+
+Follows its example 11 (three-dimensional linear elasticity) with quadratic elements and loads on named boundaries.
+"""
+
+import numpy as np
+from skfem import (
+    Basis,
+    ElementHex2,
+    ElementHexS2,
+    ElementTetP2,
+    ElementVector,
+    FacetBasis,
+    LinearForm,
+    MeshHex,
+    MeshTet,
+    condense,
+    solve,
+)
+from skfem.element import Element
+from skfem.models.elasticity import linear_elasticity
+
+from fem.scene import Rectangle, Scene
+from studies.bench.contender import Answer, Contender
+from studies.bench.peers.grids import scene_lines
+from studies.bench.stopwatch import Stopwatch
+
+
+def solve_stock(scene: Scene, n: float, element: type[Element]) -> Answer:
+    """A uniform grid of tetrahedra or hexahedra, solved as in the documentation."""
+    done = Stopwatch()
+    lines = scene_lines(scene, n, graded=False)
+    mesh = (MeshTet if element is ElementTetP2 else MeshHex).init_tensor(*lines)
+    height = scene.height_mm
+    mesh = mesh.with_boundaries({"base": lambda x: x[2] == 0.0})
+    basis = Basis(mesh, ElementVector(element()))
+    done("mesh")
+
+    def on(rectangle: Rectangle, axis: int) -> np.ndarray:
+        """∫ of every function's component over a rectangle of the top."""
+        x0, y0, x1, y1 = rectangle
+        facets = mesh.facets_satisfying(
+            lambda x: (x[2] == height) & (x[0] > x0) & (x[0] < x1) & (x[1] > y0) & (x[1] < y1)
+        )
+        return LinearForm(lambda v, w: v[axis]).assemble(FacetBasis(mesh, ElementVector(element()), facets=facets))
+
+    K = linear_elasticity(*scene.material.lame_mpa).assemble(basis)
+    f = sum(t * on(load.rectangle, a) for load in scene.loads for a, t in enumerate(load.traction_mpa) if t)
+    done("assemble")
+    system = condense(K, f, D=basis.get_dofs("base"))
+    u = solve(*system)
+    done("factor")
+    probes = {}
+    for probe in scene.mean_probes:
+        assert probe.size_mm is not None
+        area = probe.size_mm[0] * probe.size_mm[1]
+        probes[probe.name] = np.array([on(probe.rectangle, a) @ u / area for a in range(3)])
+    done("solve")
+    return Answer(probes, basis.N, done.seconds)
+
+
+CONTENDERS = [
+    Contender(
+        name="scikit-fem stock P2 tetrahedra",
+        family="scikit-fem",
+        solve=lambda scene, n: solve_stock(scene, n, ElementTetP2),
+        resolutions=(1, 2, 3),
+    ),
+    Contender(
+        name="scikit-fem stock Q2 hexahedra",
+        family="scikit-fem",
+        solve=lambda scene, n: solve_stock(scene, n, ElementHex2),
+        resolutions=(1, 2, 3),
+    ),
+    Contender(
+        name="scikit-fem stock S2 hexahedra",
+        family="scikit-fem",
+        solve=lambda scene, n: solve_stock(scene, n, ElementHexS2),
+        resolutions=(1, 2, 3),
+    ),
+]
