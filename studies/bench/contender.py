@@ -23,6 +23,11 @@ def is_homogeneous_block(scene: Scene) -> bool:
     return scene.outline.is_upright and not scene.inclusions
 
 
+def any_scene(scene: Scene) -> bool:
+    """True: for contenders that can solve whatever a scene says."""
+    return True
+
+
 def nothing_missing() -> str:
     """Nothing that the environment lacks."""
     return ""

@@ -44,8 +44,8 @@ GRADINGS = {  #: how a scene's name begins → coarser and finer grid; layers be
         Grading(order=7, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
     ),
     "stiff": (
-        Grading(order=4, load_layers=3, body_layers=4, ratio=0.25, widest_mm=3.0),
-        Grading(order=5, load_layers=3, body_layers=5, ratio=0.2, widest_mm=3.0),
+        Grading(order=4, load_layers=2, body_layers=4, ratio=0.2, widest_mm=3.5),
+        Grading(order=5, load_layers=3, body_layers=4, ratio=0.2, widest_mm=3.5),
     ),
     "slab": (
         Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=5.0),

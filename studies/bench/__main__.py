@@ -1,0 +1,70 @@
+"""``python -m studies.bench``: the table, the JSON and the pictures of run time against error."""
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geometry.files import replacing
+from studies.bench.contenders import CONTENDERS
+from studies.bench.figures import draw_work_precision
+from studies.bench.scenes import all_scenes
+from studies.bench.table import ratio_table, work_precision_table
+from studies.bench.work_precision import Settings, as_json, measure_scene
+from studies.report import show
+
+SCENES = ("block-normal-0.49", "slab-12-normal")  #: a symmetric scene and one that is not
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder for table, JSON and pictures.")] = Path("out/bench"),
+    scene: Annotated[list[str] | None, typer.Option(help="Scene to run; may be given again.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
+    runs: Annotated[int, typer.Option(help="Runs of each, of which the median counts.")] = 3,
+    patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 120.0,
+    threads: Annotated[int, typer.Option(help="Threads of every contender.")] = 2,
+) -> None:
+    """Measure every contender on every scene; what is not installed is skipped with a word."""
+    settings = Settings(runs=runs, threads=threads, patience_s=patience)
+    if quick:
+        settings = Settings(runs=1, threads=threads, patience_s=20.0)
+    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
+    out.mkdir(parents=True, exist_ok=True)
+    scenes = all_scenes()
+    everything = []
+    for name in scene or SCENES:
+        if name not in scenes:
+            raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
+        found = measure_scene(name, scenes[name], chosen, settings, lambda line: print(line, file=sys.stderr))
+        everything += found
+        draw_work_precision(name, found, out / f"{name}.png")
+        show(work_precision_table(name, found))
+        show(ratio_table(name, found))
+    about = surroundings() | {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
+    with replacing(out / "bench.json") as temporary:
+        temporary.write_text(as_json(everything, about), encoding="utf-8")
+    print(f"{out}: bench.json and a picture of each scene", file=sys.stderr)
+
+
+def surroundings() -> dict[str, object]:
+    """Machine and versions, without which times mean little."""
+    found: dict[str, object] = {
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+    }
+    for package in ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+if __name__ == "__main__":
+    typer.run(bench)
