@@ -100,6 +100,7 @@ def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> 
     from ngsolve import ET, H1, BilinearForm, GridFunction, InnerProduct, IntegrationRule, LinearForm, Sym, VectorH1
 
     lame, mu = scene.material.lame_mpa
+    lame = max(lame, 1e-9 * mu)  # the mixed form divides by it
     V = VectorH1(mesh, order=order, dirichlet="bottom")
     if form == "mixed":
         space = V * H1(mesh, order=order - 1)

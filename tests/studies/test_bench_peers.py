@@ -1,0 +1,146 @@
+"""Every peer is checked on a body whose answer is known, so that what the benchmark says of it is its own doing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fem.scene import Block, Load, Probe, Scene
+from fem.solution import largest_error
+from geometry.design import Material
+from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
+from studies.bench.peers.grids import scene_lines
+from studies.bench.reference import read_reference
+from studies.bench.scenes import all_scenes
+from studies.bench.table import ratio_table, work_precision_table
+from studies.bench.work_precision import Measurement, Settings, as_json, fastest_below, measure_scene
+
+BLOCK = all_scenes()["block-normal-0.49"]
+#: covered all over and free to widen: sinks by p h / E, exactly, in any element
+COLUMN = Scene(
+    body=Block(size_mm=(4.0, 6.0, 3.0)),
+    material=Material(young_mpa=6.1, poisson=0.0),
+    loads=(Load(center_mm=(2.0, 3.0), size_mm=(4.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
+    probes=(Probe(name="corner", kind="mean", center_mm=(1.0, 1.0), size_mm=(2.0, 2.0)),),
+)
+SUNK_MM = -3.0 / 6.1
+PEERS = [*scikit_fem.CONTENDERS, *ngsolve_peer.CONTENDERS, *calculix.CONTENDERS]
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
+def test_column_follows_hooke(peer, monkeypatch):
+    if peer.missing():
+        pytest.skip(peer.missing())
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    answer = peer.solve(COLUMN, 1)
+    # ccx prints seven digits
+    assert answer.probes["corner"] == pytest.approx([0.0, 0.0, SUNK_MM], abs=1e-6)
+    assert answer.unknowns > 0
+    assert sum(answer.seconds.values()) > 0
+
+
+@pytest.mark.parametrize("peer", PEERS[-1:], ids=lambda peer: peer.name)
+def test_a_coarse_grid_is_near_the_reference(peer, monkeypatch):
+    if peer.missing():
+        pytest.skip(peer.missing())
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    reference = read_reference("block-normal-0.49")
+    assert largest_error(peer.solve(BLOCK, 2).probes, reference.probes) < 0.02  # 72 reduced 20-node hexahedra
+
+
+@pytest.mark.parametrize("graded", [False, True])
+def test_lines_pass_through_outlines(graded):
+    x, y, z = scene_lines(all_scenes()["slab-12-normal"], 2, graded)
+    assert {0.0, 46.5, 58.5, 31.5, 43.5, 90.0} <= set(np.round(x, 9))
+    assert {0.0, 46.5, 58.5, 31.5, 43.5, 90.0} <= set(np.round(y, 9))
+    assert (z[0], z[-1]) == (0.0, 10.0)
+    inside = x[(x > 46.0) & (x < 59.0)]
+    if graded:  # half a patch in two, the outer a quarter as wide
+        assert np.diff(scene_lines(all_scenes()["slab-12-normal"], 4, graded)[2])[-1] < 10 / 8
+    else:
+        assert np.diff(inside) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("element", ["C3D20R", "C3D10"])
+def test_weights_carry_the_whole_resultant_without_moment(element):
+    grid = calculix.make_grid(BLOCK, 2, element, graded=True)
+    rectangle = BLOCK.loads[0].rectangle
+    w = grid.weights(rectangle)
+    assert w.sum() == pytest.approx(100.0, rel=1e-12)
+    assert w @ grid.points_mm == pytest.approx([1500.0, 1500.0, 1000.0], rel=1e-12)
+    # second-degree fields are integrated exactly by functions that hold them
+    assert w @ grid.points_mm[:, 0] ** 2 == pytest.approx((20**3 - 10**3) / 3 * 10, rel=1e-12)
+
+
+def test_tetrahedra_fill_the_block():
+    grid = calculix.make_grid(BLOCK, 1, "C3D10", graded=True)
+    a, b, c, d = (grid.points_mm[grid.cells[:, i]] for i in range(4))
+    volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
+    assert volumes.min() > 0  # CalculiX wants the fourth corner above the first three
+    assert volumes.sum() == pytest.approx(9000.0)
+
+
+def test_deck_says_what_the_scene_says():
+    grid = calculix.make_grid(BLOCK, 1, "C3D20R", graded=True)
+    lines = calculix.deck(BLOCK, grid, "SPOOLES").splitlines()
+    assert lines[0] == "*NODE, NSET=ALL"
+    assert "*ELEMENT, TYPE=C3D20R, ELSET=BODY" in lines
+    assert lines[lines.index("*ELASTIC") + 1] == "6.1, 0.49"
+    start = lines.index("*CLOAD") + 1
+    loads = [line.split(", ") for line in lines[start : lines.index("*NODE PRINT, NSET=TOP")]]
+    assert {axis for _, axis, _ in loads} == {"3"}
+    assert sum(float(force) for *_, force in loads) == pytest.approx(-100.0)
+    assert max(line.count(",") for line in lines) <= 16
+
+
+def test_displacements_are_read_from_the_printed_table():
+    text = (
+        "\n displacements (vx,vy,vz) for set TOP and time  0.1000000E+01\n\n"
+        "         2  1.000000E-01 -2.000000E-02  3.000000E-03\n"
+        "         4  0.000000E+00  0.000000E+00 -1.500000E+00\n"
+    )
+    u = calculix.read_displacements(text, 4)
+    assert u.tolist() == [[0, 0, 0], [0.1, -0.02, 0.003], [0, 0, 0], [0, 0, -1.5]]
+
+
+def made_up(family: str, seconds: float, error: float, failure: str = "") -> Measurement:
+    return Measurement("scene", family, family, 1.0, seconds, {"solve": seconds}, 1.0, error, error, 10, 100.0, failure)
+
+
+def test_tables_and_json_hold_what_was_measured():
+    nothing = float("nan")
+    found = [
+        made_up("TriPillar", 2.0, 0.004),
+        made_up("peer", 9.0, 0.0005),
+        made_up("peer", 3.0, 0.008),
+        made_up("peer", nothing, nothing, failure="over 20 s"),
+    ]
+    assert fastest_below(found, 0.01)["peer"].seconds == 3.0
+    assert fastest_below(found, 0.001).keys() == {"peer"}
+    assert work_precision_table("scene", found).row_count == 4
+    ratios = ratio_table("scene", found)
+    assert [list(column.cells) for column in ratios.columns][2] == ["2.00 s", "3.00 s, 1.5×"]
+    rows = json.loads(as_json(found, {"threads": 2}))["measurements"]
+    assert rows[0]["seconds"] == 2.0
+    assert rows[3]["seconds"] is None
+
+
+def test_pictures_are_drawn(tmp_path):
+    from studies.bench.figures import draw_work_precision
+
+    draw_work_precision("scene", [made_up("TriPillar", 2.0, 0.004), made_up("peer", 3.0, 0.008)], tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_in_a_process_of_its_own():
+    from studies.bench.ours import CONTENDERS
+
+    lines: list[str] = []
+    chosen = [one for one in CONTENDERS if one.name == "half-space, closed form"]
+    absent = replace(chosen[0], name="nobody", missing=lambda: "not there")
+    found = measure_scene("block-normal-0.49", BLOCK, [absent, *chosen], Settings(runs=1, threads=1), lines.append)
+    assert lines[0] == "nobody: skipped, not there"
+    assert [one.failure for one in found] == [""]
+    assert 0.2 < found[0].worst_error < 2.0  # a half-space is far softer than a 10 mm layer
+    assert found[0].peak_mib > 10
