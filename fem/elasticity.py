@@ -20,6 +20,8 @@ from fem.assembly import IntArray, SparsePattern, elastic_blocks
 from geometry.design import Material
 from geometry.layout import FloatArray
 
+LEAST_POISSON = 1e-6  #: to which the mixed form raises ν: see `taylor_hood`
+
 
 @dataclass(frozen=True)
 class ElasticBody:
@@ -73,7 +75,7 @@ def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> El
     """
     basis = Basis(mesh, ElementTetP2(), intorder=2)
     pressure = Basis(mesh, ElementTetP1(), quadrature=basis.quadrature)
-    lame_mpa, mu_mpa = lame_of_regions(material, region, at_least_poisson=1e-6)
+    lame_mpa, mu_mpa = lame_of_regions(material, region, at_least_poisson=LEAST_POISSON)
 
     nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
     A = nodes.vector_matrix(elastic_blocks(basis, np.zeros_like(mu_mpa), mu_mpa))

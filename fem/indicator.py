@@ -95,7 +95,7 @@ def residuals(
     corners = points[cells]
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
     unbalanced = np.einsum("evij,evj->ei", stress, slopes)
-    squared = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
+    squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
     if len(pressure):
         squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
 

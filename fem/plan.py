@@ -138,8 +138,8 @@ def make_plan(
         chosen = element or "Q2"
     if chosen == "TH" and solver in FOR_DEFINITE:
         raise SceneError(
-            f"solver '{solver}' takes definite matrices only and that of element TH is not: take pardiso or superlu, or "
-            "element P2."
+            f"solver '{solver}' takes definite matrices only, which element TH does not give: take pardiso or superlu, "
+            "or element P2."
         )
     if solver is not None:
         decisions.append(Decision(name="solver", choice=solver, reason="asked for"))

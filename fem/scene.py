@@ -101,6 +101,13 @@ class Prism:
         across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
         return level & across.all(axis=1)
 
+    def distance(self, points_mm: FloatArray) -> FloatArray:
+        """How far points (n, 3) are outside along the axis by which they are furthest out, shape (n,) [mm]."""
+        z = points_mm[:, 2]
+        level = np.clip(z, self.base_mm[2], self.top_mm[2])
+        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - np.array(self.section_mm) / 2
+        return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
+
     def corners(self) -> FloatArray:
         """The corners of the lower end, anticlockwise from above, then those of the upper, shape (8, 3) [mm]."""
         signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])

@@ -5,12 +5,14 @@ outlines are then exact, and whatever is refined later stays so.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
+from fem.indicator import cell_sizes
 from fem.scene import Prism, Scene
 from geometry.errors import GeometryError
 from geometry.files import cache_folder, digest, replacing
@@ -22,7 +24,10 @@ METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cac
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 EDGES_ACROSS = 2.5  #: edges across the thinnest extent of the body, before any refinement
 MOST_CELLS = 20_000  #: wanted at most, before any refinement
-ENVELOPE_SHARE = 0.02  #: of the thinnest extent of anything: how far the mesher may move a surface
+ACROSS_PRISM = 1.5  #: edges beside a prism inside the body, in terms of its narrow side
+GROWTH = 0.6  #: of wanted edges with the distance from a prism
+ENVELOPE_SHARE = 0.05  #: of the thinnest extent of anything: how far the mesher may move a surface
+WEDGE_SHARE = 0.02  #: the same where prisms cut each other, whose wedges are rounded off and cannot be snapped back
 VOLUME_TOLERANCE = 1e-3  #: relative, of what the prisms inside hold together; the body's own is exact
 
 #: Corners of a prism's faces, anticlockwise from outside: base, top, −y, +x, +y, −x
@@ -57,13 +62,14 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     """
     extents = np.array([[*prism.section_mm, prism.height_mm] for prism in (scene.outline, *prisms)])
     edge_mm = max(extents[0].min() / EDGES_ACROSS, float(8.5 * scene.outline.volume_mm3 / MOST_CELLS) ** (1 / 3))
-    envelope_mm = ENVELOPE_SHARE * float(extents.min())
+    cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(prisms, 2))
+    envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
     shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in (scene.outline, *prisms)]
     recipe = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm)
     path = cache_folder() / f"scene-mesh-{recipe}.npz"
     if cached and path.is_file():
         try:
-            with np.load(path) as kept:
+            with path.open("rb") as file, np.load(file) as kept:
                 points, cells = kept["points_mm"], kept["cells"]
             return _as_skfem(points, cells), True
         except (KeyError, ValueError, OSError, BadZipFile):
@@ -102,13 +108,10 @@ def _snapped(
     outline: Prism, prisms: Sequence[Prism], edge_mm: float, envelope_mm: float
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """One run of the mesher, with every face on its plane."""
-    corners = outline.corners()
-    margin = np.ptp(corners, axis=0)
-    box = MeshTet.init_tensor(*np.stack([corners.min(axis=0) - margin, corners.max(axis=0) + margin], axis=1))
     surfaces = [prism_surface(prism) for prism in (outline, *prisms)]
-    points, cells = fill(surfaces, box.p.T, box.t.T, np.full(box.p.shape[1], edge_mm), envelope_mm)
-    # where faces inside end on the body's own, the mesher leaves cells outside
-    points, cells = _used(points, cells[outline.holds(points[cells].mean(axis=1), envelope_mm)])
+    background, wanted_mm = wanted_edges(outline, prisms, edge_mm)
+    points, cells = fill(surfaces, background.p.T, background.t.T, wanted_mm, envelope_mm, keep_outside=True)
+    points, cells = _used(points, cells[outline.holds(points[cells].mean(axis=1))])
     labels = _prism_of_cells(points, cells, prisms)
     for number, prism in enumerate(prisms, start=1):
         points = snap_to_prism(points, interface_faces(cells, labels == number), prism, 2 * envelope_mm)
@@ -118,6 +121,28 @@ def _snapped(
     cells = outward(points, cells)
     _check_volumes(points, cells, outline, prisms)
     return points, cells
+
+
+def wanted_edges(outline: Prism, prisms: Sequence[Prism], edge_mm: float) -> tuple[MeshTet, FloatArray]:
+    """A mesh around the body, and the edge lengths wanted at its points: short beside prisms that are thin."""
+    corners = outline.corners()
+    margin = np.ptp(corners, axis=0)
+    box = MeshTet.init_tensor(*np.stack([corners.min(axis=0) - margin, corners.max(axis=0) + margin], axis=1))
+    thin = [prism for prism in prisms if ACROSS_PRISM * min(prism.section_mm) < edge_mm]
+
+    def wanted(points: FloatArray) -> FloatArray:
+        edges = np.full(len(points), edge_mm)
+        for prism in thin:
+            width_mm = ACROSS_PRISM * min(*prism.section_mm, prism.height_mm)
+            edges = np.minimum(edges, width_mm + GROWTH * prism.distance(points))
+        return edges
+
+    while thin:
+        coarse = np.flatnonzero(cell_sizes(box) > 2 * wanted(box.p.T[box.t.T].mean(axis=1)))
+        if not len(coarse) or box.nelements > MOST_CELLS:
+            break
+        box = box.refined(coarse)
+    return box, wanted(box.p.T)
 
 
 def _used(points: FloatArray, cells: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:

@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from skfem import ElementTetP1, ElementTetP2, MeshTet
 
 from fem.assembly import IntArray
-from fem.elasticity import ElasticBody, displacement_form, lame_of_regions, taylor_hood
-from fem.factors import FactorMemoryError
+from fem.elasticity import LEAST_POISSON, ElasticBody, displacement_form, lame_of_regions, taylor_hood
+from fem.factors import FactorMemoryError, SolverError
 from fem.indicator import (
     EDGES,
     cell_sizes,
@@ -32,6 +32,7 @@ from fem.scene_mesh import prism_of_cells, scene_mesh
 from fem.solution import QUADRATIC_TETRAHEDRON, SMALLEST_SHARE, TETRAHEDRON, Field, Solution, relative_errors
 from geometry.design import Material
 from geometry.layout import FloatArray
+from geometry.mesh import cell_volumes
 
 MOST_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 MOST_MESHES = 40  #: a bound on patience; some 10 are usual
@@ -199,7 +200,7 @@ def _solved(scene: Scene, plan: Plan, mesh: MeshTet, seconds: dict[str, float]) 
     z = body.displacements(y)
     done("solve")
 
-    lame_mpa, mu_mpa = lame_of_regions(materials, region)
+    lame_mpa, mu_mpa = lame_of_regions(materials, region, at_least_poisson=LEAST_POISSON if body.n_pressure else 0.0)
     n = len(body.free)
 
     def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
@@ -209,6 +210,8 @@ def _solved(scene: Scene, plan: Plan, mesh: MeshTet, seconds: dict[str, float]) 
     of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
     of_duals = [residuals_of(z[:, k], y[n:, k], shapes[k], scene.probe_rectangles_mm) for k in range(duals.shape[1])]
     indicators = probe_indicators(of_answer, of_duals, scales)
+    if not np.isfinite(indicators).all():
+        raise SolverError(f"residuals of {len(indicators)} elements are not numbers: bring moduli and sizes closer.")
     done("assemble")
     return Level(
         mesh=mesh,
@@ -286,7 +289,10 @@ def _field(found: Level) -> Field:
     """The displacement of the whole body, in VTK's order of nodes, which is scikit-fem's."""
     basis, mesh = found.body.basis, found.mesh
     quadratic = bool(basis.edge_dofs.size)
-    cells = np.vstack([basis.nodal_dofs[0][mesh.t], basis.edge_dofs[0][mesh.t2e]]) if quadratic else mesh.t
+    cells = np.vstack([basis.nodal_dofs[0][mesh.t], basis.edge_dofs[0][mesh.t2e]]) if quadratic else mesh.t.copy()
+    inverted = cell_volumes(mesh.p.T, mesh.t.T) < 0  # bisection turns every other cell over
+    turned = np.array([1, 0, 2, 3, 4, 6, 5, 8, 7, 9])[: len(cells)]
+    cells[:, inverted] = cells[turned][:, inverted]
     return Field(
         points_mm=basis.doflocs.T.copy(),
         cells=cells.T.astype(np.int64),

@@ -205,6 +205,8 @@ def fill(
     background_cells: NDArray[np.integer],
     edge_mm: FloatArray,
     envelope_mm: float,
+    *,
+    keep_outside: bool = False,
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Fill the outermost of nested surfaces with tetrahedra of wanted edge lengths.
 
@@ -218,6 +220,9 @@ def fill(
         Wanted edge length at each of its points.
     envelope_mm : float
         How far the mesher may move a surface.
+    keep_outside : bool
+        Also return the tetrahedra around the body. The mesher's own filter takes surfaces that share a part of a face
+        for holes or bulges; who knows the shape does better.
 
     Returns
     -------
@@ -239,6 +244,7 @@ def fill(
             bg_vertices=np.ascontiguousarray(background_mm),
             bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
             bg_values=edge_mm,
+            disable_filtering=keep_outside,
         )
     return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
 

@@ -1,0 +1,96 @@
+"""Scenes for the tests, small enough to be solved in a moment."""
+
+from pathlib import Path
+
+from fem.scene import Block, Inclusion, Load, Probe, Scene
+from geometry.design import Material
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
+
+BLOCK = """
+[body]
+kind = "block"
+size_mm = [30.0, 30.0, 10.0]
+[material]
+young_mpa = 6.1
+poisson = 0.49
+[[inclusion]]
+base_mm = [10.0, 15.0, 0.0]
+top_mm = [20.0, 15.0, 10.0]
+section_mm = [2.0, 3.0]
+young_mpa = 61.0
+poisson = 0.3
+[[load]]
+center_mm = [15.0, 15.0]
+size_mm = [10.0, 10.0]
+traction_mpa = [0.0, 0.0, -1.0]
+[[probe]]
+name = "patch"
+kind = "mean"
+center_mm = [15.0, 15.0]
+size_mm = [8.0, 9.0]
+[[probe]]
+name = "point"
+kind = "point"
+position_mm = [15.0, 15.0, 5.0]
+[solve]
+tolerance = 2e-3
+"""
+
+PILLAR = """
+[body]
+kind = "pillar"
+section_mm = [2.0, 2.0]
+base_mm = [0.0, 0.0, 0.0]
+top_mm = [10.0, 0.0, 10.0]
+[material]
+young_mpa = 6.1
+poisson = 0.49
+[[load]]
+center_mm = [10.0, 0.0]
+size_mm = [2.0, 2.0]
+traction_mpa = [0.0, 0.0, -0.01]
+[[probe]]
+name = "top"
+kind = "mean"
+center_mm = [10.0, 0.0]
+size_mm = [2.0, 2.0]
+"""
+
+ARRAY = """
+[body]
+kind = "array"
+[design.pillar_material]
+young_mpa = 61.0
+[[load]]
+center_mm = [7.5, 7.5]
+size_mm = [12.0, 12.0]
+traction_mpa = [0.0, 0.0, -1.0]
+[[probe]]
+name = "U1"
+kind = "mean"
+center_mm = [2.5, 2.5]
+size_mm = [2.0, 2.0]
+"""
+
+
+def pressed_block(
+    size_mm: tuple[float, float, float],
+    material: Material,
+    inclusions: tuple[Inclusion, ...] = (),
+    traction_mpa: tuple[float, float, float] = (0.0, 0.0, -1.0),
+    tolerance: float = 1e-3,
+) -> Scene:
+    """A block loaded all over its top, with a mean probe of all the top and a point probe at half height."""
+    x, y, z = size_mm
+    return Scene(
+        body=Block(size_mm=size_mm),
+        material=material,
+        inclusions=inclusions,
+        loads=(Load(center_mm=(x / 2, y / 2), size_mm=(x, y), traction_mpa=traction_mpa),),
+        probes=(
+            Probe(name="top", kind="mean", center_mm=(x / 2, y / 2), size_mm=(x, y)),
+            Probe(name="middle", kind="point", position_mm=(0.4 * x, 0.6 * y, z / 2)),
+        ),
+        tolerance=tolerance,
+    )

@@ -1,0 +1,104 @@
+"""The plan sees what a scene needs, says why, and does without a saving when told to."""
+
+import pytest
+
+from fem.plan import SAVINGS, make_plan
+from fem.scene import SceneError
+from fem.scene_file import scene_from_toml
+from fem.solve import solve_scene
+from tests.fem.scenes import ARRAY, BLOCK, PILLAR
+
+UPRIGHT = BLOCK.replace("base_mm = [10.0", "base_mm = [15.0").replace("top_mm = [20.0", "top_mm = [15.0")
+PLAIN = BLOCK.replace("young_mpa = 61.0\npoisson = 0.3", "young_mpa = 6.1\npoisson = 0.49")
+ONE_RUBBER = ARRAY.replace("61.0", "6.1")
+UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5")
+
+
+@pytest.mark.parametrize(
+    ("text", "method", "regions"),
+    [
+        (BLOCK, "tetrahedra", 1),
+        (UPRIGHT, "grid", 1),
+        (PLAIN, "grid", 0),  # an oblique inclusion of the body's own rubber is none
+        (PILLAR, "grid", 0),  # sheared as one
+        (ONE_RUBBER, "grid", 0),
+        (ARRAY, "cells", 108),
+        (UNIT, "tetrahedra", 3),
+        (BLOCK.replace("-1.0]", "0.0]"), "nothing", 1),
+    ],
+)
+def test_every_scene_gets_its_method(text, method, regions):
+    plan = make_plan(scene_from_toml(text))
+    assert (plan.method, len(plan.regions)) == (method, regions)
+    assert all(decision.reason and "\n" not in line for decision, line in zip(plan.decisions, plan.lines, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "saving", "method"),
+    [
+        (PLAIN, "one-material", "tetrahedra"),
+        (PLAIN, "hexahedra", "tetrahedra"),
+        (PILLAR, "hexahedra", "tetrahedra"),
+        (ARRAY, "substructuring", "tetrahedra"),
+        (BLOCK.replace("-1.0]", "0.0]"), "zero-load", "tetrahedra"),
+    ],
+)
+def test_a_saving_can_be_switched_off(text, saving, method):
+    scene = scene_from_toml(text)
+    assert make_plan(scene).method != method
+    assert make_plan(scene, no_skip=[saving]).method == method
+
+
+def test_unknown_names_are_refused_with_the_known():
+    scene = scene_from_toml(BLOCK)
+    with pytest.raises(SceneError, match=f"unknown saving 'spam'; known are {', '.join(SAVINGS)}"):
+        make_plan(scene, no_skip=["spam"])
+    with pytest.raises(SceneError, match="unknown element 'Q7'; known are Q2, S2, TH, P2, P1"):
+        make_plan(scene, element="Q7")
+    with pytest.raises(SceneError, match="unknown solver 'spam'; known are pardiso"):
+        make_plan(scene, solver="spam")
+
+
+def test_elements_go_with_meshes():
+    assert make_plan(scene_from_toml(UPRIGHT), element="P2").method == "tetrahedra"
+    assert make_plan(scene_from_toml(UPRIGHT), element="S2").method == "grid"
+    with pytest.raises(SceneError, match="element 'Q2' needs a grid, but 1 of 1 inclusion of another material lean"):
+        make_plan(scene_from_toml(BLOCK), element="Q2")
+    with pytest.raises(SceneError, match="solver 'cholmod' takes definite matrices only"):
+        make_plan(scene_from_toml(BLOCK), solver="cholmod")
+    assert make_plan(scene_from_toml(BLOCK), solver="cholmod", element="P2").solver == "cholmod"
+
+
+@pytest.mark.parametrize(
+    ("text", "parities"),
+    [
+        (PLAIN, {0: 1, 1: 1}),
+        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]"), {0: -1, 1: 1}),  # dragged along x
+        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, -1.0]"), {1: 1}),  # pressed and dragged: no parity in x
+        (PLAIN.replace("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [14.0, 15.0]\nsize_mm = [10"), {1: 1}),
+        (UPRIGHT, {0: 1, 1: 1}),
+        (UPRIGHT.replace("[15.0, 15.0, ", "[15.0, 14.0, ", 2), {0: 1}),  # the inclusion stands aside
+        (PILLAR, {1: 1}),  # it leans along x
+        (ONE_RUBBER, {}),
+        (ONE_RUBBER.replace("[7.5, 7.5]", "[0, 0]"), {0: 1, 1: 1}),
+    ],
+)
+def test_mirror_planes_are_found(text, parities):
+    plan = make_plan(scene_from_toml(text))
+    assert {mirror.axis: mirror.parity for mirror in plan.mirrors} == parities
+    assert make_plan(scene_from_toml(text), no_skip=["symmetry"]).mirrors == ()
+
+
+def test_two_loads_may_mirror_each_other():
+    other = "[[load]]\ncenter_mm = [{}, 15.0]\nsize_mm = [4.0, 4.0]\ntraction_mpa = [0.0, 0.0, {}]\n"
+    apart = BLOCK[: BLOCK.index("[[inclusion]]")] + other.format(5.0, -1.0) + "{}" + BLOCK[BLOCK.index("[[probe]]") :]
+    for force, parity in ((-1.0, {0: 1, 1: 1}), (1.0, {0: -1, 1: 1}), (-0.5, {1: 1})):
+        plan = make_plan(scene_from_toml(apart.format(other.format(25.0, force))))
+        assert {mirror.axis: mirror.parity for mirror in plan.mirrors} == parity
+
+
+def test_nothing_moves_what_nothing_loads():
+    solution, plan = solve_scene(scene_from_toml(BLOCK.replace("-1.0]", "0.0]")))
+    assert plan.lines[1] == "mesh: none, nothing loads the body, so nothing moves"
+    assert [u.tolist() for u in solution.probes.values()] == [[0.0, 0.0, 0.0]] * 2
+    assert (solution.energy_mj, solution.unknowns, solution.error_estimate) == (0.0, 0, 0.0)

@@ -1,0 +1,218 @@
+"""Scenes are read as written, and nonsense is refused in one line that says what to mend."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fem.scene import Block, Inclusion, Pillar, Prism, SceneError, Sensor
+from fem.scene_file import read_scene, scene_from_toml
+from geometry.design import Array, Material, SensorDesign
+from geometry.layout import inside_pillars
+from tests.fem.scenes import ARRAY, BLOCK, EXAMPLES, PILLAR
+
+
+def test_a_scene_is_read_as_written():
+    scene = scene_from_toml(BLOCK)
+    assert scene.body == Block(size_mm=(30.0, 30.0, 10.0))
+    assert scene.material == Material(young_mpa=6.1, poisson=0.49)
+    assert scene.inclusions[0].material == Material(young_mpa=61.0, poisson=0.3)
+    assert scene.load_rectangles_mm.tolist() == [[10.0, 10.0, 20.0, 20.0]]
+    assert scene.tractions_mpa.tolist() == [[0.0, 0.0, -1.0]]
+    assert scene.probe_rectangles_mm.tolist() == [[11.0, 10.5, 19.0, 19.5]]
+    assert scene.probe_points_mm.tolist() == [[15.0, 15.0, 5.0]]
+    assert (scene.top_mm, scene.height_mm, scene.tolerance) == ((0.0, 0.0, 30.0, 30.0), 10.0, 2e-3)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_example_scenes_are_scenes(path):
+    assert read_scene(path).probes
+
+
+def test_whole_numbers_and_defaults_are_taken():
+    text = BLOCK.replace("[30.0, 30.0, 10.0]", "[30, 30, 10]").replace("[solve]\ntolerance = 2e-3", "")
+    scene = scene_from_toml(text)
+    assert scene.body == Block(size_mm=(30.0, 30.0, 10.0))
+    assert scene.tolerance == 1e-3
+
+
+def test_a_unit_is_its_design_as_one_unit():
+    unit = scene_from_toml(ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5"))
+    assert isinstance(unit.body, Sensor)
+    assert (unit.body.design.n_units, len(unit.body.pillars)) == (1, 3)
+    assert unit.top_mm == (-7.5, -7.5, 7.5, 7.5)
+
+
+def test_a_common_material_fills_the_rubbers_that_the_design_leaves_open():
+    body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\n").body
+    assert isinstance(body, Sensor)
+    assert body.design.matrix_material == Material(young_mpa=2.0, poisson=0.4)
+    assert body.design.pillar_material == Material(young_mpa=61.0)  # [design] gives its own
+
+
+def test_the_pillars_of_a_sensor_are_the_layouts():
+    sensor = Sensor(design=SensorDesign(array=Array(rows=2, cols=3)))
+    points = np.random.default_rng(3).uniform([-22.5, -15, 0], [22.5, 15, 10], (4000, 3))
+    inside = np.any([pillar.holds(points) for pillar in sensor.pillars], axis=0)
+    assert 0 < inside.sum() < 4000
+    assert np.array_equal(inside, inside_pillars(points, sensor.design))
+
+
+SWAPS = [
+    ("[body]\n", "spam = 1\n[body]\n", "unknown key 'spam'"),
+    ('kind = "block"', 'kind = "ball"', "[body]: kind='ball' is unknown; it must be one of block, pillar, unit, array"),
+    ('kind = "block"', "", "[body]: kind is missing"),
+    ("size_mm = [30.0, 30.0, 10.0]", "", "the key 'size_mm' is missing in [body]"),
+    ("[30.0, 30.0, 10.0]", "[30.0, 30.0]", "must be 3 finite numbers"),
+    ("[30.0, 30.0, 10.0]", "[30.0, 30.0, 0.0]", "must be above 0"),
+    ("[30.0, 30.0, 10.0]", "[30.0, -30.0, 10.0]", "must be above 0"),
+    ("[30.0, 30.0, 10.0]", "[30.0, nan, 10.0]", "must be 3 finite numbers"),
+    ("[30.0, 30.0, 10.0]", "[30.0, true, 10.0]", "must be 3 finite numbers"),
+    ("[30.0, 30.0, 10.0]", "'30'", "must be 3 finite numbers"),
+    ("[30.0, 30.0, 10.0]", "[1e300, 30.0, 10.0]", "at most 1e+06"),
+    ("young_mpa = 6.1", "young_mpa = '6.1'", "[material]: young_mpa='6.1' must be a finite number"),
+    ("young_mpa = 6.1", "young_mpa = 0", "[material]: young_mpa=0 must be above 0"),
+    ("young_mpa = 6.1", "young_mpa = true", "must be a finite number"),
+    ("young_mpa = 6.1", "", "the key 'young_mpa' is missing in [material]"),
+    ("poisson = 0.49", "poisson = 0.5", "poisson=0.5 must be from 0 to below 0.5"),
+    ("poisson = 0.49", "poisson = -0.1", "poisson=-0.1 must be from 0"),
+    ("[material]\nyoung_mpa = 6.1\npoisson = 0.49", "", "the table [material] is missing"),
+    ("[[load]]", "[load]", "'load' must be an array of tables, each written [[load]]"),
+    ("[body]", "[[body]]", "'body' must be one table, written [body]"),
+    ("[solve]", "[[solve]]", "'solve' must be one table"),
+    ("traction_mpa", "pressure_mpa", "unknown key 'pressure_mpa' in [[load]] 1; known are center_mm, size_mm"),
+    ("traction_mpa = [0.0, 0.0, -1.0]", "", "the key 'traction_mpa' is missing in [[load]] 1"),
+    ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = -1.0", "traction_mpa=-1 must be 3 finite numbers"),
+    ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = [0.0, 0.0, inf]", "must be 3 finite numbers"),
+    ("size_mm = [10.0, 10.0]", "size_mm = [10.0, 0.0]", "[[load]] 1: size_mm=[10.0, 0.0] must be above 0"),
+    ("size_mm = [10.0, 10.0]", "size_mm = [31.0, 10.0]", "load 1 covers x -0.5 to 30.5, y 10 to 20 mm, not wholly on"),
+    ("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [25.001, 15.0]\nsize_mm = [10", "load 1 covers x 20.001"),
+    ("center_mm = [15.0, 15.0]\nsize_mm = [8", "center_mm = [15.0, -15.0]\nsize_mm = [8", "probe 'patch' covers"),
+    ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0, 10.1]", "probe 'point' at [15, 15, 10.1] mm is in"),
+    ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0]", "position_mm=[15.0, 15.0] must be 3 finite"),
+    ("position_mm = [15.0, 15.0, 5.0]", "center_mm = [1.0, 1.0]", "unknown key 'center_mm' in [[probe]] 2 of kind"),
+    ('name = "point"', 'name = "patch"', "two probes have the name 'patch'"),
+    ('name = "point"', "", "the key 'name' is missing in [[probe]] 2"),
+    ('name = "point"', "name = 7", "name=7 must be a word"),
+    ('kind = "mean"', 'kind = "median"', "kind='median' must be 'mean' or 'point'"),
+    ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [29.5, 15.0, 10.0]", "inclusion 1 reaches from [9, 13.5, 0] to [30.5"),
+    ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 10.5]", "outside the block [0, 0, 0] to [30, 30, 10]"),
+    ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 0.0]", "top_mm=[20.0, 15.0, 0.0] must lie above base"),
+    ("base_mm = [10.0, 15.0, 0.0]", "base_mm = [10.0, 15.0, -1.0]", "inclusion 1 reaches"),
+    ("section_mm = [2.0, 3.0]", "section_mm = [2.0, 0.0]", "section_mm=[2.0, 0.0] must be above 0"),
+    ("tolerance = 2e-3", "tolerance = 0", "tolerance=0 must be a number above 0 and below 1"),
+    ("tolerance = 2e-3", "tolerance = -1e-3", "tolerance=-0.001 must be"),
+    ("tolerance = 2e-3", "tolerance = 1", "tolerance=1 must be"),
+    ("tolerance = 2e-3", "tolerance = nan", "tolerance=nan must be"),
+    ("tolerance = 2e-3", "tolerance = '1e-3'", "tolerance='1e-3' must be"),
+    ("tolerance = 2e-3", "tolerance = true", "tolerance=True must be"),
+    ("tolerance = 2e-3", "mesh = 3", "unknown key 'mesh' in [solve]; known are tolerance"),
+    ("[body]", "[body", "not valid TOML"),
+    ("30.0, 30.0, 10.0", "9" * 5000, "not valid TOML"),
+    ('kind = "block"', 'kind = "array"', "unknown key 'inclusion' in a scene of kind array; known are body"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "written", "says"), SWAPS, ids=range(len(SWAPS)))
+def test_nonsense_is_refused_in_one_line(given, written, says):
+    assert given in BLOCK
+    with pytest.raises(SceneError) as refusal:
+        scene_from_toml(BLOCK.replace(given, written, 1), "my.toml")
+    message = str(refusal.value)
+    assert message.startswith("my.toml: ")
+    assert says in message
+    assert "\n" not in message
+    assert len(message) < 300
+
+
+def test_a_scene_without_probes_is_refused():
+    with pytest.raises(SceneError, match=r"no probe.*add a \[\[probe\]\]"):
+        scene_from_toml(BLOCK[: BLOCK.index("[[probe]]")])
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SceneError, match=r"nowhere\.toml: cannot be read as text"):
+        read_scene(tmp_path / "nowhere.toml")
+
+
+def test_a_point_beside_an_oblique_pillar_is_in_the_air():
+    """At half height the pillar is around x = 5: there is air above its base and below its top."""
+    probe = '[[probe]]\nname = "p"\nkind = "point"\nposition_mm = [{}, 0.0, 5.0]\n'
+    assert scene_from_toml(PILLAR + probe.format(5.9))
+    for x in (0.0, 3.9, 6.1, 10.0):
+        with pytest.raises(SceneError, match=r"probe 'p' at .* is in the air"):
+            scene_from_toml(PILLAR + probe.format(x))
+
+
+@pytest.mark.parametrize(
+    ("base", "top", "says"),
+    [([0, 0, 1], [0, 0, 9], "must lie on the clamped base"), ([0, 0, 0], [0, 0, -9], "must lie above base_mm")],
+)
+def test_a_pillar_stands_on_the_base(base, top, says):
+    with pytest.raises(SceneError, match=says):
+        Pillar(section_mm=(1, 1), base_mm=base, top_mm=top)
+
+
+def inclusion(x: float, to: float, z: tuple[float, float] = (0.0, 10.0)) -> Inclusion:
+    """A prism of 2 × 2 mm in the middle plane, from x at its base to another x at its top."""
+    return Inclusion(base_mm=(x, 15.0, z[0]), top_mm=(to, 15.0, z[1]), section_mm=(2.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "cuts"),
+    [
+        (inclusion(10, 10), inclusion(12, 12), False),  # side by side
+        (inclusion(10, 10), inclusion(11.99, 11.99), True),
+        (inclusion(10, 20), inclusion(20, 10), True),  # crossed
+        (inclusion(10, 20), inclusion(12, 22), False),  # parallel, touching
+        (inclusion(10, 10), inclusion(10, 10, (5.0, 9.0)), True),  # one inside the other
+        (inclusion(10, 10, (0.0, 5.0)), inclusion(10, 20, (5.0, 9.0)), False),  # one on the other
+        (inclusion(10, 20, (0.0, 5.0)), inclusion(20, 10, (4.9, 9.0)), True),  # they meet near the knee only
+        (inclusion(10, 12), inclusion(14, 12), True),  # they meet at the top only
+        (inclusion(10, 12), inclusion(16, 14), False),  # an edge in common at the top
+    ],
+)
+def test_overlap_of_oblique_prisms(one, other, cuts):
+    assert one.cuts(other, 1e-7) is cuts
+    assert other.cuts(one, 1e-7) is cuts
+
+
+def test_overlap_agrees_with_points_in_both():
+    """Against brute force on a grid of 0.25 mm, which sees every overlap of 0.5 mm along all axes."""
+    rng = np.random.default_rng(5)
+    steps = np.arange(0, 12.01, 0.25)
+    points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    seen = []
+    for _ in range(50):
+        one, other = (
+            Prism(
+                base_mm=(*rng.uniform(2, 10, 2), rng.uniform(0, 4)),
+                top_mm=(*rng.uniform(2, 10, 2), rng.uniform(6, 10)),
+                section_mm=tuple(rng.uniform(1, 4, 2)),
+            )
+            for _ in range(2)
+        )
+        both = bool((one.holds(points, -1e-9) & other.holds(points, -1e-9)).any())
+        assert one.cuts(other, 1e-9) if both else not one.cuts(other, 0.5)
+        seen.append(both)
+    assert 10 < sum(seen) < 40
+
+
+def test_overlapping_inclusions_are_refused_by_number():
+    second = BLOCK[BLOCK.index("[[inclusion]]") : BLOCK.index("[[load]]")].replace("[10.0, 15.0, 0.0]", "[18, 15, 0]")
+    with pytest.raises(SceneError, match="inclusions 1 and 2 overlap"):
+        scene_from_toml(BLOCK + second)
+
+
+def test_loads_that_cancel_are_no_load():
+    assert not scene_from_toml(BLOCK).is_unloaded
+    opposite = BLOCK[BLOCK.index("[[load]]") : BLOCK.index("[[probe]]")].replace("-1.0]", "1.0]")
+    assert scene_from_toml(BLOCK + opposite).is_unloaded
+    assert scene_from_toml(BLOCK.replace("-1.0]", "0.0]")).is_unloaded
+
+
+def test_rounding_never_puts_a_rectangle_past_the_top():
+    """0.1 + 0.2 is not 0.3: such a load is taken, and cut at the face."""
+    size = math.nextafter(30.0, 31.0)
+    scene = scene_from_toml(BLOCK.replace("size_mm = [10.0, 10.0]", f"size_mm = [{size!r}, 10.0]"))
+    assert scene.load_rectangles_mm[0, [0, 2]].tolist() == [0.0, 30.0]

@@ -1,0 +1,293 @@
+"""Scenes on tetrahedra: closed forms, exact outlines, an estimate that can be believed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skfem import ElementTetP1, ElementTetP2
+
+from fem.elasticity import displacement_form, lame_of_regions, taylor_hood
+from fem.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
+from fem.plan import make_plan
+from fem.scene import Block, Inclusion, Load, Prism, Probe, Scene, Sensor
+from fem.scene_file import scene_from_toml
+from fem.scene_mesh import prism_of_cells, scene_mesh
+from fem.solution import Solution, largest_error
+from fem.solve import solve_scene
+from fem.tetrahedral import estimated_errors, point_row, with_edges_across
+from geometry.design import Material
+from geometry.mesh import boundary_faces, cell_volumes
+from tests.fem.boxes import box_mesh
+from tests.fem.scenes import BLOCK, PILLAR, pressed_block
+
+ON_TETRAHEDRA = ["hexahedra"]
+
+
+def solved(scene: Scene, element: str | None = None) -> Solution:
+    solution, plan = solve_scene(scene, no_skip=ON_TETRAHEDRA, element=element)
+    assert plan.method == "tetrahedra"
+    return solution
+
+
+@pytest.mark.parametrize("element", ["TH", "P2", "P1"])
+def test_a_block_without_poissons_effect_shortens_by_hooke(element):
+    """At ν = 0 the clamped base holds nothing back: u_z = −p z / E exactly, on any mesh, at every probe."""
+    scene = pressed_block((6.0, 5.0, 4.0), Material(young_mpa=2.0, poisson=0.0))
+    solution = solved(scene, element)
+    exact = {"top": [0.0, 0.0, -4.0 / 2.0], "middle": [0.0, 0.0, -2.0 / 2.0]}
+    for name, u in exact.items():
+        assert np.abs(solution.probes[name] - u).max() < 1e-5  # TH takes ν as 1e-6 at least
+    assert np.isclose(solution.energy_mj, 0.5 * 30.0 * 2.0, rtol=1e-5)  # ½ p A u
+    assert solution.error_estimate < 1e-4
+    assert solution.residual < 1e-9
+
+
+def test_layers_shorten_one_by_one():
+    """Layers of different rubber at ν = 0: −p Σ hᵢ/Eᵢ. Each region has its own modulus, and all of its thickness."""
+    layers = tuple(
+        Inclusion(base_mm=(3.0, 2.0, z0), top_mm=(3.0, 2.0, z1), section_mm=(6.0, 4.0), material=Material(
+            young_mpa=E, poisson=0.0
+        ))
+        for z0, z1, E in ((0.0, 1.5, 10.0), (2.5, 4.0, 0.5))
+    )  # fmt: skip
+    scene = pressed_block((6.0, 4.0, 4.0), Material(young_mpa=2.0, poisson=0.0), layers)
+    top = solved(scene).probes["top"]
+    assert np.allclose(top, [0.0, 0.0, -(1.5 / 10.0 + 1.0 / 2.0 + 1.5 / 0.5)], atol=1e-4)
+
+
+def test_grid_and_tetrahedra_agree():
+    """Two routes to one answer: a stiff upright inclusion in a block, pressed and dragged."""
+    stiff = Inclusion(
+        base_mm=(4.0, 5.0, 0.0), top_mm=(4.0, 5.0, 4.0), section_mm=(3.0, 4.0), material=Material(young_mpa=60.0)
+    )
+    scene = pressed_block((8.0, 10.0, 4.0), Material(), (stiff,), traction_mpa=(0.3, 0.0, -1.0), tolerance=1e-2)
+    on_grid, plan = solve_scene(scene)
+    assert plan.method == "grid"
+    on_tetrahedra = solved(scene)
+    both = on_grid.error_estimate + on_tetrahedra.error_estimate
+    assert both < 2e-2
+    assert largest_error(on_tetrahedra.probes, on_grid.probes) < 2 * both
+
+
+def test_the_estimate_holds_on_the_pressed_block():
+    """The 30 × 30 × 10 mm block under a 10 mm patch at ν = 0.49 sinks by 0.62327 mm (graded hexahedra, converged).
+
+    The estimate must be within a factor of 3 of the true error.
+    """
+    text = BLOCK[: BLOCK.index("[[inclusion]]")] + BLOCK[BLOCK.index("[[load]]") :].replace("[8.0, 9.0]", "[10, 10]")
+    scene = scene_from_toml(text[: text.rindex("[[probe]]")] + "[solve]\ntolerance = 2.5e-3\n")
+    solution = solved(scene)
+    error = np.linalg.norm(solution.probes["patch"] - [0.0, 0.0, -0.62327]) / 0.62327
+    assert solution.error_estimate <= 2.5e-3
+    assert solution.error_estimate / 3 < error < 3 * solution.error_estimate
+
+
+def test_a_dragged_pillar_bends_as_timoshenko_says():
+    """P L³/3EI + P L/κGA, κ = 5/6, for a pillar ten times as long as wide; ν = 0 keeps the clamp out of it."""
+    text = PILLAR.replace("0.49", "0.0").replace("[10.0, 0.0, 10.0]", "[0, 0, 20.0]").replace("[10.0, 0.0]", "[0, 0]")
+    scene = replace(scene_from_toml(text.replace("[0.0, 0.0, -0.01]", "[0.001, 0.0, 0.0]")), tolerance=3e-3)
+    E, P, L = 6.1, 0.001 * 4, 20.0
+    tip = P * L**3 / (3 * E * 16 / 12) + P * L / (5 / 6 * E / 2 * 4)
+    assert np.allclose(solved(scene).probes["top"], [tip, 0, 0], rtol=4e-3, atol=2e-3)
+
+
+def test_answers_go_with_the_load():
+    """Twice the load, twice the answer, from 1e-9 to 1e9: the same mesh, the same estimate."""
+    scene = replace(scene_from_toml(PILLAR), tolerance=0.02)
+    first, *others = (
+        solved(replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, t / 2, -t)),)))
+        for t in (1.0, 1e-9, 1e9)
+    )
+    for t, other in zip((1e-9, 1e9), others, strict=True):
+        assert np.allclose(other.probes["top"], t * first.probes["top"], rtol=1e-8)
+        assert np.isclose(other.energy_mj, t**2 * first.energy_mj, rtol=1e-8)
+        assert np.isclose(other.error_estimate, first.error_estimate, rtol=1e-3)
+
+
+def test_no_load_on_tetrahedra_is_no_answer_but_zero():
+    scene = pressed_block((4.0, 4.0, 2.0), Material(), traction_mpa=(0.0, 0.0, 0.0))
+    solution, _ = solve_scene(scene, no_skip=["zero-load", "hexahedra"])
+    assert all(not u.any() for u in solution.probes.values())
+    assert (solution.error_estimate, solution.energy_mj) == (0.0, 0.0)
+
+
+def test_a_mesh_is_made_once_and_can_be_made_anew(tmp_path):
+    scene = pressed_block((4.0, 4.0, 3.0), Material(poisson=0.0), tolerance=0.1)
+    first, again = solved(scene), solved(scene)
+    assert ["mesher" in first.steps[0], "cache" in again.steps[0]] == [True, True]
+    assert np.array_equal(first.probes["top"], again.probes["top"])
+    (kept,) = (tmp_path / "cache").glob("*")
+    kept.write_bytes(kept.read_bytes()[:100])
+    assert "mesher" in solved(scene).steps[0]  # damaged, so made anew
+    kept.unlink()
+    fresh, _ = solve_scene(scene, no_skip=["hexahedra", "cache"])
+    assert "mesher" in fresh.steps[0]
+    assert not kept.exists()
+
+
+def test_more_than_the_limit_is_not_tried(monkeypatch):
+    """A tolerance out of reach ends at the limit, with an estimate that says so."""
+    monkeypatch.setattr("fem.tetrahedral.MOST_UNKNOWNS", 9000)
+    scene = replace(scene_from_toml(PILLAR), tolerance=1e-5)
+    solution = solved(scene)
+    assert solution.steps[-1] == "stopped at the limit of 9000 unknowns, short of the tolerance 1e-05"
+    assert solution.error_estimate > 1e-5
+
+
+def test_the_field_holds_the_probes():
+    """The field asked for is that of the finest mesh: at a node on the loaded top it is what a point probe says."""
+    scene = pressed_block((4.0, 4.0, 2.0), Material(), tolerance=0.05)
+    solution, _ = solve_scene(scene, no_skip=["hexahedra"], field=True)
+    field = solution.field
+    assert field is not None
+    assert field.cells.max() + 1 == len(field.points_mm) == len(field.displacement_mm)
+    assert (cell_volumes(field.points_mm, field.cells[:, :4]) > 0).all()
+    middles = (field.points_mm[field.cells[:, 0]] + field.points_mm[field.cells[:, 1]]) / 2
+    assert np.allclose(field.points_mm[field.cells[:, 4]], middles)  # VTK's fifth node: the middle of the first edge
+    middles = (field.points_mm[field.cells[:, 1]] + field.points_mm[field.cells[:, 3]]) / 2
+    assert np.allclose(field.points_mm[field.cells[:, 8]], middles)
+    assert not field.displacement_mm[field.points_mm[:, 2] == 0.0].any()
+
+
+@pytest.mark.parametrize(
+    "prisms",
+    [
+        [],
+        [Prism(base_mm=(3.0, 5.0, 0.0), top_mm=(8.0, 5.0, 6.0), section_mm=(2.0, 2.0))],
+        [Prism(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 7.0, 4.0), section_mm=(1.0, 0.5)),
+         Prism(base_mm=(8.5, 5.0, 2.0), top_mm=(6.0, 5.0, 5.0), section_mm=(1.0, 3.0))],
+    ],
+    ids=["none", "through", "two that end inside"],
+)  # fmt: skip
+def test_every_face_is_where_it_belongs(prisms):
+    """Volumes of the body and of prisms that do not cut each other are exact, and the outline is made of planes."""
+    scene = pressed_block((10.0, 10.0, 6.0), Material())
+    mesh, _ = scene_mesh(scene, prisms)
+    labels = prism_of_cells(mesh, prisms)
+    volumes = np.bincount(labels, cell_volumes(mesh.p.T, mesh.t.T), len(prisms) + 1)
+    inside = [prism.volume_mm3 for prism in prisms]
+    assert np.allclose(volumes, [600.0 - sum(inside), *inside], rtol=1e-9)
+    corners = mesh.p.T[boundary_faces(mesh.t.T)]
+    on_plane = [(corners[:, :, axis] == c).all(axis=1) for axis, c in enumerate((10.0, 10.0, 6.0))]
+    on_plane += [(corners[:, :, axis] == 0.0).all(axis=1) for axis in range(3)]
+    assert np.any(on_plane, axis=0).all()
+
+
+def test_pillars_of_a_unit_are_meshed_as_their_union():
+    """The three pillars overlap at two electrodes: the union has the volume that random points give it."""
+    sensor = Sensor(kind="unit")
+    scene = Scene(
+        body=sensor,
+        material=sensor.design.matrix_material,
+        probes=(Probe(name="U1", kind="point", position_mm=(-5, -5, 10)),),
+    )
+    mesh, _ = scene_mesh(scene, sensor.pillars)
+    volumes = cell_volumes(mesh.p.T, mesh.t.T)
+    assert np.isclose(volumes.sum(), 15.0 * 15.0 * 10.0, rtol=1e-9)
+    points = np.random.default_rng(0).uniform([-7.5, -7.5, 0], [7.5, 7.5, 10], (2_000_000, 3))
+    union = np.any([pillar.holds(points) for pillar in sensor.pillars], axis=0).mean() * 2250.0
+    assert np.isclose(volumes[prism_of_cells(mesh, sensor.pillars) > 0].sum(), union, rtol=5e-3)  # 0.3 % of chance
+
+
+def test_an_oblique_pillar_keeps_its_slanted_faces():
+    scene = scene_from_toml(PILLAR)
+    mesh, _ = scene_mesh(scene, [])
+    assert np.isclose(cell_volumes(mesh.p.T, mesh.t.T).sum(), 40.0, rtol=1e-9)
+    assert (mesh.p[2].min(), mesh.p[2].max()) == (0.0, 10.0)
+
+
+def test_small_patches_get_edges_before_the_first_solve():
+    mesh = box_mesh((3, 3, 1), (30.0, 30.0, 10.0))
+    finer = with_edges_across(mesh, np.array([[15.0, 15.0, 15.5, 15.5]]))
+    corners = finer.p.T[finer.t.T]
+    near = (np.abs(corners - [15.0, 15.0, 10.0]) < 1e-9).all(axis=2).any(axis=1)
+    assert np.ptp(corners[near], axis=1).max() < 1.0
+    assert finer.nelements < 3000  # near it only
+    assert np.isclose(np.abs(cell_volumes(finer.p.T, finer.t.T)).sum(), 9000.0)  # bisection turns cells over
+
+
+def test_a_pressure_may_jump_at_an_interface():
+    """Two layers of different λ pressed together: σz is one, so is u on the interface; only broken pressures can."""
+    mesh = box_mesh((2, 2, 4), (4.0, 4.0, 4.0))
+    region = (mesh.p[2, mesh.t].mean(axis=0) > 2.0).astype(int)
+    body = taylor_hood(mesh, [Material(), Material(poisson=0.3)], region)
+    whole = taylor_hood(mesh, [Material()], np.zeros_like(region))
+    assert body.n_pressure == whole.n_pressure + 9  # the interface's corners count twice
+
+
+@pytest.mark.parametrize("element", [ElementTetP1, ElementTetP2])
+def test_gradients_at_the_corners_are_exact(disordered_cube, element):
+    """A quadratic field (linear for P1) has the gradient of its closed form at every corner."""
+    body = displacement_form(disordered_cube, [Material()], np.zeros(disordered_cube.nelements, dtype=int), element)
+    x, y, z = body.basis.doflocs
+    quadratic = float(element is ElementTetP2)
+    u = np.stack([z + quadratic * x * y, 2 * x - quadratic * z**2, y + quadratic * (x**2 - y * z)]).T.ravel()
+    gradient, _ = corner_gradients(body, u)
+    X, Y, Z = disordered_cube.p[:, disordered_cube.t]
+    q, zero, one = quadratic, np.zeros_like(X), np.ones_like(X)
+    exact = [[q * Y, q * X, one], [2 * one, zero, -2 * q * Z], [2 * q * X, one - q * Z, -q * Y]]
+    assert np.allclose(gradient, np.array(exact).transpose(3, 2, 0, 1), atol=1e-11)
+
+
+def test_an_exact_answer_leaves_no_residual(disordered_cube):
+    """Uniform compression at ν = 0 balances inside, across every face and with its load; half of it is missed."""
+    material, region = [Material(young_mpa=2.0, poisson=0.0)], np.zeros(disordered_cube.nelements, dtype=int)
+    body = displacement_form(disordered_cube, material, region, ElementTetP2)
+    u = np.zeros((body.basis.N, 3))
+    u[:, 2] = -body.basis.doflocs[2] / 2.0
+    lame, mu = lame_of_regions(material, region)
+    for pressure, missing in ((-1.0, False), (-0.5, True)):
+        top = uniform_tractions(np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[0.0, 0.0, pressure]]))
+        found = residuals(body, u.ravel(), np.zeros(0), region, lame, mu, top)
+        at_top = disordered_cube.p[2, disordered_cube.t].max(axis=0) == 10.0
+        assert found[~at_top].max() < 1e-20
+        assert (found.max() > 1e-3) == missing
+
+
+def test_marking_takes_the_fewest_that_hold_the_share():
+    indicators = np.array([1.0, 5.0, 0.0, 3.0, 1.0])
+    assert sorted(largest_contributors(indicators, 0.75)) == [1, 3]
+    assert sorted(largest_contributors(indicators, 0.4)) == [1]
+
+
+def test_the_estimate_is_exact_where_errors_follow_the_indicators():
+    """J = J₀ + C η in every component: the estimate is the error, relative to the last answer."""
+    scene = pressed_block((4.0, 4.0, 2.0), Material())
+    exact, slope = np.array([[0.0, 0.0, -2.0], [0.1, 0.0, -1.0]]), np.array([[0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
+    history = [(eta, exact + slope * eta) for eta in (0.4, 0.3, 0.2, 0.1)]
+    assert estimated_errors(scene, history[:3]) == {"top": np.inf, "middle": np.inf}
+    errors = estimated_errors(scene, history)
+    assert np.isclose(errors["top"], 0.03 / 1.97)
+    assert np.isclose(errors["middle"], 0.02 / np.hypot(0.12, 1.0))
+
+
+@pytest.mark.parametrize("position", [(5.0, 5.0, 5.0), (0.0, 0.0, 0.0), (10.0, 3.1, 10.0), (1.234, 7.7, 9.99)])
+def test_a_point_sees_a_quadratic_field_exactly(disordered_cube, position):
+    body = displacement_form(
+        disordered_cube, [Material()], np.zeros(disordered_cube.nelements, dtype=int), ElementTetP2
+    )
+    x, y, z = body.basis.doflocs
+    a, b, c = position
+    assert np.isclose((point_row(body, np.array(position)) @ (x * y - z**2 + 1))[0], a * b - c**2 + 1, rtol=1e-12)
+
+
+def test_an_oblique_stiff_inclusion_is_where_it_was_put():
+    """Pressed evenly, a block moves least where the stiff pillar ends, and leans to the side that it leans to."""
+    block = Block(size_mm=(12.0, 8.0, 6.0))
+    stiff = Inclusion(
+        base_mm=(3.0, 4.0, 0.0), top_mm=(8.0, 4.0, 6.0), section_mm=(2.0, 2.0), material=Material(young_mpa=100.0)
+    )
+    probes = [
+        Probe(name=name, kind="mean", center_mm=(x, 4.0), size_mm=(1.0, 1.0))
+        for name, x in (("left", 4.0), ("end", 8.0), ("right", 11.0))
+    ]
+    load = Load(center_mm=(6.0, 4.0), size_mm=(12.0, 8.0), traction_mpa=(0.0, 0.0, -1.0))
+    scene = Scene(
+        body=block, material=Material(), inclusions=(stiff,), loads=(load,), probes=tuple(probes), tolerance=0.1
+    )
+    assert make_plan(scene).method == "tetrahedra"
+    solution, _ = solve_scene(scene)
+    assert abs(solution.probes["end"][2]) < abs(solution.probes["left"][2])
+    assert abs(solution.probes["end"][2]) < abs(solution.probes["right"][2])
+    assert solution.probes["end"][0] > 0.05  # the oblique pillar tilts over to +x
+    assert abs(solution.probes["end"][1]) < 0.01  # and not sideways
