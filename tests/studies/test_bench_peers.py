@@ -33,7 +33,7 @@ def test_column_follows_hooke(peer, monkeypatch):
     if peer.missing():
         pytest.skip(peer.missing())
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    answer = peer.solve(COLUMN, 1)
+    answer = peer.solve(COLUMN, 2 if "order" in peer.name else 1)
     # ccx prints seven digits
     assert answer.probes["corner"] == pytest.approx([0.0, 0.0, SUNK_MM], abs=1e-6)
     assert answer.unknowns > 0

@@ -186,7 +186,7 @@ CONTENDERS = [
         name="CalculiX C3D20R hexahedra, graded",
         family="CalculiX",
         solve=lambda scene, n: solve_by_ccx(scene, n, "C3D20R", graded=True),
-        resolutions=(1, 1.5, 2, 3, 4),
+        resolutions=(1, 1.5, 2, 3, 4, 5, 6),
         missing=missing,
     ),
 ]

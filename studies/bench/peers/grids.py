@@ -6,6 +6,7 @@ import numpy as np
 
 from fem.scene import Scene
 from geometry.layout import FloatArray
+from studies.bench.grading import graded_line
 
 
 def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -29,6 +30,17 @@ def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, Float
         stops = {float(rectangle[i]) for rectangle in scene.probe_rectangles_mm for i in (d, d + 2)}
         lines.append(_line(sorted({start, end, *edges, *stops}), edges, size_mm, n, graded))
     return lines[0], lines[1], _line([0.0, scene.height_mm], [scene.height_mm], size_mm, n, graded)
+
+
+def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Few lines, geometrically closer toward load outlines and the top: for elements of high order."""
+    x0, y0, x1, y1 = scene.top_mm
+    lines = []
+    for d, ends in enumerate(((x0, x1), (y0, y1))):
+        wanted = dict.fromkeys([*ends, *scene.probe_rectangles_mm[:, [d, d + 2]].ravel().tolist()], 0)
+        wanted |= dict.fromkeys(scene.load_rectangles_mm[:, [d, d + 2]].ravel().tolist(), layers)
+        lines.append(graded_line(wanted, ratio, widest_mm=scene.height_mm))
+    return lines[0], lines[1], graded_line({0.0: 0, scene.height_mm: layers}, ratio, widest_mm=scene.height_mm)
 
 
 def _line(stops: list[float], edges: list[float], size_mm: float, n: float, graded: bool) -> FloatArray:

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from fem.scene import Rectangle, Scene
+from geometry.layout import FloatArray
 from studies.bench.contender import Answer, Contender
-from studies.bench.peers.grids import scene_lines
+from studies.bench.peers.grids import geometric_lines, scene_lines
 from studies.bench.stopwatch import Stopwatch
 
 Form = Literal["displacement", "reduced", "mixed"]
@@ -34,10 +35,18 @@ def hp_mesh(scene: Scene, n: float) -> Any:
 
 
 def hexahedra_mesh(scene: Scene, n: float) -> Any:
-    """Graded hexahedra: a structured mesh mapped onto the lines of `grids.scene_lines`."""
+    """Graded hexahedra on the lines of `grids.scene_lines`."""
+    return _structured_mesh(scene_lines(scene, n, graded=True))
+
+
+def geometric_mesh(scene: Scene, layers: float) -> Any:
+    """Few hexahedra on the lines of `grids.geometric_lines`."""
+    return _structured_mesh(geometric_lines(scene, int(layers)))
+
+
+def _structured_mesh(lines: tuple[FloatArray, FloatArray, FloatArray]) -> Any:
     from ngsolve.meshes import MakeStructured3DMesh
 
-    lines = scene_lines(scene, n, graded=True)
     counts = [len(line) - 1 for line in lines]
 
     def mapped(*share: float) -> tuple[float, ...]:
@@ -173,7 +182,7 @@ CONTENDERS = [
         name="NGSolve P4, hp-refined",
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, hp_mesh, n, 4, "displacement"),
-        resolutions=(1, 1.5, 2, 2.5),
+        resolutions=(1, 1.5, 2),
         missing=missing,
     ),
     Contender(
@@ -181,6 +190,13 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, hexahedra_mesh, n, 3, "reduced"),
         resolutions=(1, 1.5, 2, 3, 4),
+        missing=missing,
+    ),
+    Contender(
+        name="NGSolve hexahedra of rising order, reduced, geometric",
+        family="NGSolve",
+        solve=lambda scene, order: solve_by_ngsolve(scene, geometric_mesh, 2, int(order), "reduced"),
+        resolutions=(2, 3, 4, 5),
         missing=missing,
     ),
 ]
