@@ -5,15 +5,17 @@ electrode per newton on every pad, along each axis. Open `response.py` first, th
 `assembly.py` (the matrices), `patch.py` (loads and electrodes) and `linear_solver.py`.
 """
 
+from fem.array_response import ResponseSettings, array_response, solve_response
 from fem.elasticity import ElasticBody, displacement_form, taylor_hood
 from fem.linear_solver import SolverError
 from fem.patch import PatchError, patch_integrals
-from fem.response import ArrayResponse, array_response, read_response, solve_response, write_response
+from fem.response import ArrayResponse, read_response, write_response
 
 __all__ = [
     "ArrayResponse",
     "ElasticBody",
     "PatchError",
+    "ResponseSettings",
     "SolverError",
     "array_response",
     "displacement_form",

@@ -3,73 +3,94 @@
 Cells that touch share the modes of their common face and edges, so the array is a sparse system of small dense blocks.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.assembly import SparsePattern
 from fem.cell import CondensedCell
 from fem.linear_solver import checked_solve, factorized
 from fem.ports import EDGES, FACES, PortModes
 from geometry.layout import FloatArray
 
 
-def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64], int]:
-    """Global number of every cell's port degrees of freedom, shape (rows, cols, n_modes·3), and how many there are.
+class CoupledArray:
+    """rows × cols copies of a cell, factored once.
 
-    Cell (i, j) lies at row i (along y) and column j (along x).
+    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j.
     """
+
+    def __init__(self, cell: CondensedCell, rows: int, cols: int) -> None:
+        self.cell, self.rows, self.cols = cell, rows, cols
+        self._dofs, self._n = port_dofs(cell.ports, rows, cols)
+        self._matrix = self._assembled()
+        self._factor = factorized(self._matrix, definite=True)
+
+    @property
+    def n_cells(self) -> int:
+        return self.rows * self.cols
+
+    def moved(self, forces: FloatArray) -> tuple[FloatArray, float]:
+        """Mean displacements of every cell's rectangles under forces on them.
+
+        Parameters
+        ----------
+        forces : array, shape (n_cells, m, k)
+            k load cases: the force on each of the m functionals of each cell [N].
+
+        Returns
+        -------
+        array, shape (n_cells, m, k)
+            Mean displacements [mm].
+        float
+            Relative residual of the solve.
+        """
+        cell = self.cell
+        at_ports = np.zeros((self._n, forces.shape[2]))
+        np.add.at(at_ports, self._dofs, cell.reach @ forces)
+        q, residual = checked_solve(self._matrix, self._factor, at_ports)
+        return cell.reach.T @ q[self._dofs] + cell.compliance @ forces, residual
+
+    def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:
+        """What 1 N on one functional of a cell does to another functional of each cell, for all cells.
+
+        Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
+        """
+        found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
+        residual = 0.0
+        for row in range(self.rows):  # a row of cells at a time bounds the memory
+            loaded = np.arange(row * self.cols, (row + 1) * self.cols)
+            forces = np.zeros((self.n_cells, self.cell.reach.shape[1], self.cols, len(loads)))
+            for k, number in enumerate(loaded):
+                forces[number, loads, k, np.arange(len(loads))] = 1.0
+            moved, misfit = self.moved(forces.reshape(*forces.shape[:2], -1))
+            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), self.cols, len(loads))
+            residual = max(residual, misfit)
+        return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
+
+    def _assembled(self) -> sp.csr_matrix:
+        """Stiffness of all ports, in the blocks that edges and bubbles share: `up` functions along three axes."""
+        size = self.cell.ports.up * 3
+        count = self._dofs.shape[1] // size
+        blocks = self.cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
+        numbers = self._dofs[:, ::size].T // size
+        pattern = SparsePattern(numbers, numbers, (self._n // size, self._n // size))
+        return pattern.vector_matrix(np.broadcast_to(blocks, (self.n_cells, *blocks.shape)))
+
+
+def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64], int]:
+    """Global number of every cell's port degrees of freedom, shape (rows·cols, n_modes·3), and how many there are."""
     edge_size, face_size = ports.per_edge * 3, ports.per_face * 3
     edges = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1) * edge_size
-    upright = edges.size * edge_size + np.arange(rows * (cols + 1)).reshape(rows, cols + 1) * face_size
-    level = edges.size * edge_size + upright.size * face_size + np.arange((rows + 1) * cols).reshape(-1, cols) * face_size
+    first = edges.size * edge_size
+    across_x = first + np.arange(rows * (cols + 1)).reshape(rows, cols + 1) * face_size
+    first += across_x.size * face_size
+    across_y = first + np.arange((rows + 1) * cols).reshape(rows + 1, cols) * face_size
     i, j = np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij")
     starts = [edges[i + (sy > 0), j + (sx > 0)][..., None] + np.arange(edge_size) for sx, sy in EDGES]
     for axis, sign in FACES:
-        first = upright[i, j + (sign > 0)] if axis == 0 else level[i + (sign > 0), j]
-        starts.append(first[..., None] + np.arange(face_size))
-    return np.concatenate(starts, axis=-1), edges.size * edge_size + (upright.size + level.size) * face_size
-
-
-def couple(cell: CondensedCell, rows: int, cols: int, loads: NDArray[np.int64], observed: NDArray[np.int64]) -> tuple[FloatArray, float]:
-    """Influence of loads on every cell upon what is observed on every cell.
-
-    Parameters
-    ----------
-    cell : CondensedCell
-    rows, cols : int
-        Size of the array.
-    loads, observed : arrays of int
-        Which of the cell's functionals are unit forces, and which mean displacements.
-
-    Returns
-    -------
-    array, shape (rows, cols, n_observed, rows, cols, n_loads)
-        Mean displacement per newton [mm/N]: cell and functional observed, then cell and functional loaded.
-    float
-        Largest relative residual of the coupled solve.
-    """
-    dofs, n = port_dofs(cell.ports, rows, cols)
-    flat = dofs.reshape(rows * cols, -1)
-    width = flat.shape[1]
-    matrix = sp.coo_matrix(
-        (
-            np.tile(cell.stiffness.ravel(), len(flat)),
-            (np.repeat(flat, width, axis=1).ravel(), np.tile(flat, (1, width)).ravel()),
-        ),
-        shape=(n, n),
-    ).tocsr()
-    factor = factorized(matrix, definite=True)
-    influence = np.empty((rows * cols, len(observed), rows * cols, len(loads)))
-    residual = 0.0
-    for row in range(rows):  # a row of cells at a time bounds the memory
-        loaded = np.arange(row * cols, (row + 1) * cols)
-        forces = np.zeros((n, cols, len(loads)))
-        for k, unit in enumerate(loaded):
-            forces[flat[unit], k] = cell.reach[:, loads]
-        moved, misfit = checked_solve(matrix, factor, forces.reshape(n, -1))
-        seen = np.einsum("po,upl->uol", cell.reach[:, observed], moved[flat], optimize=True)
-        influence[:, :, loaded] = seen.reshape(len(flat), len(observed), cols, len(loads))
-        residual = max(residual, misfit)
-    unit = np.arange(rows * cols)
-    influence[unit, :, unit] += cell.compliance[np.ix_(observed, loads)]
-    return influence.reshape(rows, cols, len(observed), rows, cols, len(loads)), residual
+        corner = across_x[i, j + (sign > 0)] if axis == 0 else across_y[i + (sign > 0), j]
+        starts.append(corner[..., None] + np.arange(face_size))
+    return np.concatenate(starts, axis=-1).reshape(rows * cols, -1), first + across_y.size * face_size

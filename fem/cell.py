@@ -1,10 +1,10 @@
 """One unit cell, condensed statically onto the port modes of its side faces.
 
 Everything inside the cell is eliminated. What is left is small and dense: the stiffness between port modes, and what
-rectangles of the top face (pads, electrodes) see of them. The copies of an array are coupled from that (`fem/array.py`).
+rectangles of the top face (pads, electrodes) see of them. From that `fem/array.py` couples the copies of an array.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,6 +35,30 @@ class CondensedCell:
     unknowns: int  #: of the largest system that was factored
     residual: float  #: largest relative residual of the solves that were checked
 
+    def moved_on(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
+        """This cell, moved away from a coarser one of the same ports by a share of their difference."""
+
+        def on(fine: FloatArray, coarse: FloatArray) -> FloatArray:
+            return fine + share * (fine - coarse)
+
+        return replace(
+            self,
+            stiffness=on(self.stiffness, coarser.stiffness),
+            reach=on(self.reach, coarser.reach),
+            compliance=on(self.compliance, coarser.compliance),
+        )
+
+    def of_degree(self, degree: int) -> "CondensedCell":
+        """The same cell with port modes up to a lower degree along sides and upwards, at no cost."""
+        kept = self.ports.up_to(degree)
+        dofs = (kept[:, None] * 3 + np.arange(3)).ravel()
+        return replace(
+            self,
+            ports=replace(self.ports, side=min(degree, self.ports.side), up=min(degree, self.ports.up)),
+            stiffness=self.stiffness[np.ix_(dofs, dofs)],
+            reach=self.reach[dofs],
+        )
+
 
 def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> CondensedCell:
     """Condense a meshed cell, whatever its mesh.
@@ -49,8 +73,8 @@ def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Con
 
     Notes
     -----
-    S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on the
-    side faces, which follow the port modes Φ, and I the others, all pressures included.
+    S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
+    the side faces, which follow the port modes Φ, and I the others, all pressures included.
     """
     nodes = body.basis.doflocs
     on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
@@ -71,13 +95,13 @@ def condense_by_parity(
     """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
 
     A displacement splits into four parities (`PARITIES`), each a problem of the quarter with its own conditions on the
-    mirror planes; four quarters cost far less than one whole. `rectangles` may lie anywhere on the whole cell. Otherwise
-    as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    mirror planes; four quarters cost far less than one whole. `rectangles` may lie anywhere on the whole cell.
+    Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
     """
     n, m = ports.n_modes * 3, len(rectangles) * 3
     S, L, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, m))
     nodes = basis.doflocs
-    on_side = (nodes[:2] > ports.half_mm * (1 - ON_FACE)).any(axis=0)
+    on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
     images = [patch_means(basis, _mirrored(rectangles, image)).T.toarray() for image in PARITIES]
     unknowns, residual = 0, 0.0
     for parity in PARITIES:

@@ -2,7 +2,7 @@
 
 from fem.linear_solver import checked_solve, factorized
 from fem.patch import patch_means
-from fem.response import elastic_body
+from fem.whole_array import elastic_body
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pad_squares
 from geometry.mesh import TetMesh

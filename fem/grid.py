@@ -1,12 +1,13 @@
 """Structured grids of boxes, graded toward the edges where the stress is singular.
 
-A grid is three sets of lines. Lines are placed by one rule: around each attractor (the edge of a loaded patch, a face of
-the body) sizes grow as distance^(2/3), so that errors at the edge and away from it fall together, as the fourth power
-of the number of lines for quadratic elements.
+A grid is three sets of lines. Lines are placed by one rule: around each attractor (the edge of a loaded patch, a face
+of the body) sizes grow as distance^(2/3), so that errors at the edge and away from it fall together, as the fourth
+power of the number of lines for quadratic elements.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +67,8 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
 
     Notes
     -----
-    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x. Counts of all attractors add
-    up, and lines lie where their sum is a whole number of steps.
+    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x. Counts of all
+    attractors add up, and lines lie where their sum is a whole number of steps.
 
     Examples
     --------
@@ -76,7 +77,7 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
     """
     ends = np.unique(np.round(np.asarray(stops, dtype=float), 9))
     lines = [ends[:1]]
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
+    for low, high in pairwise(ends):
         # sample densely toward every attractor, or steep parts of the count would be missed
         spread = np.linspace(-1.0, 1.0, 401) ** GRADING * (high - low)
         near = np.concatenate([np.clip(a.position_mm, low, high) + spread for a in attractors] + [low + (1 + spread)])

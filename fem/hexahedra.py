@@ -7,6 +7,7 @@ combinations of them.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -51,7 +52,7 @@ class GridBasis:
 
     @property
     def local(self) -> NDArray[np.int64]:
-        """Place of each local function's node in its box in half steps, shape (n_functions, 3), as scikit-fem orders them."""
+        """Place of each function's node in its box in half steps, shape (n_functions, 3), in scikit-fem's order."""
         return np.rint(ELEMENTS[self.element][0].doflocs * 2).astype(np.int64)
 
     @property
@@ -94,8 +95,13 @@ class GridBasis:
                 index = int(np.clip(np.searchsorted(lines, position) - 1, 0, len(lines) - 2))
                 box.append(index)
                 local.append((position - lines[index]) / (lines[index + 1] - lines[index]))
-            nodes = self.number[tuple((2 * np.array(box)[:, None] + self.local.T))]
-            rows.append(sp.csr_matrix((_shapes(self.element, np.array(local)[:, None])[:, 0], (np.zeros_like(nodes), nodes)), shape=(1, self.N)))
+            nodes = self.number[tuple(2 * np.array(box)[:, None] + self.local.T)]
+            rows.append(
+                sp.csr_matrix(
+                    (_shapes(self.element, np.array(local)[:, None])[:, 0], (np.zeros_like(nodes), nodes)),
+                    shape=(1, self.N),
+                )
+            )
         return sp.vstack(rows, format="csr")
 
     def _top_row(self, x_parts: list, y_parts: list) -> sp.csr_matrix:
@@ -118,7 +124,7 @@ def _clipped(lines: FloatArray, low: float, high: float) -> list[tuple[int, Floa
     """Intervals between lines that overlap [low, high]: index, local Gauss points in [0, 1], weights [mm]."""
     points, weights = np.polynomial.legendre.leggauss(3)
     parts = []
-    for index, (start, end) in enumerate(zip(lines[:-1], lines[1:], strict=True)):
+    for index, (start, end) in enumerate(pairwise(lines)):
         a, b = max(start, low), min(end, high)
         if b > a:
             at = (a + b) / 2 + points * (b - a) / 2

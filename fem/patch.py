@@ -22,11 +22,13 @@ class PatchError(TriPillarError, ValueError):
 def patch_means(basis: Basis | GridBasis, rectangles: FloatArray) -> sp.csr_matrix:
     """Rows that take nodal displacements to mean displacements of rectangles (k, 4) of the top face.
 
-    Shape (k·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of a unit force
-    spread evenly over that rectangle.
+    Shape (k·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of a
+    unit force spread evenly over that rectangle.
     """
     area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
-    integrals = basis.patch_integrals(rectangles) if isinstance(basis, GridBasis) else patch_integrals(basis, rectangles)
+    integrals = (
+        basis.patch_integrals(rectangles) if isinstance(basis, GridBasis) else patch_integrals(basis, rectangles)
+    )
     return sp.kron(sp.diags_array(1 / area_mm2) @ integrals, sp.eye_array(3), format="csr")
 
 

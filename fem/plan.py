@@ -181,7 +181,8 @@ def _method(
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
     if element in TETRAHEDRAL_ELEMENTS:
         return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=f"element {element} was asked for")
-    if units > 1 and "substructuring" not in keeps and element is None:
+    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
+    if units > 1 and seen_by_means and "substructuring" not in keeps and element is None:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
     if oblique or units:

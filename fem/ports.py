@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from geometry.layout import FloatArray
 
@@ -52,6 +53,12 @@ class PortModes:
     @property
     def n_modes(self) -> int:
         return 4 * self.per_edge + 4 * self.per_face
+
+    def up_to(self, degree: int) -> NDArray[np.int64]:
+        """Numbers of the modes of at most a degree along sides and upwards, in the order that such ports have them."""
+        edges = np.arange(4 * self.per_edge).reshape(4, self.up)[:, :degree]
+        faces = 4 * self.per_edge + np.arange(4 * self.per_face).reshape(4, self.side - 1, self.up)
+        return np.concatenate([edges.ravel(), faces[:, : degree - 1, :degree].ravel()])
 
     def values(self, points_mm: FloatArray) -> FloatArray:
         """Every mode at points (n, 3) of the side faces, shape (n, n_modes)."""
@@ -99,7 +106,7 @@ class PortModes:
                     signs.append((evenness[0] if sx < 0 else 1) * (evenness[1] if sy < 0 else 1) / 4)
                 row += 1
             for normal in (0, 1):
-                for bubble in np.flatnonzero(self._bubble_parity == evenness[1 - normal]):
+                for bubble in np.flatnonzero(self._bubble_parity == evenness[1 - normal]).tolist():
                     for k in range(self.up):
                         for face, (face_normal, sign) in enumerate(FACES):
                             if face_normal == normal:
@@ -113,10 +120,12 @@ class PortModes:
     @property
     def _bubble_parity(self) -> FloatArray:
         """+1 for even bubbles, −1 for odd ones, shape (side − 1,)."""
-        return (-1.0) ** np.arange(2, self.side + 1)
+        return np.where(np.arange(2, self.side + 1) % 2, -1.0, 1.0)
 
     def _bubbles(self, t: FloatArray) -> FloatArray:
-        return np.stack([lobatto(k, t) for k in range(2, self.side + 1)], axis=-1) if self.side > 1 else t[:, None][:, :0]
+        return (
+            np.stack([lobatto(k, t) for k in range(2, self.side + 1)], axis=-1) if self.side > 1 else t[:, None][:, :0]
+        )
 
     def _upward(self, z_mm: FloatArray) -> FloatArray:
         t = 2 * z_mm / self.height_mm - 1

@@ -1,28 +1,21 @@
 """The array's response: displacement of every upper electrode per newton on every pad, along each axis.
 
-The body is linear, so one factorisation and 3 unit loads a pad hold all there is to know; samples are superposition.
+The body is linear, so unit loads hold all there is to know; samples are superposition. How it is computed is in
+`array_response.py`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
-from skfem import MeshTet
 
-from fem.elasticity import ElasticBody, taylor_hood
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_means
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.files import cache_folder, digest
-from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares
-from geometry.mesh import MeshSettings, TetMesh, mesh_recipe, sensor_mesh
+from geometry.files import digest
+from geometry.layout import AXES, ELECTRODES, FloatArray
 from geometry.netcdf import read_netcdf, write_netcdf
 
-METHOD = 1  #: raise when the same design and mesh give another response, so that cached ones are not reused
 INFLUENCE_DIMS = ("row", "col", "electrode", "axis", "load_row", "load_col", "load_axis")
 
 
@@ -33,103 +26,17 @@ class ArrayResponse:
     design: SensorDesign
     influence_mm_per_n: FloatArray  #: (rows, cols, 2, 3, rows, cols, 3), see INFLUENCE_DIMS; axes x, y, z
     residual: float  #: largest relative residual of the solves
-    unknowns: int  #: size of the linear system
-    mesh_hash: str  #: of the mesh's content
+    unknowns: int  #: size of the largest linear system
     seconds: dict[str, float]  #: by step
+    method: str = "whole"  #: as `array_response.METHODS` names it
+    error_estimate: float = np.nan  #: relative, of each pad's own block; NaN where the method gives none
+    mesh_hash: str = ""  #: of the mesh's content, where there is one mesh
     recipe: str = ""  #: hash of the design and settings it was asked for
+    steps: tuple[str, ...] = field(default=(), repr=False)  #: what was done on the way; not kept in files
 
     @property
     def content_hash(self) -> str:
         return digest(self.influence_mm_per_n)
-
-
-def array_response(
-    design: SensorDesign,
-    settings: MeshSettings,
-    progress: Callable[[str], None] = lambda step: None,
-) -> tuple[ArrayResponse, Path, bool]:
-    """Response of a sensor, from the cache if it is there.
-
-    `progress` is called as each step begins: mesh, assemble, factor, and solve once a row of pads. Returns the
-    response, its file, and whether it was there already. Only what bends the body counts: another resistivity finds the
-    same file.
-
-    Raises
-    ------
-    GeometryError, SolverError
-        If the mesh or an answer cannot be trusted.
-    """
-    recipe = response_recipe(design, settings)
-    path = cache_folder() / f"response-{recipe}.nc"
-    try:
-        response = read_response(path)
-        if response.recipe == recipe:
-            return replace(response, design=design), path, True
-    except FileFormatError:
-        pass  # missing or damaged: solve again
-    progress("mesh")
-    start = perf_counter()
-    mesh, _, _ = sensor_mesh(design, settings)
-    meshed = perf_counter() - start
-    response = solve_response(design, mesh, progress)
-    response = replace(response, recipe=recipe, seconds={"mesh": meshed} | response.seconds)
-    write_response(response, path)
-    return response, path, False
-
-
-def response_recipe(design: SensorDesign, settings: MeshSettings) -> str:
-    """Hash of all that a response depends on: the design without its resistivity, the mesh settings, the method."""
-    return digest("response", METHOD, replace(design, resistivity_ohm_mm=1.0), mesh_recipe(design, settings))
-
-
-def solve_response(
-    design: SensorDesign, mesh: TetMesh, progress: Callable[[str], None] = lambda step: None
-) -> ArrayResponse:
-    """Response of a meshed sensor: assemble, factor, solve for a unit force on every pad along every axis."""
-    seconds = {}
-    start = perf_counter()
-
-    def done(step: str) -> None:
-        nonlocal start
-        now = perf_counter()
-        seconds[step], start = now - start, now
-
-    progress("assemble")
-    body = elastic_body(design, mesh)
-    pads = patch_means(body.basis, pad_squares(design))
-    electrodes = patch_means(body.basis, electrode_squares(design))
-    done("assemble")
-
-    progress("factor")
-    solve = factorized(body.matrix)
-    done("factor")
-
-    columns, residual = [], 0.0
-    for row in range(design.array.rows):  # a row of pads at a time bounds the memory
-        progress("solve")
-        width = 3 * design.array.cols
-        # a unit force spread over a pad does work on the pad's mean displacement: its load vector is that mean's
-        loads = pads[row * width : (row + 1) * width].T.toarray()
-        solution, misfit = checked_solve(body.matrix, solve, body.loads(loads))
-        columns.append(electrodes @ body.displacements(solution))
-        residual = max(residual, misfit)
-    done("solve")
-
-    rows, cols = design.array.rows, design.array.cols
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=np.hstack(columns).reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
-        residual=residual,
-        unknowns=body.matrix.shape[0],
-        mesh_hash=mesh.content_hash,
-        seconds=seconds,
-    )
-
-
-def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
-    """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
-    skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:
@@ -142,6 +49,8 @@ def write_response(response: ArrayResponse, path: Path) -> None:
         "recipe": response.recipe,
         "content_hash": response.content_hash,
         "mesh_hash": response.mesh_hash,
+        "method": response.method,
+        "error_estimate": response.error_estimate,
         "residual": response.residual,
         "unknowns": response.unknowns,
     } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
@@ -159,6 +68,8 @@ def read_response(path: Path) -> ArrayResponse:
             residual=float(data.attrs["residual"]),
             unknowns=int(data.attrs["unknowns"]),
             mesh_hash=data.attrs["mesh_hash"],
+            method=data.attrs["method"],
+            error_estimate=float(data.attrs["error_estimate"]),
             seconds={
                 key.removeprefix("seconds_"): float(value)
                 for key, value in data.attrs.items()

@@ -1,13 +1,15 @@
 """Solve any scene: plan it, then hand it to the method that the plan chose."""
 
 from collections.abc import Iterable
-from importlib.util import find_spec
 
 import numpy as np
 
+from fem.cell_scene import solve_by_cells
 from fem.plan import Plan, make_plan
 from fem.scene import Scene, SceneError
 from fem.solution import Solution
+from fem.structured import solve_on_grid
+from fem.tetrahedral import solve_on_tetrahedra
 
 
 def solve_scene(
@@ -50,16 +52,10 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     with_field = field or not plan.saves("field")
     if plan.method == "nothing":
         return unmoved(scene)
-    if plan.method == "grid" and find_spec("fem.structured"):
-        from fem.structured import solve_on_grid
-
+    if plan.method == "grid":
         return solve_on_grid(scene, plan, with_field)
-    if plan.method == "cells" and find_spec("fem.substructured"):
-        from fem.substructured import solve_by_cells
-
-        return solve_by_cells(scene, plan, with_field)
-    from fem.tetrahedral import solve_on_tetrahedra
-
+    if plan.method == "cells":
+        return solve_by_cells(scene, plan)
     return solve_on_tetrahedra(scene, plan, with_field)
 
 

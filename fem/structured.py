@@ -1,11 +1,11 @@
 """Scenes of boxes on structured grids of hexahedra, refined until the probes are as accurate as asked.
 
-Grids of rising level contain each other, and their errors fall together, as a power of the level: so two or three answers
-tell how far the last one is from the limit, and which level the tolerance needs.
+Grids of rising level contain each other, and their errors fall together, as a power of the level: so two or three
+answers tell how far the last one is from the limit, and which level the tolerance needs.
 """
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 from time import perf_counter
 
 import numpy as np
@@ -14,20 +14,25 @@ import scipy.sparse as sp
 from fem.convergence import error_after, next_level
 from fem.elasticity import ElasticBody
 from fem.grid import Attractor, Grid, graded_lines
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.hexahedra import GridBasis, HexElement, grid_body, grid_stiffness
 from fem.linear_solver import checked_solve, factorized, solver_plan
 from fem.multigrid import rigid_body_modes
 from fem.patch import patch_means
 from fem.plan import Plan
-from fem.scene import Probe, Scene
+from fem.scene import Probe, Rectangle, Scene
 from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution, relative_errors
 from geometry.layout import FloatArray
 
 LEVELS = (2, 3)  #: the first two grids
 HIGHEST_LEVEL = 24
 ENOUGH = 0.8  #: of the tolerance: an estimate below it ends the refinement
-MOST_UNKNOWNS = 1_500_000  #: beyond, a grid takes longer than anyone waits for a scene
-EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 1.5, 0.7, 0.3  #: weights of attractors, tuned on the validation scenes
+MOST_UNKNOWNS = 600_000  #: beyond, a grid takes longer than anyone waits for a scene
+EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = (
+    1.0,
+    1.5,
+    0.7,
+    0.3,
+)  #: weights of attractors, tuned on the validation scenes
 
 
 @dataclass(frozen=True)
@@ -86,12 +91,14 @@ def solve_on_grid(scene: Scene, plan: Plan, with_field: bool = False) -> Solutio
 
 
 def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
-    """The grid of a level: lines at the edges of loads and regions, crowding there; only the mirrored part of the body."""
+    """The grid of a level: lines at the edges of loads and regions, crowding there; of mirrored bodies only a part."""
     outline = scene.outline
     height = outline.height_mm
     lean = tuple((top - base) / height for base, top in zip(outline.base_mm[:2], outline.top_mm[:2], strict=True))
     loads = [load.rectangle for load in scene.loads]
-    probes = [probe.rectangle for probe in scene.probes if probe.kind == "mean"]
+    # elsewhere than under a load the displacement is smooth, so that a probe's edges need no lines
+    means = [probe.rectangle for probe in scene.probes if probe.kind == "mean"]
+    probes = [mean for mean in means if any(_touch(mean, load) for load in loads)]
     sizes = [side for load in scene.loads for side in load.size_mm]
     length = min([height, *outline.section_mm, *sizes])
     mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
@@ -106,8 +113,10 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
         region_edges = [
             prism.base_mm[axis] + sign * prism.section_mm[axis] / 2 for prism, _ in plan.regions for sign in (-1, 1)
         ]
-        reach = max(((max(e - middle, middle - e)) for e in load_edges), default=0.0)
-        beside = float(np.exp(-(half - reach) / length))  # what the load still does at the sides
+        beside = max(
+            SIDE_BY_LOAD * _nearness(loads, axis, low + shift, high + shift, length),
+            SIDE_BY_PROBE * _nearness(means, axis, low + shift, high + shift, length),
+        )
         exposed = max(exposed, beside)
         attractors = _unique(
             [(e, EDGE_OF_LOAD) for e in load_edges]
@@ -128,6 +137,16 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
     z = graded_lines(_apart([0.0, height, *levels_of_regions], scene.rounding_mm), upright, level)
     grid = Grid(x=axes[0], y=axes[1], z=z, lean=(lean[0], lean[1]))
     return Grid(x=grid.x, y=grid.y, z=grid.z, lean=grid.lean, region=_regions(grid, plan))
+
+
+def _nearness(rectangles: list[Rectangle], axis: int, low: float, high: float, length: float) -> float:
+    """How much of what happens on the nearest of the rectangles is felt at a side: exp(−gap/length), 0 without any."""
+    gaps = [min(rectangle[axis] - low, high - rectangle[axis + 2]) for rectangle in rectangles]
+    return float(np.exp(-min(gaps) / length)) if gaps else 0.0
+
+
+def _touch(one: Rectangle, other: Rectangle) -> bool:
+    return all(one[axis] <= other[axis + 2] and other[axis] <= one[axis + 2] for axis in (0, 1))
 
 
 def _unique(places: list[tuple[float, float]], length: float) -> list[Attractor]:
@@ -169,7 +188,7 @@ def _answer(
         seconds[step] += now - start
         start = now
 
-    element = "S2" if plan.element == "S2" else "Q2"
+    element: HexElement = "S2" if plan.element == "S2" else "Q2"
     basis = GridBasis(grid, element)
     spent("mesh")
     parities = {mirror.axis: mirror.parity for mirror in plan.mirrors}
@@ -223,7 +242,10 @@ def probe_rows(basis: GridBasis, probe: Probe, plan: Plan) -> sp.csr_matrix:
             rows = rows + sp.diags_array(signs) @ patch_means(basis, rectangle[None])
         else:
             point = np.array(probe.position_mm)
-            if any((point[mirror.axis] < mirror.position_mm) != flip for mirror, flip in zip(plan.mirrors, image, strict=True)):
+            if any(
+                (point[mirror.axis] < mirror.position_mm) != flip
+                for mirror, flip in zip(plan.mirrors, image, strict=True)
+            ):
                 continue
             for mirror in flipped:
                 point[mirror.axis] = 2 * mirror.position_mm - point[mirror.axis]
@@ -244,21 +266,21 @@ def _unfolded(basis: GridBasis, u: FloatArray, plan: Plan) -> Field:
         cells = np.vstack([cells, cells[:, VTK_MIRRORED[mirror.axis]] + len(points)])
         points, moved = np.vstack([points, image]), np.vstack([moved, mirror.parity * flip * moved])
         region = np.concatenate([region, region])
-    return Field(
-        points_mm=points, cells=cells, cell_type=QUADRATIC_HEXAHEDRON, displacement_mm=moved, region=region
-    )
+    return Field(points_mm=points, cells=cells, cell_type=QUADRATIC_HEXAHEDRON, displacement_mm=moved, region=region)
 
 
 #: the 20 nodes of VTK's quadratic hexahedron in half steps: corners, lower edges, upper edges, uprights
 VTK_PLACES = np.array(
-    [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)]
-    + [(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)]
-    + [(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)]
+    [
+        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
+        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
+        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+    ]
 )
 #: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out
 VTK_MIRRORED = [
     [
-        int(np.flatnonzero((VTK_PLACES == np.where(np.arange(3) == axis, 2 - place, place)).all(axis=1))[0])
+        int(np.flatnonzero((np.where(np.arange(3) == axis, 2 - place, place) == VTK_PLACES).all(axis=1))[0])
         for place in VTK_PLACES
     ]
     for axis in (0, 1)
@@ -270,8 +292,7 @@ def _estimate(levels: list[int], answers: list[Answer]) -> float:
         return np.inf
     last = answers[-1].probes
     changes = [
-        relative_errors({name: b.probes[name] - a.probes[name] for name in last}, last)
-        for a, b in zip(answers[:-1], answers[1:], strict=True)
+        relative_errors({name: b.probes[name] - a.probes[name] for name in last}, last) for a, b in pairwise(answers)
     ]
     return max(error_after(levels, [change[name] for change in changes]) for name in last)
 

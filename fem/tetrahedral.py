@@ -4,6 +4,7 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
@@ -33,6 +34,9 @@ from fem.solution import QUADRATIC_TETRAHEDRON, SMALLEST_SHARE, TETRAHEDRON, Fie
 from geometry.design import Material
 from geometry.layout import FloatArray
 from geometry.mesh import cell_volumes
+
+# scikit-fem warns of its own memory layout at every refinement
+logging.getLogger("skfem").setLevel(logging.ERROR)
 
 MOST_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 MOST_MESHES = 40  #: a bound on patience; some 10 are usual
