@@ -44,7 +44,9 @@ def bench(
         everything += found
         draw_work_precision(name, found, out / f"{name}.png")
         show(work_precision_table(name, found))
-        show(ratio_table(name, found))
+        show(ratio_table(name, found, loaded=True))
+        if len(scenes[name].probes) > 1:
+            show(ratio_table(name, found))
     about = surroundings() | {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
     with replacing(out / "bench.json") as temporary:
         temporary.write_text(as_json(everything, about), encoding="utf-8")

@@ -17,35 +17,41 @@ MARKERS = "osD^vP*X<>"
 
 
 def draw_work_precision(scene: str, measurements: list[Measurement], path: Path) -> None:
-    """Write a PNG: run time and peak memory of every contender against the error of its worst probe."""
+    """Write a PNG: run time against the error of the loaded and of the worst probe, and peak memory beside them."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 6), dpi=130, layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True)
-    names = list(dict.fromkeys(one.contender for one in measurements))
+    figure = Figure(figsize=(17, 6), dpi=120, layout="constrained")
+    panels = figure.subplots(1, 3)
     count: dict[str, int] = {}
-    for name in names:
+    for name in dict.fromkeys(one.contender for one in measurements):
         mine = [one for one in measurements if one.contender == name and not one.failure]
         if not mine:
             continue
         family = mine[0].family
-        marker = MARKERS[count.setdefault(family, 0) % len(MARKERS)]
+        number = count.setdefault(family, 0)
         count[family] += 1
-        style = {
-            "color": COLOURS.get(family, "black"),
-            "marker": marker,
-            "markersize": 5.0,
-            "linewidth": 2.5 if name == "TriPillar" else 1.0,
-            "label": name,
-        }
-        errors = [100 * one.worst_error for one in mine]
-        left.plot(errors, [one.seconds for one in mine], **style)
-        right.plot(errors, [one.peak_mib for one in mine], **style)
-    for axes, label in ((left, "run time [s]"), (right, "peak memory of the process [MiB]")):
-        axes.set(xscale="log", yscale="log", xlabel="error of the worst probe [%]", ylabel=label)
+        loaded, worst = [100 * one.first_error for one in mine], [100 * one.worst_error for one in mine]
+        seconds, peak = [one.seconds for one in mine], [one.peak_mib for one in mine]
+        for axes, x, y in zip(panels, (loaded, worst, worst), (seconds, seconds, peak), strict=True):
+            axes.plot(
+                x,
+                y,
+                color=COLOURS.get(family, "black"),
+                marker=MARKERS[number % len(MARKERS)],
+                markersize=5,
+                linewidth=3 if name == "TriPillar" else 1,
+                label=name,
+            )
+    titles = (
+        ("error of the loaded probe [%]", "run time [s]"),
+        ("error of the worst probe [%]", "run time [s]"),
+        ("error of the worst probe [%]", "peak memory of the process [MiB]"),
+    )
+    for axes, (x_label, y_label) in zip(panels, titles, strict=True):
+        axes.set(xscale="log", yscale="log", xlabel=x_label, ylabel=y_label)
         axes.grid(visible=True, which="both", alpha=0.2)
-    left.invert_xaxis()  # shared: better answers to the right
-    figure.suptitle(f"{scene}: whole run without imports, 2 threads; lower right is better")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        axes.invert_xaxis()  # better answers to the right
+    figure.suptitle(f"{scene}: run time without imports; further right and lower is better")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")

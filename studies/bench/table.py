@@ -32,14 +32,14 @@ def work_precision_table(scene: str, measurements: list[Measurement]) -> Table:
     return table
 
 
-def ratio_table(scene: str, measurements: list[Measurement], ours: str = "TriPillar") -> Table:
+def ratio_table(scene: str, measurements: list[Measurement], loaded: bool = False, ours: str = "TriPillar") -> Table:
     """Seconds of the fastest of each family at equal error, and how many times the default path's."""
     families = list(dict.fromkeys(one.family for one in measurements))
-    table = Table(title=f"{scene}: fastest at or below an error of the worst probe")
+    table = Table(title=f"{scene}: fastest at or below an error of the {'loaded' if loaded else 'worst'} probe")
     table.add_column("family")
     for error in ERRORS:
         table.add_column(f"{error:.1%}", justify="right")
-    best = {error: fastest_below(measurements, error) for error in ERRORS}
+    best = {error: fastest_below(measurements, error, loaded) for error in ERRORS}
     for family in families:
         cells = []
         for error in ERRORS:

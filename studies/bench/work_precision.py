@@ -143,10 +143,11 @@ def as_json(measurements: list[Measurement], about: dict) -> str:
     return json.dumps({"about": about, "measurements": rows}, indent=1, ensure_ascii=False) + "\n"
 
 
-def fastest_below(measurements: list[Measurement], error: float) -> dict[str, Measurement]:
-    """The fastest measurement of each family whose worst error is at most this."""
+def fastest_below(measurements: list[Measurement], error: float, loaded: bool = False) -> dict[str, Measurement]:
+    """The fastest measurement of each family whose worst probe, or the loaded one, errs by at most this."""
     best: dict[str, Measurement] = {}
     for one in measurements:
-        if one.worst_error <= error and (one.family not in best or one.seconds < best[one.family].seconds):
+        reached = one.first_error if loaded else one.worst_error
+        if reached <= error and (one.family not in best or one.seconds < best[one.family].seconds):
             best[one.family] = one
     return best
