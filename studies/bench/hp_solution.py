@@ -112,7 +112,7 @@ class _Part:
         return -parity[d] if a == d else parity[d]
 
 
-def solve_by_hp(scene: Scene, grading: Grading, tolerance: float = 1e-8) -> HpSolution:
+def solve_by_hp(scene: Scene, grading: Grading, tolerance: float = 1e-7) -> HpSolution:
     """Displacement of a scene's probes.
 
     Parameters
@@ -231,8 +231,8 @@ def _part(scene: Scene, grading: Grading) -> _Part:
                 layers[at] = max(layers.get(at, 0), count)
         lines.append(graded_line(layers, grading.ratio, grading.widest_mm))
     heights = {0.0: grading.body_layers, outline.height_mm: grading.load_layers}
-    heights = {inclusion.top_mm[2]: grading.body_layers for inclusion in scene.inclusions} | heights
-    heights = {inclusion.base_mm[2]: grading.body_layers for inclusion in scene.inclusions} | heights
+    for z in (z for inclusion in scene.inclusions for z in (inclusion.base_mm[2], inclusion.top_mm[2])):
+        heights[z] = max(heights.get(z, 0), grading.body_layers)
     lines.append(graded_line(heights, grading.ratio, grading.widest_mm))
     return _Part((lines[0], lines[1], lines[2]), grading.order, start, (shear[0], shear[1]), mirrored)
 

@@ -26,7 +26,7 @@ REFERENCES = Path(__file__).with_name("references.json")
 METHOD = (
     "Structured hexahedra graded geometrically toward load outlines, edges, base and inclusions; Lagrange functions on "
     "Gauss-Lobatto points, the volumetric part by one Gauss point less along each axis; stiffness applied as a sum of "
-    "Kronecker products; conjugate gradients preconditioned by fast diagonalisation to a relative residual of 1e-8; "
+    "Kronecker products; conjugate gradients preconditioned by fast diagonalisation to a relative residual of 1e-7; "
     "even and odd parts on a quarter of the body where it is symmetric. Two grids: the finer gives the values, their "
     "distance the uncertainty."
 )
@@ -44,8 +44,8 @@ GRADINGS = {  #: how a scene's name begins → coarser and finer grid; layers be
         Grading(order=7, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
     ),
     "stiff": (
-        Grading(order=4, load_layers=2, body_layers=4, ratio=0.2, widest_mm=3.5),
-        Grading(order=5, load_layers=3, body_layers=4, ratio=0.2, widest_mm=3.5),
+        Grading(order=5, load_layers=2, body_layers=3, ratio=0.15, widest_mm=3.5),
+        Grading(order=6, load_layers=2, body_layers=3, ratio=0.15, widest_mm=3.5),
     ),
     "slab": (
         Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=5.0),
