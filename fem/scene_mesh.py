@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
+from fem.bisection import bisected
 from fem.indicator import cell_sizes
 from fem.scene import Prism, Scene
 from geometry.errors import GeometryError
@@ -141,7 +142,7 @@ def wanted_edges(outline: Prism, prisms: Sequence[Prism], edge_mm: float) -> tup
         coarse = np.flatnonzero(cell_sizes(box) > 2 * wanted(box.p.T[box.t.T].mean(axis=1)))
         if not len(coarse) or box.nelements > MOST_CELLS:
             break
-        box = box.refined(coarse)
+        box = bisected(box, coarse)
     return box, wanted(box.p.T)
 
 

@@ -4,7 +4,6 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
@@ -14,6 +13,7 @@ import scipy.sparse as sp
 from skfem import ElementTetP1, ElementTetP2, MeshTet
 
 from fem.assembly import IntArray
+from fem.bisection import bisected
 from fem.elasticity import LEAST_POISSON, ElasticBody, displacement_form, lame_of_regions, taylor_hood
 from fem.factors import FactorMemoryError, SolverError
 from fem.indicator import (
@@ -33,10 +33,6 @@ from fem.scene_mesh import prism_of_cells, scene_mesh
 from fem.solution import QUADRATIC_TETRAHEDRON, SMALLEST_SHARE, TETRAHEDRON, Field, Solution, relative_errors
 from geometry.design import Material
 from geometry.layout import FloatArray
-from geometry.mesh import cell_volumes
-
-# scikit-fem warns of its own memory layout at every refinement
-logging.getLogger("skfem").setLevel(logging.ERROR)
 
 MOST_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 MOST_MESHES = 40  #: a bound on patience; some 10 are usual
@@ -112,7 +108,7 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, field: bool = False) -> Soluti
         start = perf_counter()
         share = SHARE if worst > 1.5 * scene.tolerance else LAST_SHARE
         marked = largest_contributors(found.indicators, share)
-        mesh = mesh.refined(marked)
+        mesh = bisected(mesh, marked)
         seconds["mesh"] += perf_counter() - start
 
     return Solution(
@@ -144,7 +140,7 @@ def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
             coarse |= meets & ~within & (size_mm > width_mm / EDGES_ACROSS_PATCH)
         if not coarse.any():
             return mesh
-        mesh = mesh.refined(np.flatnonzero(at_top)[coarse])
+        mesh = bisected(mesh, np.flatnonzero(at_top)[coarse])
 
 
 def estimated_errors(scene: Scene, history: Sequence[tuple[float, FloatArray]]) -> dict[str, float]:
@@ -294,9 +290,6 @@ def _field(found: Level) -> Field:
     basis, mesh = found.body.basis, found.mesh
     quadratic = bool(basis.edge_dofs.size)
     cells = np.vstack([basis.nodal_dofs[0][mesh.t], basis.edge_dofs[0][mesh.t2e]]) if quadratic else mesh.t.copy()
-    inverted = cell_volumes(mesh.p.T, mesh.t.T) < 0  # bisection turns every other cell over
-    turned = np.array([1, 0, 2, 3, 4, 6, 5, 8, 7, 9])[: len(cells)]
-    cells[:, inverted] = cells[turned][:, inverted]
     return Field(
         points_mm=basis.doflocs.T.copy(),
         cells=cells.T.astype(np.int64),

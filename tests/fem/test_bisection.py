@@ -1,0 +1,61 @@
+"""Bisection keeps the body, the conformity and the shape of the cells."""
+
+import numpy as np
+import pytest
+from skfem import MeshTet
+
+from fem.bisection import bisected
+from geometry.mesh import boundary_faces, cell_volumes
+from tests.fem.boxes import box_mesh
+
+
+def turned(mesh: MeshTet) -> np.ndarray:
+    """Cells of a mesh, all of positive volume."""
+    cells = mesh.t.T.astype(int)
+    negative = cell_volumes(mesh.p.T, cells) < 0
+    cells[negative] = cells[negative][:, [1, 0, 2, 3]]
+    return cells
+
+
+@pytest.mark.parametrize("disorder", [0.0, 0.3], ids=["equal edges", "random edges"])
+def test_twenty_refinements_keep_what_matters(disorder):
+    """A regular grid, full of equal edges, and a disordered one, refined at random places."""
+    mesh = box_mesh((3, 3, 3), (3.0, 3.0, 3.0), disorder)
+    mesh = MeshTet(mesh.p, np.ascontiguousarray(turned(mesh).T))
+    rng = np.random.default_rng(1)
+    worst = _flatness(mesh).min()
+    for _ in range(20):
+        before, marked = mesh, rng.choice(mesh.nelements, 15, replace=False)
+        mesh = bisected(mesh, marked)
+        volumes = cell_volumes(mesh.p.T, mesh.t.T)
+        assert (volumes > 0).all()  # the orientation stays
+        assert np.isclose(volumes.sum(), 27.0, rtol=1e-12)
+        assert len(np.unique(mesh.p.T, axis=0)) == mesh.nvertices
+        assert np.array_equal(mesh.p[:, : before.nvertices], before.p)
+        kept = {tuple(sorted(cell)) for cell in mesh.t.T}
+        assert not any(tuple(sorted(before.t[:, cell])) in kept for cell in marked)
+        # no hanging nodes: a face of one cell only lies on the outside, in planes that stayed exact
+        corners = mesh.p.T[boundary_faces(mesh.t.T)]
+        outside = [(corners[:, :, axis] == c).all(axis=1) for axis in range(3) for c in (0.0, 3.0)]
+        assert np.any(outside, axis=0).all()
+    assert _flatness(mesh).min() > 0.2 * worst
+
+
+def _flatness(mesh: MeshTet) -> np.ndarray:
+    """Volume of each cell in terms of the cube of its longest edge."""
+    corners = mesh.p.T[mesh.t.T]
+    longest = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3).max(axis=(1, 2))
+    return np.abs(cell_volumes(mesh.p.T, mesh.t.T)) / longest**3
+
+
+def test_nothing_marked_is_nothing_changed():
+    mesh = box_mesh((2, 2, 2), (1.0, 1.0, 1.0))
+    assert np.array_equal(bisected(mesh, np.zeros(0, dtype=int)).t, mesh.t)
+
+
+def test_everything_marked_halves_everything_at_least():
+    mesh = box_mesh((2, 2, 2), (1.0, 1.0, 1.0), disorder=0.2)
+    volumes = np.abs(cell_volumes(mesh.p.T, mesh.t.T))
+    finer = bisected(mesh, np.arange(mesh.nelements))
+    assert finer.nelements >= 2 * mesh.nelements
+    assert np.abs(cell_volumes(finer.p.T, finer.t.T)).max() <= volumes.max() / 2 + 1e-12
