@@ -125,18 +125,33 @@ def solve(
 def response(
     out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
     design: DesignOption = None,
+    tolerance: Annotated[
+        float | None, typer.Option(help="Relative error wanted; default: 1e-3, 1e-2 with pillars of another rubber.")
+    ] = None,
+    method: Annotated[
+        Literal["cells", "whole", "layer", "halfspace"],
+        typer.Option(help="Copies of one condensed cell, one mesh of the array, or an approximate closed form."),
+    ] = "cells",
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Solve for the array's influence matrix: displacement of every upper electrode per newton on every pad."""
+    from fem.array_response import ResponseSettings
     from fem.response import write_response
     from studies.pipeline import respond
 
+    settings = ResponseSettings(method=method, tolerance=tolerance)
     with progress_bars(quiet) as bars:
-        stage, solved = respond(chosen(design), bars)
+        stage, solved = respond(chosen(design), bars, settings)
     write_response(solved, out)
     if json_:
-        figures = {"unknowns": solved.unknowns, "residual": solved.residual, "mesh_hash": solved.mesh_hash}
+        figures = {
+            "method": solved.method,
+            "unknowns": solved.unknowns,
+            "residual": solved.residual,
+            "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
+            "mesh_hash": solved.mesh_hash,
+        }
         show_json({"file": str(out), "reused": stage.reused, "seconds": solved.seconds} | figures)
     else:
         print(stage.note)

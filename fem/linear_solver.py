@@ -146,8 +146,8 @@ def checked_solve(matrix: sp.csr_matrix, solve: Solve, rhs: FloatArray) -> tuple
     """Solve and measure the largest relative residual ‖Kx − b‖/‖b‖ over the columns.
 
     Columns whose residual is above `RESIDUAL_LIMIT` get one step of iterative refinement. Slender bodies bend so far
-    under small forces that rounding alone leaves more: then `ROUNDING` of |K||x| + |b| is allowed. Returns the solutions
-    (n, k) and the residual.
+    under small forces that rounding alone leaves more: then `ROUNDING` of |K||x| + |b| is allowed. Returns the
+    solutions (n, k) and the residual.
 
     Raises
     ------

@@ -26,13 +26,15 @@ from geometry.layout import FloatArray
 LEVELS = (2, 3)  #: the first two grids
 HIGHEST_LEVEL = 24
 ENOUGH = 0.8  #: of the tolerance: an estimate below it ends the refinement
-MOST_UNKNOWNS = 600_000  #: beyond, a grid takes longer than anyone waits for a scene
+MOST_UNKNOWNS = 450_000  #: beyond, a grid takes longer than anyone waits for a scene
 EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = (
     1.0,
     1.5,
     0.7,
     0.3,
 )  #: weights of attractors, tuned on the validation scenes
+EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 1.5, 0.7, 0.3
+SIDE_BY_LOAD, SIDE_BY_PROBE = 1.0, 0.5  #: of the body's sides, for a load or a probe right beside them
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The whole way from a design to a table of decoupling errors, reusing whatever did not change.
 
-design -> CAD -> mesh -> response -> datasets -> networks -> table. Every file states the recipe it was made by; a stage
+design -> CAD -> response -> datasets -> networks -> table. Every file states the recipe it was made by; a stage
 whose file states the wanted one is skipped and says so.
 """
 
@@ -11,13 +11,16 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from dataset.labelled import LabelledData, is_current, read_labelled, write_dataset
 from dataset.simulate import DatasetSettings, dataset_recipe, simulate
 from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
 from decoupler.model_file import model_recipe, read_model, write_model
 from decoupler.settings import NetworkConfig, TrainingConfig
-from fem.response import ArrayResponse, array_response
+from fem.array_response import ResponseSettings, array_response
+from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError
@@ -81,7 +84,7 @@ def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False
     until_dataset : bool
         Leave the networks out.
     """
-    stages = [draw(design, out / "cad", bars), meshed(design, bars)]
+    stages = [draw(design, out / "cad", bars)]
     stage, response = respond(design, bars)
     stages.append(stage)
     stages.append(make_datasets(response, out, bars))
@@ -152,15 +155,23 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
     return Stage(name="mesh", seconds=perf_counter() - start, reused=reused, files=(path,), note=note)
 
 
-def respond(design: SensorDesign, bars: Bars) -> tuple[Stage, ArrayResponse]:
-    """Solve for the array's response."""
+def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
+    """Solve for the array's response. No mesh of the array is needed for it, nor made."""
     start = perf_counter()
-    steps = 3 + design.array.rows
-    advance = bars.begin("response", total=steps)
-    response, path, reused = array_response(design, suited_settings(design), lambda step: advance(1, step))
-    note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
-    advance(steps if reused else 0, "reused" if reused else note)
+    advance = bars.begin("response", total=1)
+    response, path, reused = array_response(design, settings, lambda step: advance(0, step))
+    note = response_note(response)
+    advance(1, "reused" if reused else note)
     return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=(path,), note=note), response
+
+
+def response_note(response: ArrayResponse) -> str:
+    """What a response is worth, in a line."""
+    if not response.unknowns:
+        return f"closed form, method {response.method}"
+    note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
+    judged = "" if np.isnan(response.error_estimate) else f", estimated error {response.error_estimate:.1e}"
+    return f"method {response.method}: {note}{judged}"
 
 
 def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:

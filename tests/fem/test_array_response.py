@@ -1,0 +1,109 @@
+"""The array's response by its methods: they agree, know their error, and are found again in the cache."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fem.array_response import ResponseSettings, array_response, response_recipe, solve_response
+from fem.substructured import block_error, influence_range, unrolled
+from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.errors import DesignError
+from geometry.mesh import MeshSettings
+
+UNIT = SensorDesign(array=Array(rows=1, cols=1))
+SMALL = SensorDesign(array=Array(rows=1, cols=2))
+
+
+def blocks(response):
+    """As (rows, cols, 6, rows, cols, 3): what a pad's force does to a unit's two electrodes."""
+    influence = response.influence_mm_per_n
+    rows, cols = influence.shape[:2]
+    return influence.reshape(rows, cols, 6, rows, cols, 3)
+
+
+def test_only_what_bends_the_body_needs_a_new_solve():
+    settings = ResponseSettings()
+    recipe = response_recipe(SMALL, settings)
+    assert response_recipe(replace(SMALL, resistivity_ohm_mm=1.0), settings) == recipe
+    assert response_recipe(SMALL, ResponseSettings(tolerance=1e-3)) == recipe  # which is the default
+    assert response_recipe(SMALL, ResponseSettings(mesh=MeshSettings(edge_top_mm=2.0))) == recipe  # not heeded
+    assert response_recipe(SMALL, ResponseSettings(tolerance=2e-3)) != recipe
+    assert response_recipe(replace(SMALL, pad=Pad(size_mm=11.0)), settings) != recipe
+    assert response_recipe(replace(SMALL, matrix_material=Material(poisson=0.4)), settings) != recipe
+
+
+def test_a_response_is_found_again():
+    first, path, reused = array_response(UNIT, ResponseSettings(tolerance=2e-2))
+    assert not reused
+    assert path.is_file()
+    again, _, reused = array_response(replace(UNIT, resistivity_ohm_mm=8000.0), ResponseSettings(tolerance=2e-2))
+    assert reused
+    assert np.array_equal(first.influence_mm_per_n, again.influence_mm_per_n)
+    assert again.design.resistivity_ohm_mm == 8000.0
+
+
+def test_cells_and_one_mesh_of_the_array_agree():
+    """Two units by condensed cells (0.1 %) and as one mesh of tetrahedra (1.5 % at these edges, as measured)."""
+    cells = solve_response(SMALL)
+    whole = solve_response(SMALL, ResponseSettings(method="whole"))
+    assert cells.error_estimate < 1e-3
+    assert block_error(blocks(cells), blocks(whole)) < 0.02
+
+
+def test_cells_in_the_middle_of_an_array_answer_like_the_endless_layer():
+    """The layer is exact far from the rim; 7 × 7 units leave 0.1 to 0.2 % of rim in the middle, cells 0.1 %."""
+    design = SensorDesign(array=Array(rows=7, cols=7))
+    cells = solve_response(design)
+    layer = solve_response(design, ResponseSettings(method="layer"))
+    found, exact = (blocks(each)[2:5, 2:5, :, 3, 3] for each in (cells, layer))
+    misfit = np.linalg.norm(found - exact, axis=(2, 3)) / np.linalg.norm(exact, axis=(2, 3))
+    assert misfit[1, 1] < 2e-3
+    assert misfit.max() < 5e-3
+
+
+def test_an_estimate_covers_the_error():
+    tight = solve_response(UNIT, ResponseSettings(tolerance=5e-4))
+    loose = solve_response(UNIT, ResponseSettings(tolerance=2e-2))
+    error = block_error(blocks(loose), blocks(tight))
+    assert error < 2e-2
+    assert error < 3 * loose.error_estimate
+
+
+def test_far_units_are_put_together_from_fewer():
+    """A row of 12 from one of 2·4 + 1: what is left out and what is taken from the middle is below 1 % of 2e-2."""
+    design = SensorDesign(array=Array(rows=1, cols=12))
+    near = solve_response(design, ResponseSettings(tolerance=2e-2))
+    all_of_it = solve_response(design, ResponseSettings(tolerance=2e-2, far=False))
+    assert influence_range(design, 2e-3) < 6
+    assert (blocks(near)[0, 0, :, 0, 11] == 0).all()
+    assert (blocks(all_of_it)[0, 0, :, 0, 11] != 0).any()
+    assert block_error(blocks(near), blocks(all_of_it)) < 5e-3
+
+
+def test_unrolling_keeps_offsets_and_rims():
+    rng = np.random.default_rng(0)
+    small = rng.normal(size=(5, 5, 2, 3, 5, 5, 3))
+    whole = unrolled(small, 8, 8, reach=2)
+    assert np.array_equal(whole[0, 1, :, :, 1, 0], small[0, 1, :, :, 1, 0])  # at the first corner
+    assert np.array_equal(whole[7, 6, :, :, 6, 7], small[4, 3, :, :, 3, 4])  # at the last
+    assert np.array_equal(whole[5, 3, :, :, 4, 4], small[3, 1, :, :, 2, 2])  # in the middle
+    assert (whole[0, 0, :, :, 3, 0] == 0).all()  # beyond reach
+
+
+def test_pillars_of_another_rubber_are_solved_from_one_cell():
+    """A matrix ten times softer moves more, and one cell's answer carries to its neighbour."""
+    soft = replace(SMALL, matrix_material=Material(young_mpa=0.61))
+    cells = solve_response(soft, ResponseSettings(tolerance=0.2))
+    assert cells.method == "cells"
+    stiff = solve_response(SMALL, ResponseSettings(tolerance=2e-2))
+    own = [np.linalg.norm(blocks(each)[0, 0, :, 0, 0]) for each in (cells, stiff)]
+    assert 1.5 < own[0] / own[1] < 10
+    first, second = (np.linalg.norm(blocks(cells)[0, unit, :, 0, unit]) for unit in (0, 1))
+    assert abs(first - second) < 0.5 * first
+
+
+@pytest.mark.parametrize("wrong", [{"method": "magic"}, {"tolerance": 0.0}, {"tolerance": float("nan")}])
+def test_nonsense_settings_are_refused(wrong):
+    with pytest.raises(DesignError):
+        ResponseSettings(**wrong)
