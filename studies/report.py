@@ -8,6 +8,7 @@ from rich.table import Table
 
 from decoupler.metrics import ForceErrors
 from fem.solution import Solution
+from geometry.layout import AXES
 from studies.comparison import Comparison
 from studies.pipeline import CAP, SPLITS, Stage
 
@@ -62,12 +63,13 @@ def solution_table(solution: Solution) -> Table:
     """Displacement of every probe of a scene, with how far to trust it below."""
     seconds = sum(solution.seconds.values())
     table = Table(
+        min_width=100,
         caption=f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, "
-        f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s"
+        f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s",
     )
     table.add_column("probe")
-    for header in ("ux [mm]", "uy [mm]", "uz [mm]"):
-        table.add_column(header, justify="right")
+    for axis in AXES:
+        table.add_column(escape(f"u{axis} [mm]"), justify="right")  # else rich takes [mm] for a style
     for name, displacement in solution.probes.items():
         table.add_row(escape(name), *(f"{u:.6g}" for u in displacement))
     return table
