@@ -1,27 +1,38 @@
-"""From a meshed sensor to its response.
+"""From a scene or a design to displacements.
 
-In: a design and its mesh. Out: the influence matrix of the array (`ArrayResponse`), the displacement of every upper
-electrode per newton on every pad, along each axis. Open `response.py` first, then `elasticity.py` (the equations),
-`assembly.py` (the matrices), `patch.py` (loads and electrodes) and `linear_solver.py`.
+In: a scene (a body, loads, probes) or a sensor's design. Out: the probes' displacements with an estimate of their error
+(`solve_scene`), or the influence matrix of the array (`array_response`): what 1 N on a pad does to every electrode.
+Open `solve.py` and `plan.py` first for scenes; `array_response.py`, `substructured.py`, `cell.py` and `array.py` for
+arrays; below both lie the elements (`hexahedra.py`, `elasticity.py`) and the solvers (`linear_solver.py`).
 """
 
 from fem.array_response import ResponseSettings, array_response, solve_response
 from fem.elasticity import ElasticBody, displacement_form, taylor_hood
 from fem.linear_solver import SolverError
-from fem.patch import PatchError, patch_integrals
+from fem.patch import PatchError, patch_integrals, patch_means
 from fem.response import ArrayResponse, read_response, write_response
+from fem.scene import Scene, SceneError
+from fem.scene_file import read_scene
+from fem.solution import Solution
+from fem.solve import solve_scene
 
 __all__ = [
     "ArrayResponse",
     "ElasticBody",
     "PatchError",
     "ResponseSettings",
+    "Scene",
+    "SceneError",
+    "Solution",
     "SolverError",
     "array_response",
     "displacement_form",
     "patch_integrals",
+    "patch_means",
     "read_response",
+    "read_scene",
     "solve_response",
+    "solve_scene",
     "taylor_hood",
     "write_response",
 ]

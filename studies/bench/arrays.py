@@ -1,0 +1,119 @@
+"""``python -m studies.bench.arrays``: time and memory of array responses from 2 × 2 to 48 × 48, and of each way there.
+
+Every response is computed in a process of its own, without cache. Where `references.json` has columns of an array's
+response, the error against them is given for the loaded unit and its first neighbours.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from geometry.design import Array, Material, SensorDesign
+from geometry.files import replacing
+from studies.bench.measure import peak_mib
+from studies.report import show
+
+REFERENCES = Path(__file__).with_name("references.json")
+#: name, units a side, settings of the response, modulus of the matrix [MPa]
+CASES: list[tuple[str, int, dict[str, Any], float]] = [
+    *[("cells", n, {"tolerance": 1e-3}, 6.1) for n in (2, 6, 12, 24, 48)],
+    ("cells, 1e-2", 6, {"tolerance": 1e-2}, 6.1),
+    ("cells, S2", 6, {"tolerance": 1e-3, "element": "S2"}, 6.1),
+    ("cells, nothing far left out", 12, {"tolerance": 1e-3, "far": False}, 6.1),
+    ("whole array, Taylor-Hood", 2, {"method": "whole"}, 6.1),
+    ("whole array, Taylor-Hood", 6, {"method": "whole"}, 6.1),
+    ("layer", 6, {"method": "layer"}, 6.1),
+    ("half-space", 6, {"method": "halfspace"}, 6.1),
+    ("cells, soft matrix", 6, {"tolerance": 1e-2}, 1.0),
+]
+
+
+def designed(units: int, matrix_mpa: float) -> SensorDesign:
+    """The paper's sensor with so many units a side and a matrix of another modulus."""
+    return SensorDesign(array=Array(rows=units, cols=units), matrix_material=Material(young_mpa=matrix_mpa))
+
+
+def errors(influence: np.ndarray) -> dict[str, float]:
+    """Error of the 6 × 6 response's stored columns: of the loaded unit and of its first neighbours, relative."""
+    scenes = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
+    found: dict[str, float] = {}
+    for place, (row, col) in {"inner": (3, 3), "corner": (0, 0)}.items():
+        for axis, name in enumerate("xyz"):
+            probes = scenes.get(f"response-{place}-{name}", {}).get("probes", {})
+            for key, near in {"self": 0, "first": 1}.items():
+                for i, j in np.ndindex(6, 6):
+                    if abs(i - row) + abs(j - col) != near or f"{i * 6 + j}-U1" not in probes:
+                        continue
+                    exact = np.array([probes[f"{i * 6 + j}-U{k}"] for k in (1, 2)])
+                    misfit = np.linalg.norm(influence[i, j, :, :, row, col, axis] - exact) / np.linalg.norm(exact)
+                    label = f"{place} {key}"
+                    found[label] = max(found.get(label, 0.0), float(misfit))
+    return found
+
+
+def measure_one(number: int) -> None:
+    """Compute one case here and print what it took, as JSON."""
+    from fem.array_response import ResponseSettings, solve_response
+
+    _, units, settings, matrix_mpa = CASES[number]
+    response = solve_response(designed(units, matrix_mpa), ResponseSettings(**settings))
+    found = {
+        "seconds": response.seconds,
+        "unknowns": response.unknowns,
+        "estimate": None if np.isnan(response.error_estimate) else response.error_estimate,
+        "residual": response.residual,
+        "peak_mib": peak_mib(),
+        "errors": errors(response.influence_mm_per_n) if units == 6 and matrix_mpa == 6.1 else {},
+    }
+    print(json.dumps(found))
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/arrays.json"),
+    only: Annotated[str, typer.Option(help="Cases whose name holds this.")] = "",
+    one: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Measure every case, each in a fresh process with two threads and an empty cache."""
+    if one is not None:
+        measure_one(one)
+        return
+    rows = []
+    table = Table(title="Array responses, everything included, nothing cached")
+    for title in ("way", "units", "seconds", "of which", "MiB", "estimate", "error against the reference"):
+        table.add_column(title)
+    for number, (name, units, settings, matrix_mpa) in enumerate(CASES):
+        if only not in name:
+            continue
+        with tempfile.TemporaryDirectory() as cache:
+            done = subprocess.run(
+                [sys.executable, "-m", "studies.bench.arrays", "--one", str(number)],
+                capture_output=True,
+                text=True,
+                env=os.environ | {"TRIPILLAR_CACHE": cache, "OMP_NUM_THREADS": "2"},
+            )
+        if done.returncode:
+            print(f"{name}, {units} × {units}: {done.stderr.strip().splitlines()[-1]}", file=sys.stderr)
+            continue
+        found = json.loads(done.stdout)
+        rows.append({"name": name, "units": units, "settings": settings, "matrix_mpa": matrix_mpa} | found)
+        total = sum(found["seconds"].values())
+        parts = ", ".join(f"{step} {seconds:.1f}" for step, seconds in found["seconds"].items())
+        judged = ", ".join(f"{place} {error:.1e}" for place, error in found["errors"].items())
+        estimate = "" if found["estimate"] is None else f"{found['estimate']:.1e}"
+        table.add_row(name, f"{units} × {units}", f"{total:.1f}", parts, f"{found['peak_mib']:.0f}", estimate, judged)
+        print(f"{name}, {units} × {units}: {total:.1f} s", file=sys.stderr)
+    show(table)
+    with replacing(out) as temporary:
+        temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(bench)
