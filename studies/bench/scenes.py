@@ -4,7 +4,7 @@ import math
 
 from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
-from geometry.layout import electrode_squares, pad_squares
+from geometry.layout import AXES, electrode_squares, pad_squares
 
 DOWN = (0.0, 0.0, -1.0)  #: traction [MPa]
 ALONG_X = (0.2, 0.0, 0.0)
@@ -87,7 +87,7 @@ def inclusion_scenes() -> dict[str, Scene]:
 
 
 def response_scenes(design: SensorDesign | None = None) -> dict[str, Scene]:
-    """Columns of the homogeneous array's response: 1 N on an inner and on a corner pad, along each axis.
+    """Columns of the homogeneous array's response: 1 N on an inner pad along each axis, and a corner pad along z.
 
     The probes are all electrodes, named by unit and electrode: their displacement [mm] is the influence [mm/N].
     """
@@ -105,9 +105,10 @@ def response_scenes(design: SensorDesign | None = None) -> dict[str, Scene]:
     )
     area_mm2 = design.pad.size_mm**2
     scenes = {}
-    for place, unit in {"inner": inner, "corner": 0}.items():
+    for place, unit, axes in (("inner", inner, "xyz"), ("corner", 0, "z")):
         x0, y0, x1, y1 = pad_squares(design)[unit].tolist()
-        for axis, name in enumerate("xyz"):
+        for name in axes:
+            axis = AXES.index(name)
             traction = [0.0, 0.0, 0.0]
             traction[axis] = 1 / area_mm2
             scenes[f"response-{place}-{name}"] = Scene(
