@@ -44,26 +44,25 @@ def test_a_response_is_found_again():
 
 
 def test_cells_and_one_mesh_of_the_array_agree():
-    """Two units by condensed cells (0.1 %) and as one mesh of tetrahedra (1.5 % at these edges, as measured)."""
-    cells = solve_response(SMALL)
-    whole = solve_response(SMALL, ResponseSettings(method="whole"))
-    assert cells.error_estimate < 1e-3
+    """A unit by a condensed cell (0.3 %) and as one mesh of tetrahedra (1.5 % at these edges, as measured)."""
+    cells = solve_response(UNIT, ResponseSettings(tolerance=2.9e-3))
+    whole = solve_response(UNIT, ResponseSettings(method="whole"))
+    assert cells.error_estimate < 2.9e-3
     assert block_error(blocks(cells), blocks(whole)) < 0.02
 
 
 def test_cells_in_the_middle_of_an_array_answer_like_the_endless_layer():
-    """The layer is exact far from the rim; 7 × 7 units leave 0.1 to 0.2 % of rim in the middle, cells 0.1 %."""
+    """The layer is exact far from the rim; 7 × 7 units leave 0.1 to 0.2 % of rim in the middle, cells 1 % as asked."""
     design = SensorDesign(array=Array(rows=7, cols=7))
-    cells = solve_response(design)
+    cells = solve_response(design, ResponseSettings(tolerance=1e-2))
     layer = solve_response(design, ResponseSettings(method="layer"))
     found, exact = (blocks(each)[2:5, 2:5, :, 3, 3] for each in (cells, layer))
     misfit = np.linalg.norm(found - exact, axis=(2, 3)) / np.linalg.norm(exact, axis=(2, 3))
-    assert misfit[1, 1] < 2e-3
-    assert misfit.max() < 5e-3
+    assert misfit.max() < 1.2e-2
 
 
 def test_an_estimate_covers_the_error():
-    tight = solve_response(UNIT, ResponseSettings(tolerance=5e-4))
+    tight = solve_response(UNIT, ResponseSettings(tolerance=2.9e-3))
     loose = solve_response(UNIT, ResponseSettings(tolerance=2e-2))
     error = block_error(blocks(loose), blocks(tight))
     assert error < 2e-2
