@@ -33,7 +33,9 @@ EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = (
     0.7,
     0.3,
 )  #: weights of attractors, tuned on the validation scenes
-EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 1.5, 0.7, 0.3
+EDGE_OF_LOAD, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 0.7, 0.3
+TOP_AT_EDGES, TOP = 1.5, 0.5  #: of the top, where loads end on it and where they cover all of it
+BASE, BASE_BY_SIDE = 0.25, 2.0  #: of the clamped base: far from all sides, and by one that is felt
 SIDE_BY_LOAD, SIDE_BY_PROBE = 1.0, 0.5  #: of the body's sides, for a load or a probe right beside them
 
 
@@ -105,13 +107,15 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
     length = min([height, *outline.section_mm, *sizes])
     mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
 
-    axes, exposed = [], 0.0
+    axes, exposed, top = [], 0.0, TOP
     for axis in (0, 1):
         middle, half = outline.base_mm[axis], outline.section_mm[axis] / 2
         low, high = middle - half, middle + half
         shift = lean[axis] * height  # from the base, where lines are stated, to the top, where the loads are
         load_edges = [rectangle[side] - shift for rectangle in loads for side in (axis, axis + 2)]
         probe_edges = [rectangle[side] - shift for rectangle in probes for side in (axis, axis + 2)]
+        if any(low < edge < high for edge in load_edges):
+            top = TOP_AT_EDGES
         region_edges = [
             prism.base_mm[axis] + sign * prism.section_mm[axis] / 2 for prism, _ in plan.regions for sign in (-1, 1)
         ]
@@ -134,7 +138,8 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
         axes.append(graded_lines(_apart(stops, scene.rounding_mm), attractors, level))
     levels_of_regions = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
     upright = _unique(
-        [(height, TOP), (0.0, max(0.25, exposed))] + [(z, EDGE_OF_REGION) for z in levels_of_regions], length
+        [(height, top), (0.0, max(BASE, BASE_BY_SIDE * exposed))] + [(z, EDGE_OF_REGION) for z in levels_of_regions],
+        length,
     )
     z = graded_lines(_apart([0.0, height, *levels_of_regions], scene.rounding_mm), upright, level)
     grid = Grid(x=axes[0], y=axes[1], z=z, lean=(lean[0], lean[1]))
