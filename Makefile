@@ -6,7 +6,7 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture bench test check format clean
+.PHONY: help setup train dataset picture bench stress test check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -19,7 +19,7 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## make .venv with the pinned dependencies
 
-train: $(READY)  ## design -> CAD -> mesh -> FEM -> dataset -> networks -> table
+train: $(READY)  ## design -> CAD -> FEM -> dataset -> networks -> table
 	$(BIN)/tripillar run --out $(OUT)
 
 dataset: $(READY)  ## the same, up to the datasets
@@ -30,6 +30,9 @@ picture: $(READY)  ## draw the deformed array again, for the README
 
 bench: $(READY)  ## run time against error, beside scikit-fem, NGSolve and CalculiX where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
+
+stress: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
+	$(BIN)/python -m studies.stress --out $(OUT)/stress
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
