@@ -6,7 +6,7 @@ under a constant Jacobian, so products of reference gradients are integrated onc
 combinations of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
 
@@ -34,6 +34,7 @@ class GridBasis:
 
     grid: Grid
     element: HexElement = "Q2"
+    number: NDArray[np.int64] = field(init=False)  #: (2nx + 1, 2ny + 1, 2nz + 1) by half steps; −1 where S2 has no node
 
     def __post_init__(self) -> None:
         nx, ny, nz = self.grid.shape
@@ -41,9 +42,7 @@ class GridBasis:
         between = odd[0][:, None, None] + odd[1][None, :, None] + odd[2][None, None, :]
         present = between <= (3 if self.element == "Q2" else 1)
         number = np.where(present, np.cumsum(present).reshape(present.shape) - 1, -1)
-        object.__setattr__(self, "number", number)  # (2nx+1, 2ny+1, 2nz+1), −1 where S2 has no node
-
-    number: NDArray[np.int64] = None  # type: ignore[assignment]  # set above
+        object.__setattr__(self, "number", number)
 
     @property
     def N(self) -> int:
