@@ -155,6 +155,11 @@ def response(
         show_json({"file": str(out), "reused": stage.reused, "seconds": solved.seconds} | figures)
     else:
         print(stage.note)
+    if tolerance is not None and solved.error_estimate > tolerance:
+        print(
+            f"warning: the estimated error {solved.error_estimate:.1e} stays above the tolerance {tolerance:g}",
+            file=sys.stderr,
+        )
     wrote([out])
 
 
