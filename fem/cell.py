@@ -35,6 +35,11 @@ class CondensedCell:
     unknowns: int  #: of the largest system that was factored
     residual: float  #: largest relative residual of the solves that were checked
 
+    @property
+    def is_definite(self) -> bool:
+        """Whether every displacement of the ports stores energy, as it must with a clamped base."""
+        return bool(np.linalg.eigvalsh(self.stiffness)[0] > 0)
+
     def moved_on(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
         """This cell, moved away from a coarser one of the same ports by a share of their difference."""
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geometry.layout import FloatArray
 
 GRADING = 3.0  #: the k-th line lies about k³ from its attractor; 3 balances u ~ r^0.6 at clamped edges (2·0.6·3 ≈ 4)
+FAR = 8.0  #: lengths from an attractor beyond which sizes grow with the distance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,8 +68,8 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
 
     Notes
     -----
-    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x. Counts of all
-    attractors add up, and lines lie where their sum is a whole number of steps.
+    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `FAR` lengths
+    only their logarithm more. Counts of all attractors add up; lines lie where their sum is a whole number of steps.
 
     Examples
     --------
@@ -84,7 +85,7 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
         places = np.unique(np.clip(near, low, high))
         count = sum(
             (
-                a.weight * np.sign(places - a.position_mm) * np.cbrt(np.abs(places - a.position_mm) / a.length_mm)
+                a.weight * np.sign(places - a.position_mm) * _steps(np.abs(places - a.position_mm) / a.length_mm)
                 for a in attractors
             ),
             start=np.zeros_like(places),
@@ -93,3 +94,9 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
         inner = np.interp(np.linspace(count[0], count[-1], steps + 1)[1:-1], count, places)
         lines.append(np.append(inner, high))
     return np.concatenate(lines)
+
+
+def _steps(lengths: FloatArray) -> FloatArray:
+    """Elements from an attractor to so many lengths away: the cube root, continued smoothly by a logarithm."""
+    near = np.cbrt(np.minimum(lengths, FAR))
+    return near + np.cbrt(FAR) / 3 * np.log(np.maximum(lengths, FAR) / FAR)

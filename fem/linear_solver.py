@@ -20,7 +20,7 @@ Solve = Callable[[FloatArray], FloatArray]
 
 RESIDUAL_LIMIT = 1e-9  #: largest relative residual of an accepted answer; a sound factorisation gives 1e-12
 ROUNDING = 1e-14  #: backward error of an answer as good as double precision gives
-SLENDER_LIMIT = 1e-6  #: largest relative residual of such an answer; a singular matrix leaves more
+SLENDER_LIMIT = 1e-4  #: largest relative residual of such an answer; a singular matrix leaves more
 MEMORY_SHARE = 0.9  #: of the memory available, what a factor may take
 
 #: Memory of a factor: this many bytes times n^(4/3), the law of nested dissection in 3-D. Measured on cubes of

@@ -15,7 +15,7 @@ from fem.convergence import error_after, next_level
 from fem.elasticity import ElasticBody
 from fem.grid import Attractor, Grid, graded_lines
 from fem.hexahedra import GridBasis, HexElement, grid_body, grid_stiffness
-from fem.linear_solver import checked_solve, factorized, solver_plan
+from fem.linear_solver import SolverError, checked_solve, factorized, solver_plan
 from fem.multigrid import rigid_body_modes
 from fem.patch import patch_means
 from fem.plan import Plan
@@ -197,6 +197,11 @@ def _answer(
 
     element: HexElement = "S2" if plan.element == "S2" else "Q2"
     basis = GridBasis(grid, element)
+    if basis.N * 3 > 2 * MOST_UNKNOWNS:
+        raise SolverError(
+            f"a grid of {' × '.join(map(str, grid.shape))} boxes has {basis.N * 3} unknowns, the limit is "
+            f"{2 * MOST_UNKNOWNS}: a load is very small beside the body; enlarge it or cut the body down."
+        )
     spent("mesh")
     parities = {mirror.axis: mirror.parity for mirror in plan.mirrors}
     stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])

@@ -132,8 +132,11 @@ def _refined_cell(
 
     if design.is_homogeneous:
         cell = two.moved_on(one, 1 / ((fine / coarse) ** GRID_RATE - 1))
+        if not cell.is_definite:  # the coarse level may not know the highest modes
+            cell = two
         answer = array_of(cell)
-        levels = LEFT * block_error(array_of(two), answer)
+        step_on = LEFT * block_error(array_of(two), answer)
+        levels = step_on or error_after([coarse, fine], [block_error(array_of(one), answer)])
     else:
         cell, answer = two, array_of(two)
         levels = error_after([coarse, fine], [block_error(array_of(one), answer)])
