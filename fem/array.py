@@ -15,6 +15,8 @@ from fem.linear_solver import checked_solve, factorized
 from fem.ports import EDGES, FACES, PortModes
 from geometry.layout import FloatArray
 
+COLUMNS = 128  #: load cases solved for at a time
+
 
 class CoupledArray:
     """rows × cols copies of a cell, factored once.
@@ -25,6 +27,8 @@ class CoupledArray:
     def __init__(self, cell: CondensedCell, rows: int, cols: int) -> None:
         self.cell, self.rows, self.cols = cell, rows, cols
         self._dofs, self._n = port_dofs(cell.ports, rows, cols)
+        number = np.arange(self._dofs.size)
+        self._gather = sp.csr_matrix((np.ones(len(number)), (self._dofs.ravel(), number)), shape=(self._n, len(number)))
         self._matrix = self._assembled()
         self._factor = factorized(self._matrix, definite=True)
 
@@ -48,8 +52,7 @@ class CoupledArray:
             Relative residual of the solve.
         """
         cell = self.cell
-        at_ports = np.zeros((self._n, forces.shape[2]))
-        np.add.at(at_ports, self._dofs, cell.reach @ forces)
+        at_ports = self._gather @ (cell.reach @ forces).reshape(self._dofs.size, -1)
         q, residual = checked_solve(self._matrix, self._factor, at_ports)
         return cell.reach.T @ q[self._dofs] + cell.compliance @ forces, residual
 
@@ -60,13 +63,14 @@ class CoupledArray:
         """
         found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
         residual = 0.0
-        for row in range(self.rows):  # a row of cells at a time bounds the memory
-            loaded = np.arange(row * self.cols, (row + 1) * self.cols)
-            forces = np.zeros((self.n_cells, self.cell.reach.shape[1], self.cols, len(loads)))
+        at_once = max(1, COLUMNS // len(loads))  # bounds the memory
+        for first in range(0, self.n_cells, at_once):
+            loaded = np.arange(first, min(first + at_once, self.n_cells))
+            forces = np.zeros((self.n_cells, self.cell.reach.shape[1], len(loaded), len(loads)))
             for k, number in enumerate(loaded):
                 forces[number, loads, k, np.arange(len(loads))] = 1.0
             moved, misfit = self.moved(forces.reshape(*forces.shape[:2], -1))
-            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), self.cols, len(loads))
+            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), len(loaded), len(loads))
             residual = max(residual, misfit)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
