@@ -23,7 +23,7 @@ from fem.scene import Probe, Rectangle, Scene
 from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution, relative_errors
 from geometry.layout import FloatArray
 
-LEVELS = (2, 3)  #: the first two grids
+COARSE = 5e-3  #: tolerance from which the first grid is of level 1; otherwise of level 2
 HIGHEST_LEVEL = 24
 ENOUGH = 0.8  #: of the tolerance: an estimate below it ends the refinement
 MOST_UNKNOWNS = 450_000  #: beyond, a grid takes longer than anyone waits for a scene
@@ -67,7 +67,7 @@ def solve_on_grid(scene: Scene, plan: Plan, with_field: bool = False) -> Solutio
     """
     seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
     levels, answers, steps = [], [], []
-    level: int | None = LEVELS[0]
+    level: int | None = 1 if scene.tolerance >= COARSE else 2
     estimate = np.inf
     field = None
     while level is not None:
@@ -312,7 +312,7 @@ def _estimate(levels: list[int], answers: list[Answer]) -> float:
 def _next(scene: Scene, levels: list[int], answers: list[Answer], estimate: float) -> int | None:
     """The level that the tolerance needs, or None if it is met or out of reach."""
     if len(levels) == 1:
-        return LEVELS[1]
+        return levels[0] + 1
     if estimate <= ENOUGH * scene.tolerance:
         return None
     wanted = next_level(levels[-1], estimate, scene.tolerance)

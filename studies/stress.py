@@ -32,7 +32,7 @@ from fem.plan import make_plan
 from fem.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Triple
 from fem.solution import Solution, largest_error
 from fem.solve import solve_scene
-from fem.structured import LEVELS, MOST_UNKNOWNS, scene_grid
+from fem.structured import MOST_UNKNOWNS, scene_grid
 from fem.substructured import PADS, condensed_cell, lone_unit
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import TriPillarError
@@ -52,6 +52,7 @@ ROUNDED = 1e-9  #: the same, amplified by the system's condition
 END = 0.2  #: share of width over length by which a pillar's clamped end may stiffen it
 PATCH_TEST = 1e-8  #: of linear fields, which quadratic elements hold exactly
 SPREAD = 3e-3  #: of a probe over meshes of the same body
+SECOND_LEVEL = 3  #: of the grids of a tight tolerance: the least that an answer comes from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +257,7 @@ def small_patch(ratio: float, traction_mpa: Triple) -> Outcome:
     material = Material(young_mpa=YOUNG_MPA, poisson=0.3)
     scene = block(material, (size, size, size), (a, a), traction_mpa)
     rectangle = np.array([-a / 2, -a / 2, a / 2, a / 2])
-    grid = scene_grid(scene, make_plan(scene), LEVELS[1])
+    grid = scene_grid(scene, make_plan(scene), SECOND_LEVEL)
     unknowns = 24 * int(np.prod(grid.shape))  # of 27-node hexahedra
     if unknowns > 2 * MOST_UNKNOWNS:
         raise NotTriedError(f"its second grid, which is always solved, has {unknowns / 1e6:.1f} million unknowns")
