@@ -11,10 +11,8 @@ from itertools import product
 
 import numpy as np
 
-from fem.scene import Inclusion, Rectangle, Scene, Sensor
-from geometry.layout import FloatArray
-from studies.bench.grading import graded_line
-from studies.bench.kronecker import (
+from fem.grid import geometric_line
+from fem.kronecker import (
     FastDiagonal,
     Held,
     Lines,
@@ -23,6 +21,8 @@ from studies.bench.kronecker import (
     line_integral,
     line_values,
 )
+from fem.scene import Inclusion, Rectangle, Scene, Sensor
+from geometry.layout import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,11 +229,11 @@ def _part(scene: Scene, grading: Grading) -> _Part:
             at = next((known for known in layers if abs(known - at) <= scene.rounding_mm), at)
             if not (mirrored[d] and at == 0.0):
                 layers[at] = max(layers.get(at, 0), count)
-        lines.append(graded_line(layers, grading.ratio, grading.widest_mm))
+        lines.append(geometric_line(layers, grading.ratio, grading.widest_mm))
     heights = {0.0: grading.body_layers, outline.height_mm: grading.load_layers}
     for z in (z for inclusion in scene.inclusions for z in (inclusion.base_mm[2], inclusion.top_mm[2])):
         heights[z] = max(heights.get(z, 0), grading.body_layers)
-    lines.append(graded_line(heights, grading.ratio, grading.widest_mm))
+    lines.append(geometric_line(heights, grading.ratio, grading.widest_mm))
     return _Part((lines[0], lines[1], lines[2]), grading.order, start, (shear[0], shear[1]), mirrored)
 
 

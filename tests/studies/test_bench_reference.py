@@ -8,11 +8,11 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
+from fem.grid import geometric_line
+from fem.kronecker import Term, elastic_tensors, line_integral, line_nodes, line_values
 from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
 from geometry.design import Material
-from studies.bench.grading import graded_line
 from studies.bench.hp_solution import Grading, solve_by_hp
-from studies.bench.kronecker import Term, elastic_tensors, line_integral, line_nodes, line_values
 from studies.bench.reference import REFERENCES, read_reference
 from studies.bench.scenes import all_scenes
 
@@ -157,7 +157,7 @@ def test_integrals_and_values_of_a_line_are_exact():
 
 
 def test_graded_line_meets_what_it_must():
-    line = graded_line({0.0: 0, 3.0: 2, 10.0: 3}, ratio=0.2, widest_mm=2.0)
+    line = geometric_line({0.0: 0, 3.0: 2, 10.0: 3}, ratio=0.2, widest_mm=2.0)
     assert {0.0, 3.0, 10.0} <= set(line.tolist())
     assert np.diff(line).min() > 0
     assert np.diff(line).max() <= 2.0 + 1e-12

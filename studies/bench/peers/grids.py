@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from fem.grid import geometric_line
 from fem.scene import Scene
 from geometry.layout import FloatArray
-from studies.bench.grading import graded_line
 
 
 def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -39,8 +39,8 @@ def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> tuple[Floa
     for d, ends in enumerate(((x0, x1), (y0, y1))):
         wanted = dict.fromkeys([*ends, *scene.probe_rectangles_mm[:, [d, d + 2]].ravel().tolist()], 0)
         wanted |= dict.fromkeys(scene.load_rectangles_mm[:, [d, d + 2]].ravel().tolist(), layers)
-        lines.append(graded_line(wanted, ratio, widest_mm=scene.height_mm))
-    return lines[0], lines[1], graded_line({0.0: 0, scene.height_mm: layers}, ratio, widest_mm=scene.height_mm)
+        lines.append(geometric_line(wanted, ratio, widest_mm=scene.height_mm))
+    return lines[0], lines[1], geometric_line({0.0: 0, scene.height_mm: layers}, ratio, widest_mm=scene.height_mm)
 
 
 def _line(stops: list[float], edges: list[float], size_mm: float, n: float, graded: bool) -> FloatArray:
