@@ -16,6 +16,7 @@ from geometry.layout import FloatArray
 
 GRADING = 3.0  #: the k-th line lies about k³ from its attractor; 3 balances u ~ r^0.6 at clamped edges (2·0.6·3 ≈ 4)
 FAR = 8.0  #: lengths from an attractor beyond which sizes grow with the distance
+SPREAD = 0.25  #: width of elements of high order over their distance from the nearest edge, where they may be wide
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,7 +97,7 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
     return np.concatenate(lines)
 
 
-def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float) -> FloatArray:
+def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float, reach_mm: float = np.inf) -> FloatArray:
     """Lines through given positions, shrinking geometrically toward those that ask for layers.
 
     Parameters
@@ -104,10 +105,12 @@ def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float) 
     layers : mapping
         Position [mm] → number of layers on either side of it; the lowest and highest bound the line.
     ratio : float
-        Width of each layer's outer end over the next one's; about 0.15 suits functions of order 3 to 6
+        Distance of each layer's line from the position, over the next one's; about 0.15 suits functions of order 3 to 6
         (Schwab, *p- and hp-finite element methods*, 1998).
     widest_mm : float
-        No element is wider [mm].
+        No element is wider [mm], but those far from all positions: they may grow with the distance, see `SPREAD`.
+    reach_mm : float
+        Layers begin at this distance at most, where there are any [mm].
 
     Examples
     --------
@@ -119,13 +122,29 @@ def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float) 
     for left, right in pairwise(positions):
         both = layers[left] > 0 and layers[right] > 0
         reach = (right - left) / (2 if both else 1)
-        inner = [left + reach * ratio**k for k in range(layers[left], 0, -1)]
-        inner += [left + reach] if both else []
-        inner += [right - reach * ratio**k for k in range(1, layers[right] + 1)]
-        ends = np.array([left, *inner, right])
+        start = min(reach, reach_mm)
+        inner = [left + start * ratio**k for k in range(layers[left], -1, -1)] if layers[left] else []
+        inner += [right - start * ratio**k for k in range(layers[right] + 1)] if layers[right] else []
+        ends = [left]
+        for place in [*inner, right]:
+            if place - ends[-1] > 1e-9 * (right - left):
+                ends.append(place)
+        ends[-1] = right
         for a, b in pairwise(ends):
-            lines.append(np.linspace(a, b, int(np.ceil((b - a) / widest_mm - 1e-9)) + 1)[1:])
+            lines.append(_spread(a, b, widest_mm)[1:])
     return np.concatenate(lines)
+
+
+def _spread(start: float, end: float, widest_mm: float) -> FloatArray:
+    """Lines from start to end, equally far apart, or farther the farther they are from both."""
+    half = (end - start) / 2
+    if SPREAD * half <= widest_mm:
+        return np.linspace(start, end, int(np.ceil(2 * half / widest_mm - 1e-9)) + 1)
+    steps = [0.0]
+    while steps[-1] < half:
+        steps.append(steps[-1] + max(widest_mm, SPREAD * steps[-1]))
+    near = np.array(steps) * half / steps[-1]
+    return np.concatenate([start + near, (end - near[-2::-1])])
 
 
 def _steps(lengths: FloatArray) -> FloatArray:

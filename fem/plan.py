@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from fem.mirrors import Mirror, flipped_points, flipped_rectangle, parities
 from fem.scene import Load, Prism, Rectangle, Scene, SceneError, Sensor
 from geometry.design import Material
 from geometry.layout import AXES
@@ -20,12 +21,13 @@ SAVINGS = {
     "zero-load": "a scene without load is answered without a mesh",
     "one-material": "what is of the body's own material gets no region",
     "hexahedra": "a structured grid of hexahedra where sides allow; off: tetrahedra",
-    "symmetry": "a half or a quarter of the grid where body and load mirror themselves",
+    "symmetry": "a half or a quarter of the grid where the body mirrors itself, loads in even and odd parts",
     "substructuring": "arrays with pillars from one condensed cell; off: the whole array meshed",
     "field": "no displacement of the whole body, no file for pictures, unless asked for",
     "cache": "tetrahedral meshes are kept on disk and found again; off: meshed anew",
 }
 GRID_ELEMENTS = {
+    "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
     "Q2": "27-node hexahedra, the volume change integrated on 2×2×2 points: fourth order, whatever ν",
     "S2": "20-node hexahedra, integrated on 2×2×2 points",
 }
@@ -35,6 +37,8 @@ TETRAHEDRAL_ELEMENTS = {
     "P1": "4-node tetrahedra, which lock as ν nears 0.5",
 }
 SOLVERS = ("pardiso", "cholmod", "superlu", "multigrid")
+MOST_POISSON = 0.4999  #: up to which Qp's iterations are few: they grow as 1 / √(1 − 2ν)
+MOST_CONTRAST = 1e3  #: of Young's moduli, likewise: iterations grow as its root
 FOR_DEFINITE = ("cholmod", "multigrid")  #: which the mixed form, TH, is not
 
 
@@ -48,15 +52,6 @@ class Decision:
 
     def __str__(self) -> str:
         return f"{self.name}: {self.choice}, {self.reason}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mirror:
-    """A vertical plane in which body and loads mirror themselves."""
-
-    axis: int  #: of the plane's normal: 0 for x, 1 for y
-    position_mm: float  #: where the plane cuts that axis
-    parity: int  #: +1 if the loads equal their mirror image, −1 if they are its opposite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,19 +123,16 @@ def make_plan(
     if method == "grid":
         mirrors, symmetry = _symmetry(scene, regions, keeps)
         decisions.append(symmetry)
+    chosen, why = _element(scene, regions, method, element, solver)
     if method != "nothing":
-        chosen = element or ("Q2" if method == "grid" else "TH")
-        why = "asked for: " if element else ""
-        decisions.append(
-            Decision(name="element", choice=chosen, reason=why + (GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)[chosen])
-        )
-    else:
-        chosen = element or "Q2"
+        decisions.append(Decision(name="element", choice=chosen, reason=why))
     if chosen == "TH" and solver in FOR_DEFINITE:
         raise SceneError(
             f"solver '{solver}' takes definite matrices only, which element TH does not give: take pardiso or superlu, "
             "or element P2."
         )
+    if chosen == "Qp" and solver is not None:
+        raise SceneError(f"element 'Qp' has an iteration of its own: leave solver '{solver}' away, or take element Q2.")
     if solver is not None:
         decisions.append(Decision(name="solver", choice=solver, reason="asked for"))
     decisions.append(_field(scene, keeps, field))
@@ -202,6 +194,30 @@ def _method(
     return "grid", Decision(name="mesh", choice="structured hexahedra", reason=boxes + shape)
 
 
+def _element(
+    scene: Scene,
+    regions: list[tuple[Prism, Material]],
+    method: Method,
+    element: str | None,
+    solver: str | None,
+) -> tuple[str, str]:
+    """The element and why."""
+    described = GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS
+    if element is not None:
+        return element, f"asked for: {described[element]}"
+    if method in ("tetrahedra", "cells"):
+        return "TH", described["TH"]
+    if solver is not None:
+        return "Q2", f"solver {solver} needs a matrix: {described['Q2']}"
+    rubbers = [scene.material, *(material for _, material in regions)]
+    moduli = [material.young_mpa for material in rubbers]
+    if max(material.poisson for material in rubbers) > MOST_POISSON:
+        return "Q2", f"ν above {MOST_POISSON:g} takes too many iterations: {described['Q2']}"
+    if max(moduli) > MOST_CONTRAST * min(moduli):
+        return "Q2", f"moduli more than {MOST_CONTRAST:g} apart take too many iterations: {described['Q2']}"
+    return "Qp", described["Qp"]
+
+
 def _symmetry(
     scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str]
 ) -> tuple[tuple[Mirror, ...], Decision]:
@@ -209,36 +225,33 @@ def _symmetry(
         return (), Decision(name="symmetry", choice="unused", reason="it was switched off")
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
-        return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors body and loads alike")
+        return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
     share = {1: "half", 2: "a quarter"}[len(mirrors)]
-    return mirrors, Decision(name="symmetry", choice=f"{share} of the grid", reason=f"all mirrors in {planes} mm")
+    count = len(parities(mirrors))
+    loads = "the loads as well" if count == 1 else f"the loads are split into {count} even and odd parts"
+    reason = f"the body mirrors in {planes} mm, {loads}"
+    return mirrors, Decision(name="symmetry", choice=f"{share} of the grid", reason=reason)
 
 
 def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> Mirror | None:
-    """The body's middle plane across an axis, if body, inclusions and loads mirror themselves in it."""
+    """The body's middle plane across an axis, if body and inclusions mirror themselves in it."""
     outline, slack = scene.outline, scene.rounding_mm
     if outline.base_mm[axis] != outline.top_mm[axis]:
         return None
-    middle = outline.base_mm[axis]
-    own = [(_prism_row(prism), material) for prism, material in regions]
-    image = [(_mirrored(row, axis, middle, (0, 3)), material) for row, material in own]
-    if not all(any(_near(row, other, slack) and m == n for other, n in own) for row, m in image):
-        return None
+    plane = Mirror(axis=axis, position_mm=outline.base_mm[axis], parities=(1, -1))
+    own = [
+        (np.array([prism.base_mm, prism.top_mm]), np.array(prism.section_mm), material) for prism, material in regions
+    ]
+    for ends, section, material in own:
+        image = flipped_points(ends, (plane,))
+        if not any(
+            _near(image, other, slack) and _near(section, size, slack) and m == material for other, size, m in own
+        ):
+            return None
     loads = _summed(scene.loads)
-    parities = [parity for parity in (1, -1) if _loads_mirror(loads, axis, middle, parity, slack)]
-    return Mirror(axis=axis, position_mm=middle, parity=parities[0]) if parities else None
-
-
-def _prism_row(prism: Prism) -> np.ndarray:
-    return np.array([*prism.base_mm, *prism.top_mm, *prism.section_mm])
-
-
-def _mirrored(row: np.ndarray, axis: int, middle: float, starts: tuple[int, ...]) -> np.ndarray:
-    image = row.copy()
-    for start in starts:
-        image[start + axis] = 2 * middle - row[start + axis]
-    return image
+    whole = [parity for parity in (1, -1) if _loads_mirror(loads, plane, parity, slack)]
+    return replace(plane, parities=(whole[0],)) if whole else plane
 
 
 def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
@@ -253,13 +266,11 @@ def _summed(loads: tuple[Load, ...]) -> dict[Rectangle, np.ndarray]:
     return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
 
 
-def _loads_mirror(loads: dict[Rectangle, np.ndarray], axis: int, middle: float, parity: int, slack: float) -> bool:
+def _loads_mirror(loads: dict[Rectangle, np.ndarray], plane: Mirror, parity: int, slack: float) -> bool:
     """True if the mirror image of the loads, times the parity, are the loads."""
-    flip = np.ones(3)
-    flip[axis] = -1.0
+    flip = np.where(np.arange(3) == plane.axis, -1.0, 1.0)
     for rectangle, traction in loads.items():
-        image = np.array(rectangle)
-        image[axis], image[axis + 2] = 2 * middle - rectangle[axis + 2], 2 * middle - rectangle[axis]
+        image = flipped_rectangle(rectangle, (plane,))
         wanted = parity * flip * traction
         largest = np.abs(traction).max()
         if not any(

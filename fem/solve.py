@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fem.cell_scene import solve_by_cells
+from fem.high_order import solve_by_order
 from fem.plan import Plan, make_plan
 from fem.scene import Scene, SceneError
 from fem.solution import Solution
@@ -52,6 +53,8 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     with_field = field or not plan.saves("field")
     if plan.method == "nothing":
         return unmoved(scene)
+    if plan.method == "grid" and plan.element == "Qp":
+        return solve_by_order(scene, plan, with_field)
     if plan.method == "grid":
         return solve_on_grid(scene, plan, with_field)
     if plan.method == "cells":

@@ -5,7 +5,7 @@ answers tell how far the last one is from the limit, and which level the toleran
 """
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -16,6 +16,7 @@ from fem.elasticity import ElasticBody
 from fem.grid import Attractor, Grid, graded_lines
 from fem.hexahedra import GridBasis, HexElement, grid_body, grid_stiffness
 from fem.linear_solver import SolverError, checked_solve, factorized, solver_plan
+from fem.mirrors import Mirror, Parity, flipped_points, flipped_rectangle, images, parities
 from fem.multigrid import rigid_body_modes
 from fem.patch import patch_means
 from fem.plan import Plan
@@ -27,13 +28,7 @@ COARSE = 5e-3  #: tolerance from which the first grid is of level 1; otherwise o
 HIGHEST_LEVEL = 24
 ENOUGH = 0.8  #: of the tolerance: an estimate below it ends the refinement
 MOST_UNKNOWNS = 450_000  #: beyond, a grid takes longer than anyone waits for a scene
-EDGE_OF_LOAD, TOP, EDGE_OF_REGION, EDGE_OF_PROBE = (
-    1.0,
-    1.5,
-    0.7,
-    0.3,
-)  #: weights of attractors, tuned on the validation scenes
-EDGE_OF_LOAD, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 0.7, 0.3
+EDGE_OF_LOAD, EDGE_OF_REGION, EDGE_OF_PROBE = 1.0, 0.7, 0.3  #: weights of attractors, tuned on the validation scenes
 TOP_AT_EDGES, TOP = 1.5, 0.5  #: of the top, where loads end on it and where they cover all of it
 BASE, BASE_BY_SIDE = 0.25, 2.0  #: of the clamped base: far from all sides, and by one that is felt
 SIDE_BY_LOAD, SIDE_BY_PROBE = 1.0, 0.5  #: of the body's sides, for a load or a probe right beside them
@@ -124,16 +119,17 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
             SIDE_BY_PROBE * _nearness(means, axis, low + shift, high + shift, length),
         )
         exposed = max(exposed, beside)
-        attractors = _unique(
+        places = (
             [(e, EDGE_OF_LOAD) for e in load_edges]
             + [(e, EDGE_OF_REGION) for e in region_edges]
             + [(e, EDGE_OF_PROBE) for e in probe_edges]
-            + [(low, beside), (high, beside)],
-            length,
+            + [(low, beside), (high, beside)]
         )
         stops = [low, high, *load_edges, *region_edges]
         if axis in mirrored:
+            places += [(2 * middle - place, weight) for place, weight in places]
             stops = [middle + abs(stop - middle) for stop in stops] + [middle]
+        attractors = _unique(places, length)
         stops = [stop for stop in stops if low <= stop <= high]
         axes.append(graded_lines(_apart(stops, scene.rounding_mm), attractors, level))
     levels_of_regions = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
@@ -143,7 +139,7 @@ def scene_grid(scene: Scene, plan: Plan, level: int) -> Grid:
     )
     z = graded_lines(_apart([0.0, height, *levels_of_regions], scene.rounding_mm), upright, level)
     grid = Grid(x=axes[0], y=axes[1], z=z, lean=(lean[0], lean[1]))
-    return Grid(x=grid.x, y=grid.y, z=grid.z, lean=grid.lean, region=_regions(grid, plan))
+    return Grid(x=grid.x, y=grid.y, z=grid.z, lean=grid.lean, region=material_numbers(grid, plan))
 
 
 def _nearness(rectangles: list[Rectangle], axis: int, low: float, high: float, length: float) -> float:
@@ -174,7 +170,7 @@ def _apart(stops: list[float], slack: float) -> list[float]:
     return kept
 
 
-def _regions(grid: Grid, plan: Plan) -> np.ndarray:
+def material_numbers(grid: Grid, plan: Plan) -> np.ndarray:
     """Material number of every box: 0 the body, k the k-th region."""
     region = np.zeros(grid.shape, dtype=np.int64)
     centres = [(lines[1:] + lines[:-1]) / 2 for lines in (grid.x, grid.y, grid.z)]
@@ -203,34 +199,31 @@ def _answer(
             f"{2 * MOST_UNKNOWNS}: a load is very small beside the body; enlarge it or cut the body down."
         )
     spent("mesh")
-    parities = {mirror.axis: mirror.parity for mirror in plan.mirrors}
     stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])
-    body = grid_body(basis, stiffness, (parities.get(0, 0), parities.get(1, 0)))
-    forces = np.zeros((basis.N * 3, 1))
-    for load in scene.loads:
-        rectangle = np.array([load.rectangle])
-        a, b = load.size_mm
-        newtons = np.array(load.traction_mpa) * a * b
-        forces += patch_means(basis, rectangle).T @ newtons[:, None]  # the kept part alone: mirrored parts clip away
-    rows = sp.vstack([probe_rows(basis, probe, plan) for probe in scene.probes], format="csr")
-    rhs = body.loads(forces)
-    spent("assemble")
-    modes = None
-    if not solver_plan(rhs.shape[0], definite=True).fits:
-        modes = free_modes(body)
-    factor = factorized(body.matrix, plan.solver, definite=True, modes=modes)
-    spent("factor")
-    solution, residual = checked_solve(body.matrix, factor, rhs)
-    u = body.displacements(solution)
-    seen = (rows @ u).reshape(-1, 3)
-    spent("solve")
-    answer = Answer(
-        probes={probe.name: row for probe, row in zip(scene.probes, seen, strict=True)},
-        energy_mj=float((solution * rhs).sum()) / 2 * 2 ** len(plan.mirrors),
-        residual=residual,
-        unknowns=rhs.shape[0],
-    )
-    return answer, (_unfolded(basis, u.reshape(-1, 3), plan) if with_field else None)
+    share = 0.5 ** len(plan.mirrors)
+    probes = {probe.name: np.zeros(3) for probe in scene.probes}
+    energy_mj, residual, unknowns, parts = 0.0, 0.0, 0, []
+    for parity in parities(plan.mirrors):
+        body = grid_body(basis, stiffness, parity)
+        forces = np.zeros((basis.N * 3, 1))
+        for load in scene.loads:
+            newtons = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
+            forces += share * (rectangle_rows(basis, load.rectangle, plan.mirrors, parity).T @ newtons[:, None])
+        rhs = body.loads(forces)
+        spent("assemble")
+        modes = None if solver_plan(rhs.shape[0], definite=True).fits else free_modes(body)
+        factor = factorized(body.matrix, plan.solver, definite=True, modes=modes)
+        spent("factor")
+        solution, misfit = checked_solve(body.matrix, factor, rhs)
+        u = body.displacements(solution)
+        for probe in scene.probes:
+            probes[probe.name] += (probe_rows(basis, probe, plan.mirrors, parity) @ u).ravel()
+        energy_mj += float((solution * rhs).sum()) / 2 / share
+        residual, unknowns = max(residual, misfit), max(unknowns, rhs.shape[0])
+        parts.append((parity, u.reshape(-1, 3)))
+        spent("solve")
+    answer = Answer(probes=probes, energy_mj=energy_mj, residual=residual, unknowns=unknowns)
+    return answer, (whole_field(basis, parts, plan.mirrors) if with_field else None)
 
 
 def free_modes(body: ElasticBody) -> FloatArray:
@@ -238,47 +231,51 @@ def free_modes(body: ElasticBody) -> FloatArray:
     return rigid_body_modes(body.basis.doflocs.T)[body.free]
 
 
-def probe_rows(basis: GridBasis, probe: Probe, plan: Plan) -> sp.csr_matrix:
-    """Rows (3, N·3) that take displacements of the mirrored part to a probe anywhere on the body."""
+def rectangle_rows(
+    basis: GridBasis, rectangle: Rectangle, mirrors: tuple[Mirror, ...], parity: Parity
+) -> sp.csr_matrix:
+    """Rows (3, N·3) that take displacements of the solved part to the mean over a rectangle anywhere on the body."""
     rows = sp.csr_matrix((3, basis.N * 3))
-    for image in product(*[(False, True)] * len(plan.mirrors)):
-        flipped = [mirror for mirror, flip in zip(plan.mirrors, image, strict=True) if flip]
-        signs = np.ones(3)
-        for mirror in flipped:
-            signs *= mirror.parity * np.where(np.arange(3) == mirror.axis, -1.0, 1.0)
-        if probe.kind == "mean":
-            rectangle = np.array(probe.rectangle)
-            for mirror in flipped:
-                low, high = rectangle[mirror.axis], rectangle[mirror.axis + 2]
-                rectangle[[mirror.axis, mirror.axis + 2]] = 2 * mirror.position_mm - np.array([high, low])
-            rows = rows + sp.diags_array(signs) @ patch_means(basis, rectangle[None])
-        else:
-            point = np.array(probe.position_mm)
-            if any(
-                (point[mirror.axis] < mirror.position_mm) != flip
-                for mirror, flip in zip(plan.mirrors, image, strict=True)
-            ):
-                continue
-            for mirror in flipped:
-                point[mirror.axis] = 2 * mirror.position_mm - point[mirror.axis]
-            rows = rows + sp.diags_array(signs) @ sp.kron(basis.values(point[None]), sp.eye_array(3), format="csr")
+    for flipped, signs in images(mirrors, parity):
+        rows = rows + sp.diags_array(signs) @ patch_means(basis, flipped_rectangle(rectangle, flipped)[None])
     return rows.tocsr()
 
 
-def _unfolded(basis: GridBasis, u: FloatArray, plan: Plan) -> Field:
-    """Displacement of the whole body at the 20 edge nodes of its boxes, from that of the mirrored part."""
+def probe_rows(basis: GridBasis, probe: Probe, mirrors: tuple[Mirror, ...], parity: Parity) -> sp.csr_matrix:
+    """Rows (3, N·3) that take displacements of the solved part to a probe anywhere on the body."""
+    if probe.kind == "mean":
+        return rectangle_rows(basis, probe.rectangle, mirrors, parity)
+    point = np.array(probe.position_mm)
+    beyond = {mirror.axis for mirror in mirrors if point[mirror.axis] < mirror.position_mm}
+    flipped, signs = next(image for image in images(mirrors, parity) if {mirror.axis for mirror in image[0]} == beyond)
+    values = basis.values(flipped_points(point, flipped)[None])
+    return (sp.diags_array(signs) @ sp.kron(values, sp.eye_array(3))).tocsr()
+
+
+def whole_field(basis: GridBasis, parts: list[tuple[Parity, FloatArray]], mirrors: tuple[Mirror, ...]) -> Field:
+    """Displacement of the whole body at the 20 edge nodes of its boxes, from even and odd parts (N, 3) of one part."""
     corners = basis.local
     order = [int(np.flatnonzero((corners == place).all(axis=1))[0]) for place in VTK_PLACES]
-    points, moved, cells = basis.doflocs.T, u, basis.element_dofs[order].T
+    cells, points = basis.element_dofs[order].T, basis.doflocs.T
+    all_points, all_moved, all_cells = [], [], []
+    for number, (flipped, _) in enumerate(images(mirrors, (1, 1))):
+        image = cells
+        for mirror in flipped:
+            image = image[:, VTK_MIRRORED[mirror.axis]]
+        all_cells.append(image + number * len(points))
+        all_points.append(flipped_points(points, flipped))
+        moved = np.zeros_like(points)
+        for parity, u in parts:
+            moved += u * next(signs for planes, signs in images(mirrors, parity) if planes == flipped)
+        all_moved.append(moved)
     region = np.broadcast_to(basis.grid.region, basis.grid.shape).ravel()
-    for mirror in plan.mirrors:
-        flip = np.where(np.arange(3) == mirror.axis, -1.0, 1.0)
-        image = points.copy()
-        image[:, mirror.axis] = 2 * mirror.position_mm - image[:, mirror.axis]
-        cells = np.vstack([cells, cells[:, VTK_MIRRORED[mirror.axis]] + len(points)])
-        points, moved = np.vstack([points, image]), np.vstack([moved, mirror.parity * flip * moved])
-        region = np.concatenate([region, region])
-    return Field(points_mm=points, cells=cells, cell_type=QUADRATIC_HEXAHEDRON, displacement_mm=moved, region=region)
+    return Field(
+        points_mm=np.vstack(all_points),
+        cells=np.vstack(all_cells),
+        cell_type=QUADRATIC_HEXAHEDRON,
+        displacement_mm=np.vstack(all_moved),
+        region=np.tile(region, len(all_cells)),
+    )
 
 
 #: the 20 nodes of VTK's quadratic hexahedron in half steps: corners, lower edges, upper edges, uprights

@@ -11,6 +11,8 @@ from tests.fem.scenes import ARRAY, BLOCK, PILLAR
 UPRIGHT = BLOCK.replace("base_mm = [10.0", "base_mm = [15.0").replace("top_mm = [20.0", "top_mm = [15.0")
 PLAIN = BLOCK.replace("young_mpa = 61.0\npoisson = 0.3", "young_mpa = 6.1\npoisson = 0.49")
 ONE_RUBBER = ARRAY.replace("61.0", "6.1")
+OFF_CENTRE = PLAIN.replace("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [14.0, 15.0]\nsize_mm = [10")
+EVEN, ODD, BOTH = (1,), (-1,), (1, -1)
 UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5")
 
 
@@ -53,7 +55,7 @@ def test_unknown_names_are_refused_with_the_known():
     scene = scene_from_toml(BLOCK)
     with pytest.raises(SceneError, match=f"unknown saving 'spam'; known are {', '.join(SAVINGS)}"):
         make_plan(scene, no_skip=["spam"])
-    with pytest.raises(SceneError, match="unknown element 'Q7'; known are Q2, S2, TH, P2, P1"):
+    with pytest.raises(SceneError, match="unknown element 'Q7'; known are Qp, Q2, S2, TH, P2, P1"):
         make_plan(scene, element="Q7")
     with pytest.raises(SceneError, match="unknown solver 'spam'; known are pardiso"):
         make_plan(scene, solver="spam")
@@ -72,29 +74,48 @@ def test_elements_go_with_meshes():
 @pytest.mark.parametrize(
     ("text", "parities"),
     [
-        (PLAIN, {0: 1, 1: 1}),
-        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]"), {0: -1, 1: 1}),  # dragged along x
-        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, -1.0]"), {1: 1}),  # pressed and dragged: no parity in x
-        (PLAIN.replace("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [14.0, 15.0]\nsize_mm = [10"), {1: 1}),
-        (UPRIGHT, {0: 1, 1: 1}),
-        (UPRIGHT.replace("[15.0, 15.0, ", "[15.0, 14.0, ", 2), {0: 1}),  # the inclusion stands aside
-        (PILLAR, {1: 1}),  # it leans along x
-        (ONE_RUBBER, {}),
-        (ONE_RUBBER.replace("[7.5, 7.5]", "[0, 0]"), {0: 1, 1: 1}),
+        (PLAIN, {0: EVEN, 1: EVEN}),
+        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]"), {0: ODD, 1: EVEN}),  # dragged along x
+        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, -1.0]"), {0: BOTH, 1: EVEN}),  # pressed and dragged
+        (OFF_CENTRE, {0: BOTH, 1: EVEN}),
+        (UPRIGHT, {0: EVEN, 1: EVEN}),
+        (UPRIGHT.replace("[15.0, 15.0, ", "[15.0, 14.0, ", 2), {0: EVEN}),  # the inclusion stands aside
+        (PILLAR, {1: EVEN}),  # it leans along x
+        (ONE_RUBBER, {0: BOTH, 1: BOTH}),
+        (ONE_RUBBER.replace("[7.5, 7.5]", "[0, 0]"), {0: EVEN, 1: EVEN}),
     ],
 )
 def test_mirror_planes_are_found(text, parities):
     plan = make_plan(scene_from_toml(text))
-    assert {mirror.axis: mirror.parity for mirror in plan.mirrors} == parities
+    assert {mirror.axis: mirror.parities for mirror in plan.mirrors} == parities
     assert make_plan(scene_from_toml(text), no_skip=["symmetry"]).mirrors == ()
 
 
 def test_two_loads_may_mirror_each_other():
     other = "[[load]]\ncenter_mm = [{}, 15.0]\nsize_mm = [4.0, 4.0]\ntraction_mpa = [0.0, 0.0, {}]\n"
     apart = BLOCK[: BLOCK.index("[[inclusion]]")] + other.format(5.0, -1.0) + "{}" + BLOCK[BLOCK.index("[[probe]]") :]
-    for force, parity in ((-1.0, {0: 1, 1: 1}), (1.0, {0: -1, 1: 1}), (-0.5, {1: 1})):
+    for force, expected in ((-1.0, EVEN), (1.0, ODD), (-0.5, BOTH)):
         plan = make_plan(scene_from_toml(apart.format(other.format(25.0, force))))
-        assert {mirror.axis: mirror.parity for mirror in plan.mirrors} == parity
+        assert {mirror.axis: mirror.parities for mirror in plan.mirrors} == {0: expected, 1: EVEN}
+
+
+@pytest.mark.parametrize(
+    ("text", "element"),
+    [
+        (PLAIN, "Qp"),
+        (PLAIN.replace("poisson = 0.49", "poisson = 0.49999"), "Q2"),
+        (UPRIGHT.replace("young_mpa = 61.0", "young_mpa = 61000.0"), "Q2"),
+        (BLOCK, "TH"),
+    ],
+)
+def test_the_element_suits_the_rubbers(text, element):
+    assert make_plan(scene_from_toml(text)).element == element
+
+
+def test_a_solver_asked_for_gets_a_matrix():
+    assert make_plan(scene_from_toml(PLAIN), solver="pardiso").element == "Q2"
+    with pytest.raises(SceneError, match="element 'Qp' has an iteration of its own"):
+        make_plan(scene_from_toml(PLAIN), solver="pardiso", element="Qp")
 
 
 def test_nothing_moves_what_nothing_loads():
