@@ -16,7 +16,8 @@ from geometry.layout import FloatArray
 
 GRADING = 3.0  #: the k-th line lies about k³ from its attractor; 3 balances u ~ r^0.6 at clamped edges (2·0.6·3 ≈ 4)
 FAR = 8.0  #: lengths from an attractor beyond which sizes grow with the distance
-SPREAD = 0.25  #: width of elements of high order over their distance from the nearest edge, where they may be wide
+GROWTH = 0.3  #: distance of an element of high order from the nearest edge, over the distance of its far end
+SPREAD = 0.25  #: width of such elements over that distance, where they may be wider than the widest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,7 +111,7 @@ def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float, 
     widest_mm : float
         No element is wider [mm], but those far from all positions: they may grow with the distance, see `SPREAD`.
     reach_mm : float
-        Layers begin at this distance at most, where there are any [mm].
+        Layers begin at this distance at most, where there are any [mm]; from there on elements grow, see `GROWTH`.
 
     Examples
     --------
@@ -120,31 +121,38 @@ def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float, 
     positions = sorted(layers)
     lines = [np.array(positions[:1])]
     for left, right in pairwise(positions):
-        both = layers[left] > 0 and layers[right] > 0
-        reach = (right - left) / (2 if both else 1)
-        start = min(reach, reach_mm)
-        inner = [left + start * ratio**k for k in range(layers[left], -1, -1)] if layers[left] else []
-        inner += [right - start * ratio**k for k in range(layers[right] + 1)] if layers[right] else []
-        ends = [left]
-        for place in [*inner, right]:
-            if place - ends[-1] > 1e-9 * (right - left):
-                ends.append(place)
-        ends[-1] = right
-        for a, b in pairwise(ends):
-            lines.append(_spread(a, b, widest_mm)[1:])
+        sides = [layers[left] > 0, layers[right] > 0]
+        share = (right - left) / max(1, sum(sides))  # of the gap, that each side with layers fills
+        if not any(sides):
+            inner = np.linspace(left, right, int(np.ceil(share / widest_mm - 1e-9)) + 1)[1:-1]
+        else:
+            start = min(share, reach_mm, widest_mm)
+            outward = _outward(start, share, (right - left) - share, widest_mm)
+            near, far = (
+                np.append(start * ratio ** np.arange(count, 0, -1.0), outward) if side else np.zeros(0)
+                for side, count in zip(sides, (layers[left], layers[right]), strict=True)
+            )
+            inner = np.unique(np.concatenate([left + near, right - far]).round(12))
+            inner = inner[(inner - left > 1e-9 * share) & (right - inner > 1e-9 * share)]
+        lines.append(np.append(inner, right))
     return np.concatenate(lines)
 
 
-def _spread(start: float, end: float, widest_mm: float) -> FloatArray:
-    """Lines from start to end, equally far apart, or farther the farther they are from both."""
-    half = (end - start) / 2
-    if SPREAD * half <= widest_mm:
-        return np.linspace(start, end, int(np.ceil(2 * half / widest_mm - 1e-9)) + 1)
-    steps = [0.0]
-    while steps[-1] < half:
-        steps.append(steps[-1] + max(widest_mm, SPREAD * steps[-1]))
-    near = np.array(steps) * half / steps[-1]
-    return np.concatenate([start + near, (end - near[-2::-1])])
+def _outward(start: float, end: float, beyond: float, widest_mm: float) -> FloatArray:
+    """Distances from an edge at which lines lie, from where its layers begin to where its side of a gap ends.
+
+    `beyond` is the width of the gap's other side, which has the same lines in reverse: 0 if this is the only one.
+    """
+    found = [start]
+
+    def step() -> float:
+        return min((1 / GROWTH - 1) * found[-1], max(widest_mm, SPREAD * found[-1]))
+
+    while end - found[-1] > 1e-9 * end and (end + beyond - found[-1] - (found[-1] if beyond else 0.0)) > step():
+        found.append(found[-1] + step())
+    if found[-1] > end:
+        found = [start + (place - start) * (end - start) / (found[-1] - start) for place in found]
+    return np.array(found)
 
 
 def _steps(lengths: FloatArray) -> FloatArray:

@@ -51,10 +51,10 @@ LEVELS = (
     Level(2, 1, 1, 0.22),
     Level(3, 2, 1, 0.13),
     Level(4, 3, 1, 0.17),
-    Level(5, 4, 2, 0.17),
-    Level(6, 5, 3, 0.17),
+    Level(5, 3, 1, 0.28),
+    Level(6, 4, 2, 0.17),
 )
-SLOWEST_FALL = 0.5  #: that the estimate reckons with, where changes shrink more slowly than they should
+SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more slowly than they should
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
 WIDEST = 0.8  #: of an element, relative to the height
 RESIDUAL = 1e-8  #: of conjugate gradients, relative, in the norm of the preconditioner

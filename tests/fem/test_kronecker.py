@@ -91,7 +91,7 @@ def test_graded_line_meets_what_it_must():
     assert {0.0, 3.0, 10.0} <= set(line.tolist())
     assert np.diff(line).min() > 0
     assert np.diff(line).max() <= 2.0 + 1e-12
-    assert 10.0 - line[-2] == pytest.approx(3.5 * 0.2**3)  # half the gap, three layers
+    assert 10.0 - line[-2] == pytest.approx(2.0 * 0.2**3)  # three layers from as far as an element is wide
 
 
 def test_far_from_all_edges_elements_grow():
