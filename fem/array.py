@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.assembly import SparsePattern
 from fem.cell import CondensedCell
 from fem.linear_solver import checked_solve, factorized
 from fem.ports import EDGES, FACES, PortModes
@@ -52,8 +51,7 @@ class CoupledArray:
             Relative residual of the solve.
         """
         cell = self.cell
-        at_ports = self._gather @ (cell.reach @ forces).reshape(self._dofs.size, -1)
-        q, residual = checked_solve(self._matrix, self._factor, at_ports)
+        q, residual = checked_solve(self._matrix, self._factor, self._gathered(cell.reach @ forces), self._product)
         return cell.reach.T @ q[self._dofs] + cell.compliance @ forces, residual
 
     def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:
@@ -74,14 +72,28 @@ class CoupledArray:
             residual = max(residual, misfit)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
-    def _assembled(self) -> sp.csr_matrix:
+    def _product(self, q: FloatArray) -> FloatArray:
+        """Stiffness of all ports times their displacements (n, k), cell by cell: faster than the sparse product."""
+        pulls = np.tensordot(self.cell.stiffness, q[self._dofs], axes=(1, 1))  # (n_modes·3, n_cells, k), in one product
+        return self._gathered(pulls.swapaxes(0, 1))
+
+    def _gathered(self, forces: FloatArray) -> FloatArray:
+        """Sum at the shared ports of what cells exert there, (n_cells, n_modes·3, k), shape (n, k)."""
+        return self._gather @ forces.reshape(self._dofs.size, -1)
+
+    def _assembled(self) -> sp.bsr_matrix:
         """Stiffness of all ports, in the blocks that edges and bubbles share: `up` functions along three axes."""
         size = self.cell.ports.up * 3
         count = self._dofs.shape[1] // size
         blocks = self.cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
-        numbers = self._dofs[:, ::size].T // size
-        pattern = SparsePattern(numbers, numbers, (self._n // size, self._n // size))
-        return pattern.vector_matrix(np.broadcast_to(blocks, (self.n_cells, *blocks.shape)))
+        numbers = self._dofs[:, ::size] // size
+        n = self._n // size
+        keys, entry = np.unique(numbers[:, :, None] * n + numbers[:, None, :], return_inverse=True)
+        data = np.zeros((len(keys), size, size))
+        for own in entry.reshape(self.n_cells, count, count):
+            data[own] += blocks
+        indptr = np.searchsorted(keys, np.arange(n + 1) * n)
+        return sp.bsr_matrix((data, keys % n, indptr), shape=(self._n, self._n))
 
 
 def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64], int]:

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.elasticity import ElasticBody
+from fem.grid import Grid
 from fem.hexahedra import GridBasis, grid_body
 from fem.linear_solver import checked_solve, factorized, schur_product
 from fem.patch import patch_means
@@ -38,7 +39,11 @@ class CondensedCell:
     @property
     def is_definite(self) -> bool:
         """Whether every displacement of the ports stores energy, as it must with a clamped base."""
-        return bool(np.linalg.eigvalsh(self.stiffness)[0] > 0)
+        try:
+            np.linalg.cholesky(self.stiffness)
+        except np.linalg.LinAlgError:
+            return False
+        return True
 
     def moved_on(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
         """This cell, moved away from a coarser one of the same ports by a share of their difference."""
@@ -51,6 +56,20 @@ class CondensedCell:
             stiffness=on(self.stiffness, coarser.stiffness),
             reach=on(self.reach, coarser.reach),
             compliance=on(self.compliance, coarser.compliance),
+        )
+
+    def exchanged(self, twins: NDArray[np.int64]) -> "CondensedCell":
+        """The cell that this one becomes when x and y are exchanged.
+
+        `twins` (k,) is the number of the rectangle of this cell that becomes each rectangle of the other.
+        """
+        dofs = self.ports.exchanged
+        seen = (twins[:, None] * 3 + np.array([1, 0, 2])).ravel()
+        return replace(
+            self,
+            stiffness=self.stiffness[np.ix_(dofs, dofs)],
+            reach=self.reach[np.ix_(dofs, seen)],
+            compliance=self.compliance[np.ix_(seen, seen)],
         )
 
     def of_degree(self, degree: int) -> "CondensedCell":
@@ -100,38 +119,77 @@ def condense_by_parity(
     """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
 
     A displacement splits into four parities (`PARITIES`), each a problem of the quarter with its own conditions on the
-    mirror planes; four quarters cost far less than one whole. `rectangles` may lie anywhere on the whole cell.
-    Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    mirror planes; four quarters cost far less than one whole. Where the grid is the same in x and y, parity (−1, 1) is
+    (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole cell. Otherwise
+    as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
     """
-    n, m = ports.n_modes * 3, len(rectangles) * 3
-    S, L, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, m))
+    k = len(rectangles)
+    square = _is_square(basis.grid)
+    if square:
+        rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
+    images = _image_means(basis, rectangles)
+    parts = {
+        parity: _parity_part(basis, stiffness, ports, images, parity)
+        for parity in PARITIES
+        if not (square and parity == (-1, 1))
+    }
+    if square:
+        parts[-1, 1] = parts[1, -1].exchanged(twins=np.roll(np.arange(2 * k), k))
+    return CondensedCell(
+        ports=ports,
+        stiffness=np.sum([part.stiffness for part in parts.values()], axis=0),
+        reach=np.sum([part.reach[:, : 3 * k] for part in parts.values()], axis=0),
+        compliance=np.sum([part.compliance[: 3 * k, : 3 * k] for part in parts.values()], axis=0),
+        unknowns=max(part.unknowns for part in parts.values()),
+        residual=max(part.residual for part in parts.values()),
+    )
+
+
+def _parity_part(
+    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, images: FloatArray, parity: tuple[int, int]
+) -> CondensedCell:
+    """What displacements of one parity add to a cell; `images` of `_image_means`."""
     nodes = basis.doflocs
     on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
-    images = [patch_means(basis, _mirrored(rectangles, image)).T.toarray() for image in PARITIES]
-    unknowns, residual = 0, 0.0
-    for parity in PARITIES:
-        body = grid_body(basis, stiffness, mirrors=parity)
-        at_ports = body.free[on_side[body.free // 3]]
-        number, place = np.unique(at_ports // 3, return_inverse=True)
-        modes = ports.parity_values(nodes[:, number].T, parity).reshape(len(number), 3, -1)[place, at_ports % 3]
-        # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
-        gathered = sum(
-            means * np.tile(image_signs(parity, image), len(rectangles))
-            for image, means in zip(PARITIES, images, strict=True)
-        )
-        S_quarter, L_quarter, C_quarter, misfit = _eliminate(body, at_ports, modes, body.loads(gathered))
-        share = ports.parity_share(parity)
-        S += 4 * (share.T @ (share.T @ S_quarter).T)
-        L += share.T @ L_quarter
-        C += C_quarter / 4
-        unknowns, residual = max(unknowns, len(body.free)), max(residual, misfit)
-    return CondensedCell(ports=ports, stiffness=S, reach=L, compliance=C, unknowns=unknowns, residual=residual)
+    body = grid_body(basis, stiffness, mirrors=parity)
+    at_ports = body.free[on_side[body.free // 3]]
+    number, place = np.unique(at_ports // 3, return_inverse=True)
+    modes = ports.parity_values(nodes[:, number].T, parity).reshape(len(number), 3, -1)[place, at_ports % 3]
+    # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
+    signs = np.stack([image_signs(parity, image) for image in PARITIES])
+    gathered = np.einsum("nqki,qi->nki", images, signs).reshape(len(images), -1)
+    S, L, C, residual = _eliminate(body, at_ports, modes, body.loads(gathered))
+    share = ports.parity_share(parity)
+    return CondensedCell(
+        ports=ports,
+        stiffness=4 * (share.T @ (share.T @ S).T),
+        reach=share.T @ L,
+        compliance=C / 4,
+        unknowns=len(body.free),
+        residual=residual,
+    )
+
+
+def _is_square(grid: Grid) -> bool:
+    """Whether a grid stays what it is when x and y are exchanged."""
+    if not (np.array_equal(grid.x, grid.y) and grid.lean[0] == grid.lean[1]):
+        return False
+    region = np.broadcast_to(grid.region, grid.shape)
+    return np.array_equal(region, region.swapaxes(0, 1))
+
+
+def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
+    """`patch_means` of rectangles (k, 4) in their four mirror images (`PARITIES`), shape (n_displacement, 4, k, 3)."""
+    mirrored = np.vstack([_mirrored(rectangles, image) for image in PARITIES])
+    different, number = np.unique(mirrored, axis=0, return_inverse=True)
+    means = patch_means(basis, different).T.toarray().reshape(-1, len(different), 3)
+    return means[:, number.reshape(len(PARITIES), -1)]
 
 
 def _eliminate(
     body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """S, L and C of `condense`, and the residual of the loads' solves.
+    """S, L and C of `condense`, and the residual of the first rectangle's solves.
 
     `at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n); `loads` have
     shape (unknowns, m).
@@ -148,7 +206,7 @@ def _eliminate(
     S = modes.T @ (K_BB @ modes) - product[:n, :n]
     L = modes.T @ loads[outer] - product[:n, n:]
     C = product[n:, n:]
-    _, residual = checked_solve(K_II, factor, loads[inner][:, :1])
+    _, residual = checked_solve(K_II, factor, loads[inner][:, :3])
     return (S + S.T) / 2, L, (C + C.T) / 2, residual
 
 

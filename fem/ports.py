@@ -60,6 +60,14 @@ class PortModes:
         faces = 4 * self.per_edge + np.arange(4 * self.per_face).reshape(4, self.side - 1, self.up)
         return np.concatenate([edges.ravel(), faces[:, : degree - 1, :degree].ravel()])
 
+    @property
+    def exchanged(self) -> NDArray[np.int64]:
+        """Number of the degree of freedom that each one becomes when x and y are exchanged, shape (n_modes·3,)."""
+        edges = np.arange(4 * self.per_edge).reshape(4, -1)[[EDGES.index((sy, sx)) for sx, sy in EDGES]]
+        faces = np.arange(4 * self.per_face).reshape(4, -1)[[FACES.index((1 - axis, sign)) for axis, sign in FACES]]
+        modes = np.concatenate([edges.ravel(), 4 * self.per_edge + faces.ravel()])
+        return (modes[:, None] * 3 + np.array([1, 0, 2])).ravel()
+
     def values(self, points_mm: FloatArray) -> FloatArray:
         """Every mode at points (n, 3) of the side faces, shape (n, n_modes)."""
         x, y = points_mm[:, 0] / self.half_mm, points_mm[:, 1] / self.half_mm

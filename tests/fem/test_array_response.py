@@ -1,6 +1,8 @@
 """The array's response by its methods: they agree, know their error, and are found again in the cache."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from fem.substructured import block_error, influence_range, unrolled
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.mesh import MeshSettings
+from studies import bench
 
 UNIT = SensorDesign(array=Array(rows=1, cols=1))
 SMALL = SensorDesign(array=Array(rows=1, cols=2))
@@ -67,6 +70,18 @@ def test_an_estimate_covers_the_error():
     error = block_error(blocks(loose), blocks(tight))
     assert error < 2e-2
     assert error < 3 * loose.error_estimate
+
+
+def test_the_usual_response_is_as_accurate_as_it_says():
+    """Against hexahedra of high order on grids of the whole array, converged to 1e-4: an inner unit's three columns."""
+    response = solve_response(SensorDesign())
+    scenes = json.loads(Path(bench.__file__).with_name("references.json").read_text(encoding="utf-8"))["scenes"]
+    probes = [scenes[f"response-inner-{axis}"]["probes"] for axis in "xyz"]
+    columns = [[column[f"{unit}-U{electrode}"] for unit in range(36) for electrode in (1, 2)] for column in probes]
+    expected = np.reshape(columns, (3, 6, 6, 6)).transpose(1, 2, 3, 0)  # row, column, displacement, force
+    difference = np.linalg.norm(blocks(response)[:, :, :, 3, 3] - expected, axis=(2, 3))
+    assert difference.max() < response.error_estimate * np.linalg.norm(expected[3, 3])
+    assert response.error_estimate < 1e-3
 
 
 def test_far_units_are_put_together_from_fewer():

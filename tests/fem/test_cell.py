@@ -1,5 +1,7 @@
 """Condensed cells and their coupling: two routes to one answer, and the energy they must have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,63 @@ def test_four_parities_of_a_quarter_are_the_whole_cell(cell, whole_cell):
     for name in ("stiffness", "reach", "compliance"):
         one, other = getattr(cell, name), getattr(direct, name)
         assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
+
+
+def test_a_square_cell_spares_a_parity(cell, monkeypatch):
+    """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
+    solved = []
+    monkeypatch.setattr("fem.cell._is_square", lambda grid: False)
+    monkeypatch.setattr("fem.cell.grid_body", lambda *of, mirrors: solved.append(mirrors) or grid_body(*of, mirrors))
+    basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
+    four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
+    assert solved == list(PARITIES)
+    monkeypatch.undo()
+    for name in ("stiffness", "reach", "compliance"):
+        one, other = getattr(cell, name), getattr(four, name)
+        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        Grid(x=QUARTER, y=np.array([0.0, 2.0, 6.0, HALF]), z=UP),
+        Grid(x=QUARTER, y=QUARTER, z=UP, region=np.arange(9).reshape(3, 3, 1) % 4 // 3),
+    ],
+    ids=["lines", "regions"],
+)
+def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(grid):
+    """Against the whole cell, whose mirror images the four quarters are."""
+    rubbers = [*RUBBER, Material(young_mpa=0.5)]
+    quarter = GridBasis(grid)
+    found = condense_by_parity(quarter, grid_stiffness(quarter, rubbers), PORTS, RECTANGLES)
+    region = np.broadcast_to(grid.region, grid.shape)
+    region = np.concatenate([region[::-1], region])
+    region = np.concatenate([region[:, ::-1], region], axis=1)
+    whole = GridBasis(Grid(x=mirrored(grid.x), y=mirrored(grid.y), z=UP, region=region))
+    direct = condense(grid_body(whole, grid_stiffness(whole, rubbers)), PORTS, RECTANGLES)
+    for name in ("stiffness", "reach", "compliance"):
+        one, other = getattr(found, name), getattr(direct, name)
+        assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
+
+
+def test_exchanging_x_and_y_twice_changes_nothing(cell):
+    """A square cell of square rectangles is its own exchange, but for which corner the second one lies in."""
+    swap = PORTS.exchanged
+    assert np.array_equal(swap[swap], np.arange(PORTS.n_modes * 3))
+    twice = cell.exchanged(np.arange(2)).exchanged(np.arange(2))
+    assert np.array_equal(twice.stiffness, cell.stiffness)
+    assert np.array_equal(twice.reach, cell.reach)
+    points = np.array([[HALF, 2.0, 3.0], [-1.0, -HALF, 5.0], [HALF, HALF, 10.0]])
+    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
+    here = PORTS.values(points) @ q.reshape(-1, 3)
+    there = PORTS.values(points[:, [1, 0, 2]]) @ q[swap].reshape(-1, 3)
+    assert np.allclose(there, here[:, [1, 0, 2]], rtol=0, atol=1e-14)
+
+
+def test_a_cell_that_gains_energy_is_not_definite(cell):
+    assert cell.is_definite
+    shift = np.linalg.eigvalsh(cell.stiffness)[0] * 1.01
+    assert not replace(cell, stiffness=cell.stiffness - shift * np.eye(len(cell.stiffness))).is_definite
 
 
 def test_a_condensed_cell_is_symmetric_and_positive_definite(cell):

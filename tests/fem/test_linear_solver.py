@@ -1,7 +1,9 @@
 """Every solver gives the same answers on every problem it takes, and a wrong answer is not passed on."""
 
+import ctypes
 import gc
 import sys
+from importlib import metadata
 from importlib.util import find_spec
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 import scipy.sparse as sp
 from skfem import ElementTetP2
 
-from fem import linear_solver
+from fem import factors, linear_solver
 from fem.elasticity import displacement_form, taylor_hood
 from fem.factors import CholmodFactor, Factor, FactorMemoryError, PardisoFactor
 from fem.linear_solver import (
@@ -153,6 +155,18 @@ def test_a_wrong_schur_product_is_refused(definite, solver, monkeypatch):
         schur_product(factor, exact)
 
 
+@pytest.mark.parametrize("solver", HALVES)
+def test_a_small_column_is_checked_as_well(definite, solver, monkeypatch):
+    """Off by 1e-6 itself, it would add 1e-14 to what the others, 1e8 times as large, leave."""
+    matrix, _, exact = definite
+    factor = factorized(matrix, solver, definite=True)
+    half_solve = factor.half_solve
+    off = np.array([1 + 1e-6, 1, 1, 1, 1])
+    monkeypatch.setattr(factor, "half_solve", lambda rhs: half_solve(rhs) * off)
+    with pytest.raises(SolverError, match="the product of 5 columns"):
+        schur_product(factor, exact * np.array([1e-8, 1, 1, 1, 1]))
+
+
 @pytest.mark.parametrize("solver", DIRECT)
 def test_two_factorisations_live_side_by_side(mixed, solver):
     """Factoring another matrix leaves the first one's factors alone, and so does the other's end."""
@@ -197,6 +211,31 @@ def test_a_poor_answer_is_refined_once(mixed):
     _, residual = checked_solve(matrix, sloppy, rhs)
     assert residual < 1e-11
     assert calls == [5, 4]  # the zero column needs none
+
+
+def test_columns_are_judged_one_by_one():
+    """Refinement brings the first column to 1e-10; the slender second one is off by four roundings of x, 1e-7 of b."""
+    k = 1e8
+    matrix = sp.csr_matrix(np.array([[1.0, 0.0, 0.0], [0.0, k, -k], [0.0, -k, k + 1]]))
+    rhs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    slender = [0.0, 1 + 4 * np.finfo(float).eps, 1.0]
+    answers = iter([np.array([[1 + 1e-6, 0.0, 0.0], slender]).T, np.array([[1e-10 - 1e-6, 0, 0], np.zeros(3)]).T])
+    x, residual = checked_solve(matrix, lambda b: next(answers), rhs)
+    assert 1e-8 < residual < 1e-6
+    assert x[0, 0] == pytest.approx(1 + 1e-10, rel=1e-14)
+    answers = iter([np.array([[1 + 1e-6, 0.0, 0.0], slender]).T, np.zeros((3, 2))])
+    with pytest.raises(SolverError, match=r"residual 1\.0e-06"):  # far more than rounding, and not refined
+        checked_solve(matrix, lambda b: next(answers), rhs)
+
+
+def test_a_product_may_stand_in_for_the_matrix(mixed):
+    """It is what the residual is measured by, so a wrong one is found out."""
+    matrix, exact = mixed
+    factor = factorized(matrix)
+    _, residual = checked_solve(matrix, factor, matrix @ exact, lambda x: matrix @ x)
+    assert residual < 1e-12
+    with pytest.raises(SolverError):
+        checked_solve(matrix, factor, matrix @ exact, lambda x: matrix @ x * 1.001)
 
 
 def test_a_good_answer_is_not_refined(mixed):
@@ -262,10 +301,44 @@ def test_an_indefinite_matrix_is_refused_as_definite(mixed, solver):
         factorized(mixed[0], solver, definite=True)
 
 
+@pytest.mark.parametrize("solver", [PARDISO, CHOLMOD, "superlu"])
+@pytest.mark.parametrize("shape", [(3, 3), (3, 1)], ids=["square", "oblong"])
+def test_a_matrix_in_blocks_is_the_same_matrix(elastic, solver, shape):
+    """Square blocks reach PARDISO as they are, all else as entries; whole and half solves alike."""
+    matrix, _, exact = elastic
+    factor = factorized(matrix.tobsr(shape), solver, definite=True)
+    x, residual = checked_solve(factor.matrix, factor, matrix @ exact)
+    assert residual < 1e-12
+    assert np.allclose(x, exact, rtol=0, atol=1e-8)  # as of entries, above
+    expected = exact.T @ (matrix @ exact)
+    assert np.abs(factor.inner(matrix @ exact) - expected).max() < 1e-12 * np.abs(expected).max()
+
+
 def test_pardiso_wants_the_whole_diagonal():
     pytest.importorskip("pypardiso")
     with pytest.raises(SolverError, match="an entry on the diagonal is missing"):
         factorized(sp.csr_matrix(np.array([[0.0, 1.0], [1.0, 0.0]])), "pardiso")
+    with pytest.raises(SolverError, match="an entry on the diagonal is missing"):
+        factorized(sp.bsr_matrix(np.kron([[0.0, 1.0], [1.0, 0.0]], np.ones((2, 2))), blocksize=(2, 2)), "pardiso")
+
+
+def test_mkl_is_found_in_its_package_or_left_to_pypardiso(monkeypatch):
+    """Both are one library; without the package's list of files, or by a person's choice, pypardiso searches."""
+    pypardiso = pytest.importorskip("pypardiso")
+    searched = pypardiso.PyPardisoSolver().libmkl
+    try:
+        metadata.distribution("mkl")
+    except metadata.PackageNotFoundError:
+        assert factors._installed_mkl() is None
+    else:
+        assert factors._installed_mkl()._handle == searched._handle
+    with monkeypatch.context() as patch:
+        patch.setenv("PYPARDISO_MKL_RT", "elsewhere")
+        assert factors._installed_mkl() is None
+    monkeypatch.setattr(factors.metadata, "files", lambda name: None)
+    assert factors._installed_mkl() is None
+    address = ctypes.cast(factors._mkl_pardiso.__wrapped__(), ctypes.c_void_p).value
+    assert address == ctypes.cast(searched["pardiso"], ctypes.c_void_p).value
 
 
 @pytest.mark.parametrize("solver", [PARDISO, CHOLMOD, "superlu", MULTIGRID])
