@@ -9,7 +9,7 @@ from fem.convergence import error_after
 from fem.plan import Plan
 from fem.scene import Rectangle, Scene, SceneError, Sensor
 from fem.solution import Solution, largest_error
-from fem.substructured import MESH_STAGES, condensed_cell
+from fem.substructured import condensed_cell, mesh_stages
 from geometry.layout import FloatArray, unit_centres
 
 Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
@@ -44,7 +44,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
 
     seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
     steps: list[str] = []
-    for coarse, fine, degree in MESH_STAGES:
+    for coarse, fine, degree in mesh_stages(scene.tolerance):
         found, start = [], perf_counter()
         for level in (coarse, fine):
             cell, meshed = condensed_cell(design, level, degree, "Q2", rectangles)

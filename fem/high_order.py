@@ -254,7 +254,8 @@ def _answer(scene: Scene, plan: Plan, part: BoxPart, coarser: Answer | None, sec
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         answers = list(
             pool.map(
-                lambda parity: _of_parity(scene, part, stiffness, sum(outer), parity, coarser), parities(part.mirrors)
+                lambda parity: _of_parity(scene, part, stiffness, outer[0] + outer[1], parity, coarser),
+                parities(part.mirrors),
             )
         )
     seconds["solve"] += perf_counter() - start

@@ -26,10 +26,8 @@ class Mirror:
 
 def parities(mirrors: tuple[Mirror, ...]) -> list[Parity]:
     """Of every part into which the loads are split."""
-    along: list[tuple[int, ...]] = [(0,), (0,)]
-    for mirror in mirrors:
-        along[mirror.axis] = mirror.parities
-    return list(product(*along))
+    along_x, along_y = ({mirror.axis: mirror.parities for mirror in mirrors}.get(axis, (0,)) for axis in (0, 1))
+    return [(x, y) for x in along_x for y in along_y]
 
 
 def sign(component: int, axis: int, parity: Parity) -> int:

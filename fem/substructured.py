@@ -27,6 +27,7 @@ GRID_STAGES = ((1, 2, 4), (2, 3, 7), (3, 4, 8), (4, 6, 9))
 #: two levels of the mesh, which divide the edges of the usual settings, and the degree
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth trying, below which the last one is
+COARSE_MESH = 2e-2  #: tolerance from which the first stage of meshes is worth trying
 GRID_RATE = 3.0  #: at which condensed grids are extrapolated; 2.3 to 4 was measured
 LEFT = 0.35  #: share of the extrapolation's own step that is left as error, for rates from 2.3 to 4
 PORTS_LEFT = 0.7  #: share of what the highest degree of the ports changed that is left as error
@@ -103,9 +104,14 @@ def response_by_cells(
 
 def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
     if not design.is_homogeneous:
-        return MESH_STAGES
+        return mesh_stages(tolerance)
     first = 0 if tolerance >= COARSE else 1
     return GRID_STAGES[first:] if tolerance < FINE else GRID_STAGES[first:-1]
+
+
+def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
+    """Those of `MESH_STAGES` that are worth trying."""
+    return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
 
 
 def _refined_cell(

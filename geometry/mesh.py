@@ -144,10 +144,10 @@ def _mesh_sensor(design: SensorDesign, settings: MeshSettings) -> TetMesh:
     if not design.is_homogeneous:
         expected_mm3 += solids["array"].volume * np.array([-1.0, 1.0])
     for attempt in range(ATTEMPTS):
-        # chance may round the pillars off by more than the volume check allows; a tighter envelope rounds less
+        # chance may round the pillars off, or turn cells over in snapping; a tighter envelope does less of both
         tighter = replace(settings, envelope_mm=settings.envelope_mm / 2**attempt)
-        mesh = _one_mesh(design, list(surfaces.values()), tighter)
         try:
+            mesh = _one_mesh(design, list(surfaces.values()), tighter)
             check_volumes(mesh, expected_mm3)
             break
         except GeometryError:

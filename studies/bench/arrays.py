@@ -19,20 +19,24 @@ from rich.table import Table
 from geometry.design import Array, Material, SensorDesign
 from geometry.files import replacing
 from studies.bench.measure import peak_mib
+from studies.bench.whole_grid import whole_grid_response
 from studies.report import show
 
 REFERENCES = Path(__file__).with_name("references.json")
-#: name, units a side, settings of the response, modulus of the matrix [MPa]
+#: name, units a side, settings of the response (or the level of one grid of the whole slab), matrix's modulus [MPa]
 CASES: list[tuple[str, int, dict[str, Any], float]] = [
     *[("cells", n, {"tolerance": 1e-3}, 6.1) for n in (2, 6, 12, 24, 48)],
     ("cells, 1e-2", 6, {"tolerance": 1e-2}, 6.1),
     ("cells, S2", 6, {"tolerance": 1e-3, "element": "S2"}, 6.1),
     ("cells, nothing far left out", 12, {"tolerance": 1e-3, "far": False}, 6.1),
+    *[("whole array, same hexahedra, level 1", n, {"level": 1}, 6.1) for n in (2, 6)],
+    ("whole array, same hexahedra, level 2", 6, {"level": 2}, 6.1),
     ("whole array, Taylor-Hood", 2, {"method": "whole"}, 6.1),
     ("whole array, Taylor-Hood", 6, {"method": "whole"}, 6.1),
     ("layer", 6, {"method": "layer"}, 6.1),
     ("half-space", 6, {"method": "halfspace"}, 6.1),
-    ("cells, soft matrix", 6, {"tolerance": 1e-2}, 1.0),
+    *[("cells, soft matrix", n, {"tolerance": 1e-2}, 1.0) for n in (6, 12)],
+    ("whole array, Taylor-Hood, soft matrix", 6, {"method": "whole"}, 1.0),
 ]
 
 
@@ -64,7 +68,11 @@ def measure_one(number: int) -> None:
     from fem.array_response import ResponseSettings, solve_response
 
     _, units, settings, matrix_mpa = CASES[number]
-    response = solve_response(designed(units, matrix_mpa), ResponseSettings(**settings))
+    design = designed(units, matrix_mpa)
+    if "level" in settings:
+        response = whole_grid_response(design, **settings)
+    else:
+        response = solve_response(design, ResponseSettings(**settings))
     found = {
         "seconds": response.seconds,
         "unknowns": response.unknowns,
