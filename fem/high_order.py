@@ -58,6 +58,7 @@ SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
 WIDEST = 0.8  #: of an element, relative to the height
 RESIDUAL = 1e-8  #: of conjugate gradients, relative, in the norm of the preconditioner
+ROUNDED = 1e-12  #: of the loads: what is below it cancels but for rounding
 MOST_UNKNOWNS = 1_500_000  #: beyond, a level takes longer than anyone waits for a scene
 
 
@@ -276,12 +277,15 @@ def _of_parity(
 ) -> Answer:
     """The part of an answer that has a parity. `C` is the body's own elastic tensor."""
     held = part.held(parity)
-    load = np.zeros(part.shape)
+    load, newtons = np.zeros(part.shape), 0.0
     for one in scene.loads:
+        newtons += np.abs(one.traction_mpa).sum() * one.size_mm[0] * one.size_mm[1]
         for a, traction in enumerate(one.traction_mpa):
             if traction:
                 load[a, :, :, -1] += part.share * traction * part.integral(one.rectangle, a, parity)
     held.clear(load)
+    if np.abs(load).sum() <= ROUNDED * newtons:
+        load[:] = 0.0  # loads whose parts of this parity cancel
     first = part.taken_from(coarser.part, coarser.displacements[parity]) if coarser else np.zeros_like(load)
     held.clear(first)
 

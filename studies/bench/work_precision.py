@@ -22,6 +22,7 @@ class Settings:
     """How to measure."""
 
     runs: int = 3  #: of each resolution; the median counts
+    slow_s: float = 20.0  #: a run that takes longer is not repeated
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer resolutions are not tried
 
@@ -83,6 +84,8 @@ def measure(
                 failure=run["failure"],
             )  # fmt: skip
         runs.append(run)
+        if sum(run["seconds"].values()) > settings.slow_s:
+            break
     times = [sum(run["seconds"].values()) for run in runs]
     middle = runs[int(np.argsort(times)[(len(times) - 1) // 2])]
     answers = {name: np.array(u) for name, u in middle["probes"].items()}
