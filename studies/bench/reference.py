@@ -1,8 +1,9 @@
 """Converged answers of the benchmark's scenes, stored with how they were made.
 
-``python -m studies.bench.reference [NAME ...]`` solves the named scenes (default: all) anew by graded hexahedra of
-order 4 and more, on two different grids each, and writes `references.json`. The finer answer is the reference; how far
-the other lies from it is its uncertainty.
+``python -m studies.bench.reference [NAME ...]`` solves the named scenes (default: all) anew by NGSolve's graded
+hexahedra of high order, on two different grids each, and writes `references.json`. The finer answer is the reference;
+how far the other lies from it is its uncertainty. Nothing in `fem` solves that way. Stored beside it: how far the
+answer of a second program, kept in `kronecker.json`, lies from it.
 """
 
 import json
@@ -10,7 +11,7 @@ import re
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -19,41 +20,42 @@ from fem.scene import Scene
 from fem.solution import relative_errors
 from geometry.files import replacing
 from geometry.layout import FloatArray
-from studies.bench.hp_solution import Grading, HpSolution, solve_by_hp
+from studies.bench.ngsolve_solution import Grading, NgsolveSolution, solve_by_ngsolve_hexahedra
 from studies.bench.scenes import all_scenes
 
 REFERENCES = Path(__file__).with_name("references.json")
 METHOD = (
-    "Structured hexahedra graded geometrically toward load outlines, edges, base and inclusions; Lagrange functions on "
-    "Gauss-Lobatto points, the volumetric part by one Gauss point less along each axis; stiffness applied as a sum of "
-    "Kronecker products; conjugate gradients preconditioned by fast diagonalisation to a relative residual of 1e-7; "
-    "even and odd parts on a quarter of the body where it is symmetric. Two grids: the finer gives the values, their "
-    "distance the uncertainty."
+    "NGSolve: structured hexahedra graded geometrically toward load outlines, sides, base and inclusions; hierarchical "
+    "functions of high order, fully integrated; what lies inside elements is eliminated; conjugate gradients "
+    "preconditioned by BDDC to a relative residual of 1e-8; even and odd parts on a quarter of the body where it is "
+    "symmetric. Two grids: the finer gives the values, their distance the uncertainty. An entry's `kronecker` says how "
+    "far the answers in kronecker.json lie from it; an entry with a `method` of its own was made by that."
 )
-GRADINGS = {  #: how a scene's name begins → coarser and finer grid; layers below 1e-7 of the body round off
+SECOND = REFERENCES.with_name("kronecker.json")  #: answers of another program, which no longer exists in this form
+GRADINGS = {  #: how a scene's name begins → coarser and finer grid
     "block": (
-        Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=4.0),
-        Grading(order=5, load_layers=4, body_layers=3, ratio=0.25, widest_mm=4.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=6.0),
+        Grading(order=6, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=6.0),
     ),
     "pillar-upright": (
-        Grading(order=5, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
-        Grading(order=6, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
+        Grading(order=6, load_layers=1, body_layers=4, side_layers=4, ratio=0.15, widest_mm=2.5),
+        Grading(order=7, load_layers=1, body_layers=4, side_layers=4, ratio=0.15, widest_mm=2.5),
     ),
     "pillar-oblique": (
-        Grading(order=6, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
-        Grading(order=7, load_layers=2, body_layers=5, ratio=0.2, widest_mm=2.5),
+        Grading(order=6, load_layers=0, body_layers=4, side_layers=4, ratio=0.2, widest_mm=2.5),
+        Grading(order=7, load_layers=0, body_layers=4, side_layers=4, ratio=0.2, widest_mm=2.5),
     ),
     "stiff": (
-        Grading(order=5, load_layers=2, body_layers=3, ratio=0.15, widest_mm=3.5),
-        Grading(order=6, load_layers=2, body_layers=3, ratio=0.15, widest_mm=3.5),
+        Grading(order=4, load_layers=2, body_layers=2, side_layers=1, ratio=0.15, widest_mm=6.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=1, ratio=0.15, widest_mm=6.0),
     ),
     "slab": (
-        Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=5.0),
-        Grading(order=5, load_layers=3, body_layers=4, ratio=0.25, widest_mm=5.0),
+        Grading(order=4, load_layers=2, body_layers=2, side_layers=2, ratio=0.2, widest_mm=7.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=10.0),
     ),
     "response": (
-        Grading(order=4, load_layers=3, body_layers=3, ratio=0.3, widest_mm=5.0),
-        Grading(order=5, load_layers=3, body_layers=4, ratio=0.25, widest_mm=5.0),
+        Grading(order=4, load_layers=2, body_layers=2, side_layers=2, ratio=0.2, widest_mm=7.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=10.0),
     ),
 }
 
@@ -92,27 +94,38 @@ def make_reference(scene: Scene, coarser: Grading, finer: Grading) -> dict[str, 
     """A scene's entry in the file of references."""
     runs, answers = [], []
     for grading in (coarser, finer):
-        start = perf_counter()
-        answer = solve_by_hp(scene, grading)
+        start = process_time()
+        answer = solve_by_ngsolve_hexahedra(scene, grading)
         answers.append(answer)
-        runs.append(_record(grading, answer, perf_counter() - start))
+        runs.append(_record(grading, answer, process_time() - start))
     other, best = answers
-    errors = relative_errors({p: other.probes[p] - u for p, u in best.probes.items()}, best.probes)
     return {
         "probes": {name: [float(f"{x:.9g}") for x in u] for name, u in best.probes.items()},
         "energy_mj": float(f"{best.energy_mj:.9g}"),
-        "uncertainties": {name: float(f"{error:.2g}") for name, error in errors.items()},
+        "uncertainties": distances(other.probes, best.probes),
         "runs": runs,
     }
 
 
-def _record(grading: Grading, answer: HpSolution, seconds: float) -> dict[str, Any]:
+def distances(probes: dict[str, FloatArray], reference: dict[str, FloatArray]) -> dict[str, float]:
+    """Relative distance of each probe from its reference, to two digits."""
+    errors = relative_errors({name: probes[name] - u for name, u in reference.items()}, reference)
+    return {name: float(f"{error:.2g}") for name, error in errors.items()}
+
+
+def second_answer(name: str) -> dict[str, FloatArray]:
+    """The other program's probes of a scene; none where it has not solved it."""
+    stored = json.loads(SECOND.read_text(encoding="utf-8"))["scenes"]
+    return {probe: np.array(u) for probe, u in stored.get(name, {}).items()}
+
+
+def _record(grading: Grading, answer: NgsolveSolution, cpu_seconds: float) -> dict[str, Any]:
     return asdict(grading) | {
         "unknowns": answer.unknowns,
         "solves": answer.solves,
         "iterations": answer.iterations,
         "energy_mj": float(f"{answer.energy_mj:.9g}"),
-        "seconds": round(seconds, 1),
+        "cpu_seconds": round(cpu_seconds, 1),
     }
 
 
@@ -122,12 +135,15 @@ def main(names: list[str]) -> None:
     for name in names or scenes:
         coarser, finer = next(pair for prefix, pair in GRADINGS.items() if name.startswith(prefix))
         entry = make_reference(scenes[name], coarser, finer)
+        if second := second_answer(name):
+            entry["kronecker"] = distances(second, {probe: np.array(u) for probe, u in entry["probes"].items()})
         stored = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"] if REFERENCES.exists() else {}
         stored = {key: value for key, value in (stored | {name: entry}).items() if key in scenes}
         with replacing(REFERENCES) as temporary:
             temporary.write_text(_laid_out({"method": METHOD, "scenes": stored}), encoding="utf-8")
-        first = next(iter(entry["probes"]))
-        print(f"{name}: {first} {entry['probes'][first]}, relative uncertainties {entry['uncertainties']}", flush=True)
+        worst = {key: max(entry.get(key, {}).values(), default=np.nan) for key in ("uncertainties", "kronecker")}
+        print(f"{name}: uncertain by {worst['uncertainties']:g}, {worst['kronecker']:g} from the second program's")
+        print(f"  energies {[run['energy_mj'] for run in entry['runs']]} mJ", flush=True)
 
 
 def _laid_out(values: dict[str, Any]) -> str:
