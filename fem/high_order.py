@@ -43,20 +43,20 @@ class Level(NamedTuple):
     order: int  #: of the functions along each axis
     layers: int  #: of elements on either side of the body's and regions' edges
     at_loads: int  #: of those on either side of the loads' outlines, where the stress is less singular
+    widest: float  #: width of an element far from all edges, relative to the body's height
     fall: float  #: of the error, from the level before; as measured on blocks, slabs, pillars and stiff inclusions
 
 
 LEVELS = (
-    Level(2, 0, 0, 1.0),
-    Level(2, 1, 1, 0.22),
-    Level(3, 2, 1, 0.13),
-    Level(4, 3, 1, 0.17),
-    Level(5, 3, 1, 0.28),
-    Level(6, 4, 2, 0.17),
+    Level(2, 0, 0, 1.6, 1.0),
+    Level(2, 1, 1, 0.8, 0.1),
+    Level(3, 2, 1, 0.8, 0.13),
+    Level(4, 3, 1, 0.8, 0.17),
+    Level(5, 3, 1, 0.8, 0.28),
+    Level(6, 4, 2, 0.8, 0.17),
 )
 SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more slowly than they should
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
-WIDEST = 0.8  #: of an element, relative to the height
 RESIDUAL = 1e-8  #: of conjugate gradients, relative, in the norm of the preconditioner
 ROUNDED = 1e-12  #: of the loads: what is below it cancels but for rounding
 MOST_UNKNOWNS = 1_500_000  #: beyond, a level takes longer than anyone waits for a scene
@@ -220,10 +220,10 @@ def box_part(scene: Scene, plan: Plan, level: Level) -> BoxPart:
         edges += [(load.rectangle[side] - shift, level.at_loads) for load in scene.loads for side in (axis, axis + 2)]
         if axis in mirrored:
             edges = [(middle + abs(place - middle), layers) for place, layers in edges] + [(middle, 0)]
-        lines.append(geometric_line(_most(edges, scene.rounding_mm), RATIO, WIDEST * height, reach))
+        lines.append(geometric_line(_most(edges, scene.rounding_mm), RATIO, level.widest * height, reach))
     levels = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
     upright = [(height, level.at_loads)] + [(z, level.layers) for z in (0.0, *levels)]
-    lines.append(geometric_line(_most(upright, scene.rounding_mm), RATIO, WIDEST * height, reach))
+    lines.append(geometric_line(_most(upright, scene.rounding_mm), RATIO, level.widest * height, reach))
     grid = Grid(x=lines[0], y=lines[1], z=lines[2], lean=(lean[0], lean[1]))
     grid = Grid(x=grid.x, y=grid.y, z=grid.z, lean=grid.lean, region=material_numbers(grid, plan))
     return BoxPart(grid, level.order, plan.mirrors)
@@ -336,7 +336,9 @@ def _estimate(answers: Sequence[dict[str, FloatArray]]) -> float:
         lingering = 1.0
         if len(changes) > 1 and changes[0][name] > 0:
             expected = before * (1 - fall) / (1 - before)  # change after change, if errors fall as they should
-            lingering = max(1.0, change / changes[0][name] / expected)
+            lingering = (
+                max(1.0, change / changes[0][name] / expected) ** 0.5
+            )  # the change before may be small by chance
         left = min(fall * lingering, SLOWEST_FALL)
         worst = max(worst, change * left / (1 - left))
     return worst

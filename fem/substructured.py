@@ -30,7 +30,9 @@ COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth tr
 COARSE_MESH = 2e-2  #: tolerance from which the first stage of meshes is worth trying
 GRID_RATE = 3.0  #: at which condensed grids are extrapolated; 2.3 to 4 was measured
 LEFT = 0.35  #: share of the extrapolation's own step that is left as error, for rates from 2.3 to 4
-PORTS_LEFT = 0.7  #: share of what the highest degree of the ports changed that is left as error
+#: share of what the highest degree of the ports changed that is left as error; of cells taller than wide, times 1.2 height
+#: over pitch, because polynomials up a tall side converge slowly: held against scenes of the whole slab
+PORTS_LEFT = 0.7
 #: weights of attractors of a cell's grid; side and base matter at the rim of the array, where a clamped edge is free
 PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0
 FAR = 0.1  #: of the tolerance: influence below this share of a pad's own is far, and left out
@@ -146,7 +148,8 @@ def _refined_cell(
     else:
         cell, answer = two, array_of(two)
         levels = error_after([coarse, fine], [block_error(array_of(one), answer)])
-    ports = PORTS_LEFT * block_error(array_of(cell.of_degree(degree - 1)), answer)
+    slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
+    ports = PORTS_LEFT * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
     seconds["mesh"] += meshed_one + meshed_two
     seconds["condense"] += condensed - start - meshed_one - meshed_two
     seconds["couple"] += perf_counter() - condensed

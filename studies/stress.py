@@ -35,9 +35,10 @@ from fem.substructured import PADS, condensed_cell, lone_unit
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import TriPillarError
 from geometry.files import replacing
-from geometry.layout import FloatArray, pad_squares
+from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh
 from geometry.quality import quality
+from studies.bench.scenes import response_scenes
 from studies.report import show
 
 YOUNG_MPA = 6.1
@@ -50,7 +51,6 @@ ROUNDED = 1e-9  #: the same, amplified by the system's condition
 END = 0.2  #: share of width over length by which a pillar's clamped end may stiffen it
 PATCH_TEST = 1e-8  #: of linear fields, which quadratic elements hold exactly
 SPREAD = 3e-3  #: of a probe over meshes of the same body
-SECOND_LEVEL = 3  #: of the grids of a tight tolerance: the least that an answer comes from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,30 +364,25 @@ def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
 
 
 def array_of(pitch_mm: float, height_mm: float, element: HexElement) -> Outcome:
-    """Every block of an array's response, relative to the loaded unit's own, against finer cells."""
+    """Columns of an array's response by cells against the slab as one scene, relative to the loaded unit's own block."""
     design = small_array(pitch_mm, height_mm)
-    settings = ResponseSettings(tolerance=ARRAY_TOLERANCE, element=element)
-    found = solve_response(design, settings)
-    finer = solve_response(design, ResponseSettings(tolerance=min(ARRAY_TOLERANCE, found.error_estimate)))
-    require_other(found.unknowns, finer.unknowns)
-    error = own_error(found.influence_mm_per_n, finer.influence_mm_per_n)
-    own = np.einsum("ijeaijb->ijeab", found.influence_mm_per_n)
-    if not (np.einsum("ijeaa->ijae", own).mean(axis=3) > 0).all():
-        error = np.inf  # a pad that is pushed must give way
+    found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE, element=element))
+    scenes = response_scenes(design)
+    columns, slack = [], 0.0
+    for axis in AXES:
+        column, _ = solve_scene(replace(scenes[f"response-inner-{axis}"], tolerance=ARRAY_TOLERANCE))
+        columns.append(np.stack(list(column.probes.values())).ravel())  # electrodes of a unit follow each other
+        slack = max(slack, column.error_estimate)
+    expected = np.stack(columns, axis=-1).reshape(2, 2, -1, 3)
+    influence = found.influence_mm_per_n.reshape(2, 2, -1, 2, 2, 3)[:, :, :, 1, 1]
+    error = np.linalg.norm(influence - expected, axis=(2, 3)).max() / np.linalg.norm(expected[1, 1])
     return Outcome(
         residual=found.residual,
-        error=error,
-        allowed=max(ARRAY_TOLERANCE, found.error_estimate) + finer.error_estimate,
-        against="finer cells",
+        error=float(error),
+        allowed=max(ARRAY_TOLERANCE, found.error_estimate) + slack,
+        against="one scene, element Qp",
         short_of=ARRAY_TOLERANCE if found.error_estimate > ARRAY_TOLERANCE else None,
     )
-
-
-def own_error(influence: FloatArray, reference: FloatArray) -> float:
-    """Largest difference of any unit's block, relative to the loaded unit's own; both (r, c, 2, 3, r, c, 3)."""
-    difference = np.linalg.norm(influence - reference, axis=(2, 3, 6))
-    own = np.linalg.norm(np.einsum("ijeaijb->ijeab", reference), axis=(2, 3, 4))
-    return float((difference / own).max())
 
 
 def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
