@@ -30,8 +30,8 @@ COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth tr
 COARSE_MESH = 2e-2  #: tolerance from which the first stage of meshes is worth trying
 GRID_RATE = 3.0  #: at which condensed grids are extrapolated; 2.3 to 4 was measured
 LEFT = 0.35  #: share of the extrapolation's own step that is left as error, for rates from 2.3 to 4
-#: share of what the highest degree of the ports changed that is left as error; of cells taller than wide, times 1.2 height
-#: over pitch, because polynomials up a tall side converge slowly: held against scenes of the whole slab
+#: share of what the highest degree of the ports changed that is left as error; times 1.2 height over pitch where that
+#: is more than 1, because polynomials up a tall side converge slowly: held against scenes of the whole slab
 PORTS_LEFT = 0.7
 #: weights of attractors of a cell's grid; side and base matter at the rim of the array, where a clamped edge is free
 PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0

@@ -364,7 +364,7 @@ def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
 
 
 def array_of(pitch_mm: float, height_mm: float, element: HexElement) -> Outcome:
-    """Columns of an array's response by cells against the slab as one scene, relative to the loaded unit's own block."""
+    """Columns of an array's response by cells against the slab as one scene, over the loaded unit's own block."""
     design = small_array(pitch_mm, height_mm)
     found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE, element=element))
     scenes = response_scenes(design)

@@ -22,7 +22,7 @@ class Settings:
     """How to measure."""
 
     runs: int = 3  #: of each resolution; the median counts
-    slow_s: float = 20.0  #: a run that takes longer is not repeated
+    slow_s: float = 5.0  #: a run that takes longer is not repeated
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer resolutions are not tried
 
