@@ -57,7 +57,7 @@ LEVELS = (
 )
 SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more slowly than they should
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
-RESIDUAL = 1e-8  #: of conjugate gradients, relative, in the norm of the preconditioner
+RESIDUAL = 1e-5  #: of conjugate gradients, over the tolerance; relative, in the norm of the preconditioner
 ROUNDED = 1e-12  #: of the loads: what is below it cancels but for rounding
 MOST_UNKNOWNS = 1_500_000  #: beyond, a level takes longer than anyone waits for a scene
 
@@ -297,7 +297,7 @@ def _of_parity(
         return result
 
     precondition = FastDiagonal(part.lines, part.order, C, held)
-    u, iterations, residual = conjugate_gradients(apply, precondition, load, first, RESIDUAL)
+    u, iterations, residual = conjugate_gradients(apply, precondition, load, first, RESIDUAL * scene.tolerance)
     return Answer(
         part=part,
         displacements={parity: u},

@@ -121,7 +121,7 @@ def make_plan(
     mirrors: tuple[Mirror, ...] = ()
     decisions = [*one_material, mesh]
     if method == "grid":
-        mirrors, symmetry = _symmetry(scene, regions, keeps)
+        mirrors, symmetry = _symmetry(scene, regions, keeps, solver)
         decisions.append(symmetry)
     chosen, why = _element(scene, regions, method, element, solver)
     if method != "nothing":
@@ -219,10 +219,12 @@ def _element(
 
 
 def _symmetry(
-    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str]
+    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], solver: str | None
 ) -> tuple[tuple[Mirror, ...], Decision]:
     if "symmetry" in keeps:
         return (), Decision(name="symmetry", choice="unused", reason="it was switched off")
+    if solver == "multigrid":
+        return (), Decision(name="symmetry", choice="unused", reason="multigrid takes nodes whole, free or held")
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")

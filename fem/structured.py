@@ -211,7 +211,8 @@ def _answer(
             forces += share * (rectangle_rows(basis, load.rectangle, plan.mirrors, parity).T @ newtons[:, None])
         rhs = body.loads(forces)
         spent("assemble")
-        modes = None if solver_plan(rhs.shape[0], definite=True).fits else free_modes(body)
+        iterative = plan.solver == "multigrid" or not solver_plan(rhs.shape[0], definite=True).fits
+        modes = free_modes(body) if iterative and not plan.mirrors else None  # mirrors hold single components
         factor = factorized(body.matrix, plan.solver, definite=True, modes=modes)
         spent("factor")
         solution, misfit = checked_solve(body.matrix, factor, rhs)

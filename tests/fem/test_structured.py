@@ -188,6 +188,12 @@ def test_nearly_incompressible_blocks_are_met_as_well():
     assert largest_error(loose.probes, tight.probes) < 1e-2
 
 
+def test_every_solver_gives_the_same_answer():
+    scene = pressed(tolerance=0.1)
+    direct, iterative = (solve_scene(scene, solver=name)[0] for name in ("superlu", "multigrid"))
+    assert np.allclose(direct.probes["patch"], iterative.probes["patch"], rtol=1e-7)
+
+
 def test_a_clean_rate_is_recognised():
     exact = [3 * level**-3.5 for level in (2, 3, 5)]
     changes = [exact[0] - exact[1], exact[1] - exact[2]]

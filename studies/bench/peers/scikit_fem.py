@@ -56,7 +56,7 @@ def solve_stock(scene: Scene, n: float, element: type[Element]) -> Answer:
         area = probe.size_mm[0] * probe.size_mm[1]
         probes[probe.name] = np.array([on(probe.rectangle, a) @ u / area for a in range(3)])
     done("solve")
-    return Answer(probes, basis.N, done.seconds)
+    return Answer(probes, int(basis.N), done.seconds)
 
 
 CONTENDERS = [
