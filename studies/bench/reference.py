@@ -51,11 +51,11 @@ GRADINGS = {  #: how a scene's name begins → coarser and finer grid
     ),
     "slab": (
         Grading(order=4, load_layers=2, body_layers=2, side_layers=2, ratio=0.2, widest_mm=7.0),
-        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=10.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=20.0),
     ),
     "response": (
         Grading(order=4, load_layers=2, body_layers=2, side_layers=2, ratio=0.2, widest_mm=7.0),
-        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=10.0),
+        Grading(order=5, load_layers=2, body_layers=2, side_layers=2, ratio=0.15, widest_mm=20.0),
     ),
 }
 
