@@ -55,6 +55,7 @@ LEVELS = (
     Level(5, 3, 1, 0.8, 0.28),
     Level(6, 4, 2, 0.8, 0.17),
 )
+BY_CHANCE = 2.0  #: how much more slowly than expected changes may shrink before the estimate heeds it
 SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more slowly than they should
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
 RESIDUAL = 1e-5  #: of conjugate gradients, over the tolerance; relative, in the norm of the preconditioner
@@ -336,9 +337,7 @@ def _estimate(answers: Sequence[dict[str, FloatArray]]) -> float:
         lingering = 1.0
         if len(changes) > 1 and changes[0][name] > 0:
             expected = before * (1 - fall) / (1 - before)  # change after change, if errors fall as they should
-            lingering = (
-                max(1.0, change / changes[0][name] / expected) ** 0.5
-            )  # the change before may be small by chance
+            lingering = max(1.0, change / changes[0][name] / expected / BY_CHANCE)
         left = min(fall * lingering, SLOWEST_FALL)
         worst = max(worst, change * left / (1 - left))
     return worst
