@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
-from fem.scene import Block, Inclusion, Load, Probe, Scene
+import numpy as np
+import pytest
+
+from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
 from geometry.design import Material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
@@ -94,3 +97,24 @@ def pressed_block(
         ),
         tolerance=tolerance,
     )
+
+
+def slender_oblique_pillar() -> Scene:
+    """A 30:1 cantilever of section 1 × 1 mm across its axis, at 45° to its clamped base, pressed at its tip."""
+    root = 1 / np.sqrt(2.0)
+    pillar = Pillar(section_mm=(1 / root, 1.0), base_mm=(30 * root, 0.0, 0.0), top_mm=(0.0, 0.0, 30 * root))
+    return Scene(
+        body=pillar,
+        material=Material(young_mpa=6.1, poisson=0.3),
+        loads=(Load(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
+        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=pillar.section_mm),),
+    )
+
+
+def assert_follows_bernoulli(u):
+    """The tip of that pillar moves across its axis by F L³ / 3EI."""
+    root = 1 / np.sqrt(2.0)
+    across = np.array([-root, 0.0, -root])
+    bending = 1e-3 / root * root * 30**3 / (3 * 6.1 / 12)
+    assert u @ across == pytest.approx(bending, rel=0.05)  # half the width over the length counts three times
+    assert abs(u @ [root, 0.0, -root]) < 0.01 * bending

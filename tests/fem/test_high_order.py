@@ -8,10 +8,11 @@ import pytest
 from fem.factors import SolverError
 from fem.high_order import LEVELS, box_part
 from fem.plan import make_plan
-from fem.scene import Block, Load, Pillar, Probe, Scene
+from fem.scene import Block, Load, Probe, Scene
 from fem.solution import largest_error
 from fem.solve import solve_scene
 from geometry.design import Material
+from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
 
 def test_flat_block_under_pressure_nears_confined_compression():
@@ -34,20 +35,7 @@ def test_flat_block_under_pressure_nears_confined_compression():
 
 
 def test_slender_oblique_pillar_follows_bernoulli():
-    """The tip of a 30:1 cantilever moves across its axis by F L³ / 3EI; it is clamped on a slant."""
-    root = 1 / np.sqrt(2.0)
-    pillar = Pillar(section_mm=(1 / root, 1.0), base_mm=(30 * root, 0.0, 0.0), top_mm=(0.0, 0.0, 30 * root))
-    scene = Scene(
-        body=pillar,
-        material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(Load(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
-        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=pillar.section_mm),),
-    )
-    u = solve_scene(scene)[0].probes["top"]
-    across = np.array([-root, 0.0, -root])
-    bending = 1e-3 / root * root * 30**3 / (3 * 6.1 / 12)
-    assert u @ across == pytest.approx(bending, rel=0.05)  # half the width over the length counts three times
-    assert abs(u @ [root, 0.0, -root]) < 0.01 * bending
+    assert_follows_bernoulli(solve_scene(slender_oblique_pillar())[0].probes["top"])
 
 
 def test_levels_close_in_and_the_estimate_follows():

@@ -18,6 +18,7 @@ from studies.bench.reference import (
     second_answer,
 )
 from studies.bench.scenes import all_scenes
+from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
 LIMP = Material(young_mpa=6.1, poisson=0.0)
@@ -84,20 +85,7 @@ def test_work_of_the_load_is_twice_the_energy():
 
 
 def test_slender_oblique_pillar_follows_bernoulli():
-    """The tip of a 30:1 cantilever moves across its axis by F L³ / 3EI; it is clamped on a slant."""
-    root = 1 / np.sqrt(2.0)
-    pillar = Pillar(section_mm=(1 / root, 1.0), base_mm=(30 * root, 0.0, 0.0), top_mm=(0.0, 0.0, 30 * root))
-    scene = Scene(
-        body=pillar,
-        material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(Load(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
-        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=pillar.section_mm),),
-    )
-    u = solved(scene, replace(COARSE, order=4, widest_mm=8.0)).probes["top"]
-    across = np.array([-root, 0.0, -root])
-    bending = 1e-3 / root * root * 30**3 / (3 * 6.1 / 12)
-    assert u @ across == pytest.approx(bending, rel=0.05)  # half the width over the length counts three times
-    assert abs(u @ [root, 0.0, -root]) < 0.01 * bending
+    assert_follows_bernoulli(solved(slender_oblique_pillar(), replace(COARSE, order=4, widest_mm=8.0)).probes["top"])
 
 
 def test_what_is_not_covered_is_refused():
