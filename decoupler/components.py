@@ -4,10 +4,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decoupler.errors import SampleError
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
+
+
+DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ever sees it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,21 +47,35 @@ def component_named(name: str) -> Component:
     return COMPONENTS[name]
 
 
-def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArray:
+def pillar_columns(
+    resistance_ohm: FloatArray, component: Component, dead: NDArray[np.bool_] | None = None
+) -> FloatArray:
     """The resistances a component takes, (n, rows, cols, 3) -> (n, rows·cols·n_pillars) [Ω].
+
+    Parameters
+    ----------
+    resistance_ohm : array, shape (n_samples, rows, cols, 3)
+    component : Component
+        Pillars that it does not take are not looked at.
+    dead : array, shape (rows, cols, 3), optional
+        Pillars that cannot be read: neither are these, and `DEAD_OHM` is put in their place.
 
     Raises
     ------
     SampleError
-        If the shape is another, or one of the component's resistances is not finite or not above 0. Pillars
-        that the component does not take are not looked at.
+        If the shape is another, or one of the component's resistances is not finite or not above 0.
     """
     if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
         raise SampleError(
             f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, 3): "
             f"samples first, pillars {', '.join(PILLARS)} last."
         )
-    taken = resistance_ohm[..., [PILLARS.index(pillar) for pillar in component.pillars]]
+    pillars = [PILLARS.index(pillar) for pillar in component.pillars]
+    taken = resistance_ohm[..., pillars]
+    if dead is not None:
+        if dead.shape != resistance_ohm.shape[1:]:
+            raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
+        taken = np.where(dead[..., pillars], DEAD_OHM, taken)
     sound = np.isfinite(taken) & (taken > 0)
     if not sound.all():
         sample, row, col, pillar = np.argwhere(~sound)[0]
@@ -67,6 +85,13 @@ def pillar_columns(resistance_ohm: FloatArray, component: Component) -> FloatArr
             "leave that sample out or mend the pillar."
         )
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
+
+
+def readable_columns(component: Component, dead: NDArray[np.bool_] | None, n_columns: int) -> NDArray[np.bool_]:
+    """Which of the columns that `pillar_columns` gives can be read, shape (n_columns,)."""
+    if dead is None:
+        return np.ones(n_columns, dtype=bool)
+    return ~dead[..., [PILLARS.index(pillar) for pillar in component.pillars]].reshape(-1)
 
 
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:

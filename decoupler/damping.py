@@ -1,5 +1,6 @@
 """The damped iteration that Levenberg-Marquardt and variable projection share; damping after Nielsen."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -9,7 +10,7 @@ from torch import Tensor
 from decoupler.settings import TrainingConfig
 
 Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
-Reason = Literal["goal", "iterations", "stagnation"]  #: why a training stopped
+Reason = Literal["goal", "iterations", "stagnation", "validation"]  #: why a training stopped
 
 FIRST_DAMPING = 1e-3  #: of the largest diagonal entry of JᵀJ
 LARGEST_DAMPING = 1e12  #: in the same unit; no step is found by damping more
@@ -65,10 +66,34 @@ class Stop:
         return None
 
 
+class Best:
+    """Keeps the point that a judge likes best, where there is one; otherwise the last."""
+
+    def __init__(self, judge: Callable[[Point], float] | None, patience: int) -> None:
+        self.judge, self.patience = judge, patience
+        self.error, self.waited = math.inf, 0
+        self.point: Point | None = None
+
+    def sees(self, point: Point) -> bool:
+        """Take a point in; False once the judge has liked none better for `patience` points."""
+        error = 0.0 if self.judge is None else self.judge(point)
+        self.waited = 0 if self.judge is None or error < self.error else self.waited + 1
+        if not self.waited:
+            self.point, self.error = point, error
+        return self.waited < self.patience
+
+
 def minimise(
-    start: Point, linearise: Callable[[Point], Model], config: TrainingConfig, progress: Progress
+    start: Point,
+    linearise: Callable[[Point], Model],
+    config: TrainingConfig,
+    progress: Progress,
+    judge: Callable[[Point], float] | None = None,
 ) -> tuple[Point, Outcome]:
     """Follow damped Gauss-Newton steps downhill from `start`.
+
+    With a `judge`, the error on samples that the cost does not see, the point it likes best is the result, and the
+    descent ends when it has liked none better for half of the patience.
 
     Notes
     -----
@@ -78,12 +103,19 @@ def minimise(
     matrix, and is no iteration.
     """
     point, stop, iteration = start, Stop(config), 0
+    best = Best(judge, max(1, config.patience // 2))
     damping, growth = 0.0, 2.0
+
+    def ended(reason: Reason) -> tuple[Point, Outcome]:
+        assert best.point is not None
+        return best.point, Outcome(iteration, best.point.mse, reason)
+
     while True:
         progress(iteration, point.mse)
-        reason = stop.reason(point.mse)
+        liked = best.sees(point)
+        reason = stop.reason(point.mse) or (None if liked else "validation")
         if reason is not None:
-            return point, Outcome(iteration, point.mse, reason)
+            return ended(reason)
         model = linearise(point)
         damping = damping or FIRST_DAMPING * model.scale
         while True:
@@ -92,7 +124,7 @@ def minimise(
                 break
             damping, growth = damping * growth, growth * 2.0
             if damping > LARGEST_DAMPING * model.scale:
-                return point, Outcome(iteration, point.mse, "stagnation")
+                return ended("stagnation")
         rho = (point.cost - trial[0].cost) / trial[1]
         damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * rho - 1.0) ** 3), 2.0
         point, iteration = trial[0], iteration + 1

@@ -1,21 +1,25 @@
 """A trained network with its scaling: ohms in, newtons out. In numpy: a live sensor loads no torch."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from decoupler.calibration import Calibration
 from decoupler.components import Component, pillar_columns
 from decoupler.errors import SampleError
+from decoupler.model_inverse import ModelInverse
+from decoupler.rowwise import in_blocks, rowwise
 from decoupler.scaling import Scaling
-from decoupler.settings import Feature, NetworkConfig
+from decoupler.settings import NetworkConfig
+from decoupler.uncertainty import Uncertainty
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 
-def features(columns_ohm: FloatArray, feature: Feature) -> FloatArray:
-    """What a network sees of the resistances: R itself, or √R, which is proportional to a pillar's length."""
-    return np.sqrt(columns_ohm) if feature == "root" else columns_ohm
+CHUNK = 256  #: samples whose arrays fit the processor's cache together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +35,10 @@ class Decoupler:
     hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
     output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
     design: SensorDesign | None  #: of the training data; None if they did not say
+    inverse: ModelInverse | None = None  #: of the known response; with the feature `inverse`
+    calibration: Calibration | None = None  #: of this very sensor; None for one as designed
+    dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
+    uncertainty: Uncertainty | None = None  #: of its forces
     made_from: dict[str, Any] = field(default_factory=dict)  #: recipe, data hash, seed, trainer, how it ended
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -39,8 +47,8 @@ class Decoupler:
         Parameters
         ----------
         resistance_ohm : array, shape (n_samples, rows, cols, 3)
-            Resistance of the z, x and y pillars [Ω]; pillars that the component does not take may hold
-            anything.
+            Resistance of the z, x and y pillars [Ω]; pillars that the component does not take, and dead ones, may
+            hold anything.
 
         Returns
         -------
@@ -54,26 +62,84 @@ class Decoupler:
 
         Notes
         -----
-        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. Each
-        sample is multiplied on its own, so that it gives the same bits alone and in any batch.
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. A sample gives the
+        same bits alone and in any batch.
         """
+        columns = self.columns(resistance_ohm)
+        n = len(columns)
+        outputs = np.empty((n, len(self.output_weights)))
+
+        def fill(start: int) -> None:
+            chunk = columns[start : start + CHUNK]
+            outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
+
+        if n <= CHUNK:
+            fill(0)
+        else:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                list(pool.map(fill, range(0, n, CHUNK)))
+        return outputs.reshape(n, self.rows, self.cols, len(self.component.axes))
+
+    def deviations(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
+
+        Raises
+        ------
+        SampleError
+            As `forces` does, and if the model was written without its uncertainty.
+        """
+        if self.uncertainty is None:
+            raise SampleError("this model knows no uncertainty: train it again.")
+        shape = (-1, self.rows, self.cols, len(self.component.axes))
+        one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
+        return one.reshape(shape), two.reshape(shape)
+
+    def columns(self, resistance_ohm: FloatArray) -> FloatArray:
+        """The resistances that the network takes, (n, rows, cols, 3) -> (n, n_in) [Ω]; refuses what `forces` does."""
         resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component)
+        columns = pillar_columns(resistance_ohm, self.component, self.dead)
         if resistance_ohm.shape[1:3] != (self.rows, self.cols):
             given = " × ".join(map(str, resistance_ohm.shape[1:3]))
             raise SampleError(
                 f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
                 "train a model on data of this sensor."
             )
-        scaled = self.input_scaling.scale(features(columns, self.network.feature))
-        X = np.concatenate([scaled, np.ones((len(scaled), 1))], axis=1)  # (n_samples, n_in + 1)
-        hidden = np.tanh(_each(self.hidden_weights, X))  # (n_samples, n_hidden)
-        linear = X if self.network.net == "skip" else X[:, -1:]
-        outputs = _each(self.output_weights, np.concatenate([hidden, linear], axis=1))
-        n_axes = len(self.component.axes)
-        return self.output_scaling.unscale(outputs).reshape(-1, self.rows, self.cols, n_axes)
+        return columns
 
+    def outputs(self, columns_ohm: FloatArray) -> FloatArray:
+        """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
+        return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
 
-def _each(weights: FloatArray, samples: FloatArray) -> FloatArray:
-    """weights @ sample for each sample by itself; one product of all would round by the size of the batch."""
-    return np.matmul(weights[None], samples[:, :, None])[:, :, 0]
+    def activations(self, columns_ohm: FloatArray) -> FloatArray:
+        """What the output layer sees of resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
+        inputs = self.inputs(columns_ohm)
+        X = np.ones((len(inputs), inputs.shape[1] + 1))
+        X[:, :-1] = inputs
+        hidden = np.tanh(rowwise(X, self.hidden_weights.T))
+        return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
+
+    def inputs(self, columns_ohm: FloatArray) -> FloatArray:
+        """What the hidden layer sees of resistances, each (n, n_in): the feature, scaled."""
+        if self.calibration is not None:
+            columns_ohm = self.calibration.modelled(columns_ohm)
+        if self.inverse is not None:
+            return self.input_scaling.scale(self.inverse.forces(columns_ohm))
+        return self.input_scaling.scale(np.sqrt(columns_ohm) if self.network.feature == "root" else columns_ohm)
+
+    def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
+        """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""
+        modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
+        if self.inverse is not None:
+            by_ohm = self.inverse.derivatives(modelled)  # (n, n_forces, n_in)
+        else:
+            slope = 0.5 / np.sqrt(modelled) if self.network.feature == "root" else np.ones_like(modelled)
+            by_ohm = slope[:, None, :] * np.eye(slope.shape[1])
+        if self.calibration is not None:
+            by_ohm = by_ohm / self.calibration.gain
+        by_ohm = self.input_scaling.scale_differences(by_ohm.swapaxes(1, 2)).swapaxes(1, 2)
+        n_hidden, n_in = self.network.hidden, by_ohm.shape[1]
+        s = 1.0 - self.activations(columns_ohm)[:, :n_hidden] ** 2
+        network = (self.output_weights[:, :n_hidden] * s[:, None, :]) @ self.hidden_weights[:, :-1]
+        if self.network.net == "skip":
+            network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
+        return self.output_scaling.half_range[:, None] * (network @ by_ohm)

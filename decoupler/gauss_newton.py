@@ -4,7 +4,7 @@ The network is Y = A W₂ᵀ with A = [tanh(X W₁ᵀ), X] (skip) or [tanh(X W�
 are the inputs and a 1. Its Jacobian has samples·outputs rows and is never formed.
 """
 
-from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -25,7 +25,15 @@ class Samples:
         self.X = torch.cat([inputs, torch.ones_like(inputs[:, :1])], dim=1)  # (n_samples, n_in+1)
         self.targets = targets
         self.linear = self.X if skip else self.X[:, -1:]  # what A holds beside the hidden nodes
-        self.products = _pair_products(self.X.T)  # (pairs of columns of X, n_samples)
+
+    def __getitem__(self, part: slice) -> "Samples":
+        """Some of the samples."""
+        return Samples(self.X[part, :-1], self.targets[part], self.linear is self.X)
+
+    @cached_property
+    def products(self) -> Tensor:
+        """Products of pairs of columns of X, (n_in+1)(n_in+2)/2 × n_samples."""
+        return _pair_products(self.X.T)
 
     def activations(self, hidden: Tensor) -> Tensor:
         """A, shape (n_samples, n_hidden + n_linear), for hidden weights of shape (n_hidden, n_in+1)."""
@@ -44,14 +52,6 @@ def _pair_index(n: int) -> Tensor:
     index = torch.empty(n, n, dtype=torch.long)
     index[i, j] = index[j, i] = torch.arange(len(i))
     return index.reshape(-1)
-
-
-@dataclass(frozen=True)
-class Eliminated:
-    """The output layer solved for in terms of the hidden one: what is left to factor for a step."""
-
-    M_factor: Tensor  #: Cholesky factor of M = AᵀA + damping, (n_hidden + n_linear) squared
-    reduced: Tensor  #: K ∘ (ZᵀZ − C M⁻¹ Cᵀ), (n_hidden·(n_in+1)) squared
 
 
 class GaussNewton:
@@ -91,37 +91,24 @@ class GaussNewton:
         hidden = self.ZtZ.diagonal() * self.K.diagonal().repeat_interleave(p)
         return max(hidden.max().item(), self.AtA.diagonal().max().item())
 
-    def eliminate(self, damping: float) -> Eliminated | None:
-        """Solve for the output layer with `damping` on its diagonal; None if M is singular to rounding."""
-        M = self.AtA.clone()
-        M.diagonal().add_(damping)
-        factor, info = torch.linalg.cholesky_ex(M)
-        if info.item():
-            return None
-        G = torch.linalg.solve_triangular(factor, self.C.T, upper=False)  # C M⁻¹ Cᵀ = GᵀG
-        (h, p) = self.gradient_hidden.shape
-        left = torch.addmm(self.ZtZ, G.T, G, alpha=-1.0).view(h, p, h, p)
-        return Eliminated(factor, (left * self.K[:, None, :, None]).view(h * p, h * p))
-
-    def hidden_step(self, eliminated: Eliminated, damping: float, gradient: Tensor) -> Tensor | None:
-        """Solve (reduced + damping·I) d = −gradient, each (n_hidden, n_in+1); None if singular."""
-        S = eliminated.reduced.clone()
-        S.diagonal().add_(damping)
-        factor, info = torch.linalg.cholesky_ex(S)
-        if info.item():
-            return None
-        return -torch.cholesky_solve(gradient.reshape(-1, 1), factor).view_as(gradient)
-
     def step(self, damping: float) -> tuple[Tensor, Tensor] | None:
         """Damped step (JᵀJ + damping·I) d = −Jᵀr as (hidden, output); None if singular to rounding."""
-        eliminated = self.eliminate(damping)
-        if eliminated is None:
+        h, p = self.gradient_hidden.shape
+        M = self.AtA.clone()
+        M.diagonal().add_(damping)
+        M_factor, info = torch.linalg.cholesky_ex(M)
+        if info.item():
             return None
-        C = self.C.view(*self.gradient_hidden.shape, -1)  # (h, p, n_hidden + n_linear)
-        solved = torch.cholesky_solve(self.gradient_output.T, eliminated.M_factor)
-        gradient = self.gradient_hidden - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
-        hidden = self.hidden_step(eliminated, damping, gradient)
-        if hidden is None:
+        G = torch.linalg.solve_triangular(M_factor, self.C.T, upper=False)  # C M⁻¹ Cᵀ = GᵀG
+        S = torch.addmm(self.ZtZ, G.T, G, alpha=-1.0).view(h, p, h, p) * self.K[:, None, :, None]
+        S = S.view(h * p, h * p)
+        S.diagonal().add_(damping)
+        S_factor, info = torch.linalg.cholesky_ex(S)
+        if info.item():
             return None
+        C = self.C.view(h, p, -1)  # (h, p, n_hidden + n_linear)
+        solved = torch.cholesky_solve(self.gradient_output.T, M_factor)
+        reduced = self.gradient_hidden - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
+        hidden = -torch.cholesky_solve(reduced.reshape(-1, 1), S_factor).view(h, p)
         coupled = torch.einsum("jaq,ja->qj", C, hidden) @ self.W2.T
-        return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, eliminated.M_factor).T
+        return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, M_factor).T

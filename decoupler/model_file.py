@@ -14,20 +14,28 @@ from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
+from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 
 FORMAT = "tripillar-model-1"
-METHOD = 1  #: raise when the same settings train other weights, so that old models are not reused
+METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"
 
 
-def model_recipe(data_hash: str, component: str, network: NetworkConfig, training: TrainingConfig) -> str:
+def model_recipe(
+    data_hash: str,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    response: ArrayResponse | None = None,
+) -> str:
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
-    return digest(FORMAT, METHOD, data_hash, component, network, training)
+    known = response.content_hash if response is not None and network.feature == "inverse" else ""
+    return digest(FORMAT, METHOD, data_hash, component, network, training, known)
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:

@@ -33,8 +33,11 @@ class Scaling:
         return cls((low + high) / 2.0, np.where(constant, 0.0, half_range))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        distance = values - self.centre
-        return np.divide(distance, self.half_range, out=np.zeros_like(distance), where=self.half_range > 0)
+        return self.scale_differences(values - self.centre)
+
+    def scale_differences(self, differences: FloatArray) -> FloatArray:
+        """Differences of values as differences of scaled values; columns last."""
+        return np.divide(differences, self.half_range, out=np.zeros_like(differences), where=self.half_range > 0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:
         return scaled * self.half_range + self.centre

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from geometry.errors import DesignError
 
 Net = Literal["plain", "skip"]
-Feature = Literal["resistance", "root"]
+Feature = Literal["resistance", "root", "inverse"]
 MOST_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then takes 11 GB
 Trainer = Literal["varpro", "lm", "momentum"]
 
@@ -37,7 +37,7 @@ class NetworkConfig:
 
     hidden: int = 17  #: hidden nodes; the paper's best (its eq. 16 gives 10 to 19)
     net: Net = "skip"  #: "plain" is the paper's; "skip" adds a linear map of the inputs
-    feature: Feature = "root"  #: inputs R or √R; a pillar's length is proportional to √R
+    feature: Feature = "root"  #: inputs R, √R (proportional to a pillar's length), or the response's own inverse
 
     def __post_init__(self) -> None:
         _require_whole("hidden", self.hidden, 1)
@@ -56,6 +56,7 @@ class TrainingConfig:
     max_iterations: int = 0  #: stop at the latest then; 0: the trainer's own
     patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
     least_gain: float = 0.02  #: share of the error; 0 never gives up
+    held_out: float = 0.1  #: share of samples that only judge the hidden layer; variable projection only
     seed: int = 0  #: of the random start
     learning_rate: float = 1.0  #: α of eq. 15, momentum rule only
     momentum: float = 0.5  #: η of eq. 15, momentum rule only
@@ -70,6 +71,8 @@ class TrainingConfig:
             raise DesignError(f"goal_mse={self.goal_mse:g} must be 0 or above; the paper uses 1e-5.")
         if not 0 <= self.least_gain < 1:
             raise DesignError(f"least_gain={self.least_gain:g} must be from 0 to below 1; 0 never gives up.")
+        if not 0 <= self.held_out <= 0.5:
+            raise DesignError(f"held_out={self.held_out:g} must be from 0 to 0.5; 0.1 is usual.")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
             raise DesignError(f"learning_rate={self.learning_rate:g} must be above 0.")
         if not 0 <= self.momentum < 1:

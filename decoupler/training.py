@@ -3,23 +3,30 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
+import numpy as np
 import torch
 
 from dataset import LabelledData
-from decoupler.components import component_named, force_columns, pillar_columns
+from decoupler.calibration import Calibration
+from decoupler.components import Component, component_named, force_columns, pillar_columns, readable_columns
 from decoupler.damping import Outcome, Point, Progress, Stop
-from decoupler.decoupler import Decoupler, features
+from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError, TrainingError
 from decoupler.gauss_newton import Samples
 from decoupler.levenberg_marquardt import train_lm
 from decoupler.model_file import model_recipe
+from decoupler.model_inverse import ModelInverse, explaining
 from decoupler.momentum import Momentum
 from decoupler.network import Network
+from decoupler.ridge import best_ridge
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
-from decoupler.varpro import train_varpro
+from decoupler.uncertainty import Uncertainty
+from decoupler.varpro import RIDGE, train_varpro
+from fem.response import ArrayResponse
+from geometry.layout import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +49,7 @@ def train(
     network: NetworkConfig,
     training: TrainingConfig,
     progress: Progress = _silent,
+    response: ArrayResponse | None = None,
 ) -> tuple[Decoupler, History]:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
@@ -54,38 +62,48 @@ def train(
     network, training : NetworkConfig, TrainingConfig
     progress : callable
         Called as progress(iteration, mse) once an iteration.
+    response : ArrayResponse, optional
+        Of the sensor; the feature `inverse` needs it, the others do not heed it.
 
     Raises
     ------
     SampleError
-        If there are too few samples, or a resistance or force is no number.
+        If there are too few samples, a resistance or force is no number, or the response that the feature needs is
+        missing or does not explain the samples.
     TrainingError
         If the momentum rule's learning rate makes the error grow without bound.
+
+    Notes
+    -----
+    With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
+    forces less those of the response's inverse, which are added back to the linear weights at the end.
     """
     started = time.perf_counter()
     parts = component_named(component)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2.")
-    inputs = features(pillar_columns(data.resistance_ohm, parts), network.feature)
-    targets = force_columns(data.force_n, parts)
-    input_scaling, output_scaling = Scaling.fitted(inputs), Scaling.fitted(targets)
-    x = torch.from_numpy(input_scaling.scale(inputs))
-    t = torch.from_numpy(output_scaling.scale(targets))
-    model = Network(network, x.shape[1], t.shape[1], training.seed)
+    columns = pillar_columns(data.resistance_ohm, parts, data.dead)
+    forces = force_columns(data.force_n, parts)
+    untrained = _untrained(data, parts, network, columns, forces, response)
+    inputs = untrained.inputs(columns)
+    targets = untrained.output_scaling.scale(forces)
+    known = network.feature == "inverse" and network.net == "skip"
+    if known:
+        targets = targets - inputs
+    samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
+    model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     with _one_torch_thread():
-        point, outcome = _TRAINERS[training.trainer](model, x, t, training, progress)
-    decoupler = Decoupler(
-        component=parts,
-        rows=data.resistance_ohm.shape[1],
-        cols=data.resistance_ohm.shape[2],
-        network=network,
-        input_scaling=input_scaling,
-        output_scaling=output_scaling,
-        hidden_weights=point.hidden.numpy(),
-        output_weights=point.output.numpy(),
-        design=data.design,
+        ridge = best_ridge(samples.linear, samples.targets) if known else RIDGE * len(inputs)
+        point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
+    output_weights = point.output.numpy().copy()
+    if known:
+        output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
+    trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
+    decoupler = replace(
+        trained,
+        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge),
         made_from={
-            "recipe": model_recipe(data.content_hash, component, network, training),
+            "recipe": model_recipe(data.content_hash, component, network, training, response),
             "data_hash": data.content_hash,
             "n_samples": len(inputs),
             "training": asdict(training),
@@ -93,6 +111,43 @@ def train(
         },
     )
     return decoupler, History(**asdict(outcome), seconds=time.perf_counter() - started)
+
+
+def _untrained(
+    data: LabelledData,
+    component: Component,
+    network: NetworkConfig,
+    columns_ohm: FloatArray,
+    force_n: FloatArray,
+    response: ArrayResponse | None,
+) -> Decoupler:
+    """A decoupler that has its scaling and features, but no weights yet."""
+    inverse = calibration = None
+    output_scaling = Scaling.fitted(force_n)
+    dead = None if data.dead is None or not data.dead.any() else data.dead
+    if network.feature == "inverse":
+        readable = readable_columns(component, dead, columns_ohm.shape[1])
+        forward = explaining(response, component, columns_ohm, force_n, readable)
+        calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
+        inverse = ModelInverse.about(forward, force_n, readable, data.noise)
+        input_scaling = output_scaling
+    else:
+        input_scaling = Scaling.fitted(np.sqrt(columns_ohm) if network.feature == "root" else columns_ohm)
+    nothing = np.empty((0, 0))
+    return Decoupler(
+        component=component,
+        rows=data.resistance_ohm.shape[1],
+        cols=data.resistance_ohm.shape[2],
+        network=network,
+        input_scaling=input_scaling,
+        output_scaling=output_scaling,
+        hidden_weights=nothing,
+        output_weights=nothing,
+        design=data.design,
+        inverse=inverse,
+        calibration=calibration,
+        dead=dead,
+    )
 
 
 @contextmanager
@@ -108,27 +163,27 @@ def _one_torch_thread() -> Iterator[None]:
 
 @torch.no_grad()
 def _varpro(
-    model: Network, x: torch.Tensor, t: torch.Tensor, training: TrainingConfig, progress: Progress
+    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    return train_varpro(Samples(x, t, model.skip), model.hidden.detach(), training, progress)
+    held_out = int(training.held_out * len(samples.X))
+    return train_varpro(samples, model.hidden.detach(), ridge, held_out, training, progress)
 
 
 @torch.no_grad()
 def _lm(
-    model: Network, x: torch.Tensor, t: torch.Tensor, training: TrainingConfig, progress: Progress
+    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    samples = Samples(x, t, model.skip)
     return train_lm(samples, model.hidden.detach(), model.output.detach(), training, progress)
 
 
 def _momentum(
-    model: Network, x: torch.Tensor, t: torch.Tensor, training: TrainingConfig, progress: Progress
+    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
     optimizer = Momentum(model.parameters(), training.learning_rate, training.momentum)
     stop, iteration = Stop(training), 0
     while True:
         optimizer.zero_grad()
-        loss = torch.mean((model(x) - t) ** 2)
+        loss = torch.mean((model(samples.X[:, :-1]) - samples.targets) ** 2)
         mse = loss.item()
         progress(iteration, mse)
         if not mse < 1e6:

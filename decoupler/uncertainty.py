@@ -1,0 +1,85 @@
+"""How far to trust each force: noise through the network's derivatives, and what training could not settle."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from dataset.measurement import reading_deviation
+from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from decoupler.decoupler import Decoupler
+
+WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
+CHUNK = 64  #: samples whose derivatives are in memory together
+LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Uncertainty:
+    """What a force's standard deviation is made of.
+
+    variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations of
+    the sample and A those of the training set: the Gauss-Newton matrix of the output layer. Scaled so that the shares
+    `WITHIN` of leave-one-out errors lie within.
+    """
+
+    noise: float  #: of the training readings, relative
+    bits: int | None  #: of their converter
+    inverse_matrix: FloatArray  #: (n_features, n_features): (AᵀA + λI)⁻¹
+    misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
+    unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
+    widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
+
+    @classmethod
+    def fitted(
+        cls, decoupler: "Decoupler", columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None, ridge: float
+    ) -> Self:
+        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N].
+
+        Notes
+        -----
+        A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS residual of
+        linear regression).
+        """
+        A = decoupler.activations(columns_ohm)
+        M = A.T @ A
+        M.flat[:: len(M) + 1] += ridge
+        G = np.linalg.inv(M)
+        leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
+        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, 0.05)[:, None]
+        unexplained = (errors**2).mean(axis=0)
+        through = _through(decoupler, columns_ohm, noise, bits)
+        smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
+        misfit = np.maximum(unexplained - through.mean(axis=0), 0.0) + smallest
+        deviation = np.sqrt(through + misfit + unexplained * leverage[:, None])
+        n_axes = len(decoupler.component.axes)
+        ratio = np.abs(errors / deviation).reshape(-1, n_axes)
+        widths = np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
+        return cls(
+            noise=noise, bits=bits, inverse_matrix=G, misfit_n2=misfit, unexplained_n2=unexplained, widths=widths
+        )
+
+    def deviations(self, decoupler: "Decoupler", columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of errors, each (n, n_out) [N], for readings (n, n_in) [Ω]."""
+        A = decoupler.activations(columns_ohm)
+        leverage = np.einsum("ni,ij,nj->n", A, self.inverse_matrix, A, optimize=True)
+        through = _through(decoupler, columns_ohm, self.noise, self.bits)
+        deviation = np.sqrt(through + self.misfit_n2 + self.unexplained_n2 * leverage[:, None])
+        by_axis = deviation.reshape(len(deviation), -1, self.widths.shape[1])
+        one, two = (k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True))
+        return one, two
+
+
+def _through(decoupler: "Decoupler", columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:
+    """Variance of the forces (n, n_out) [N²] that errors of the readings (n, n_in) [Ω] cause."""
+    found = np.zeros((len(columns_ohm), len(decoupler.output_weights)))
+    if not noise and bits is None:
+        return found
+    for start in range(0, len(columns_ohm), CHUNK):
+        chunk = slice(start, start + CHUNK)
+        derivatives = decoupler.derivatives(columns_ohm[chunk])
+        variance = reading_deviation(columns_ohm[chunk], noise, bits) ** 2
+        found[chunk] = np.einsum("nom,nm->no", derivatives**2, variance)
+    return found
