@@ -172,18 +172,40 @@ def dataset(
     cap: Annotated[float, typer.Option(help="Largest pillar strain; samples past it are redrawn.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Relative standard deviation of a resistance.")] = 0.0,
     bits: Annotated[int | None, typer.Option(help="Of the converter; default: exact.")] = None,
+    gain_spread: Annotated[float, typer.Option(help="Each pillar's factor is uniform in 1 ± this.")] = 0.0,
+    offset: Annotated[float, typer.Option(help="Standard deviation of each pillar's offset [Ω].")] = 0.0,
+    specimen: Annotated[int, typer.Option(help="Seed of factors and offsets: another specimen of the sensor.")] = 0,
+    dead_pillar: Annotated[list[str] | None, typer.Option(help="Broken pillar as row,col,pillar; repeatable.")] = None,
+    dead_row: Annotated[list[int] | None, typer.Option(help="Broken row wire: 2i U1, 2i+1 U2; repeatable.")] = None,
+    dead_col: Annotated[list[int] | None, typer.Option(help="Broken column wire: 2j L1, 2j+1 L2; repeatable.")] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Simulate labelled samples: loads, displacements, lengths and resistances."""
+    from dataset.imperfections import place_of
     from dataset.labelled import write_dataset
     from dataset.simulate import DatasetSettings, simulate
     from studies.pipeline import respond
 
-    settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, noise=noise, bits=bits)
+    settings = DatasetSettings(
+        protocol=protocol,
+        samples=samples,
+        seed=seed,
+        cap=cap,
+        noise=noise,
+        bits=bits,
+        gain_spread=gain_spread,
+        offset_ohm=offset,
+        specimen=specimen,
+        dead_pillars=tuple(map(place_of, dead_pillar or ())),
+        dead_rows=tuple(dead_row or ()),
+        dead_cols=tuple(dead_col or ()),
+    )
+    sensor = chosen(design)
+    settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
     with progress_bars(quiet) as bars:
-        _, solved = respond(chosen(design), bars)
+        _, solved = respond(sensor, bars)
         advance = bars.begin("dataset", total=samples)
         data = simulate(solved, settings, lambda n: advance(n, ""))
     write_dataset(data, out)

@@ -2,14 +2,18 @@
 
 In: a response (influence matrix) and a load protocol. Out: tractions, forces, displacements, pillar lengths
 and resistances of any number of samples, in memory (`SimulatedData`) and as a NetCDF file. Open
-`protocols.py` for the loads, `simulate.py` for the samples, `labelled.py` for the file.
+`protocols.py` for the loads, `simulate.py` for the samples, `imperfections.py` for what a real sensor does to them,
+`labelled.py` for the file.
 """
 
+from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.labelled import LabelledData, SimulatedData, read_labelled, write_dataset
 from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
 from dataset.resistance import pillar_lengths, pillar_resistances
 
 __all__ = [
+    "OPEN_OHM",
+    "Imperfections",
     "LabelledData",
     "SimulatedData",
     "counts_from_resistance",

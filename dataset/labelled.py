@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dataset.imperfections import OPEN_OHM, stated_imperfections
 from geometry import files
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict, design_to_toml
@@ -35,7 +37,7 @@ VARIABLES = {
     "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
     "resistance_ohm": (
         ("sample", "row", "col", "pillar"),
-        {"units": "ohm", "note": "as measured, noise included"},
+        {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
@@ -50,7 +52,7 @@ class SimulatedData:
     force_n: FloatArray  #: (n_samples, rows, cols, 3), z positive in compression
     displacement_mm: FloatArray  #: (n_samples, rows, cols, 2, 3)
     length_mm: FloatArray  #: (n_samples, rows, cols, 3)
-    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3), with measurement noise if asked
+    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3), as measured: with the imperfections asked for
     made_from: dict[str, Any] = field(default_factory=dict)  #: file attributes: seed, protocol, hashes ...
 
     def to_xarray(self) -> "xr.Dataset":
@@ -75,6 +77,9 @@ class LabelledData:
     force_n: FloatArray  #: (n_samples, rows, cols, 3): axes x, y, z; Fz positive in compression
     design: SensorDesign | None  #: None if the file does not state it as a design TOML
     content_hash: str  #: of both arrays
+    noise: float = 0.0  #: relative standard deviation of the resistances; 0 if the file does not state it
+    bits: int | None = None  #: of the converter; None if exact or not stated
+    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read; None if all can
 
 
 def write_dataset(data: SimulatedData, path: Path) -> None:
@@ -83,7 +88,9 @@ def write_dataset(data: SimulatedData, path: Path) -> None:
 
 
 def read_labelled(path: Path) -> LabelledData:
-    """Read forces and resistances of a dataset file.
+    """Read forces and resistances of a dataset file, and what its attributes say of noise, converter and dead pillars.
+
+    Attributes are free in files of others: one that is missing or makes no sense counts as not stated.
 
     Raises
     ------
@@ -111,11 +118,16 @@ def read_labelled(path: Path) -> LabelledData:
             f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
         )
+    rows, cols = force_n.shape[1:3]
+    sensor = stated_imperfections(data.attrs, rows, cols)
     return LabelledData(
         resistance_ohm=resistance_ohm,
         force_n=force_n,
         design=design,
         content_hash=files.digest(force_n, resistance_ohm),
+        noise=sensor.noise,
+        bits=sensor.bits,
+        dead=sensor.dead_mask(rows, cols),
     )
 
 

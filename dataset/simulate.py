@@ -7,17 +7,17 @@ number alone, not on how many are made with it, and a dataset can be extended wi
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from dataset.labelled import SimulatedData
-from dataset.measurement import measured
+from dataset.imperfections import Imperfections
+from dataset.labelled import LabelledData, SimulatedData
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
 from fem.response import ArrayResponse
-from geometry.design import SensorDesign, quantity, require_numbers
+from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError
 from geometry.files import digest
 from geometry.layout import AXES, FloatArray, pillar_volumes
@@ -32,18 +32,16 @@ class LoadError(TriPillarError, ValueError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetSettings:
-    """What a dataset is to hold."""
+class DatasetSettings(Imperfections):
+    """What a dataset is to hold, and the sensor that measures it."""
 
     protocol: str
     samples: int = field(metadata={"meaning": "number of samples"})
     seed: int = quantity(0, "seed of all that is random")
     cap: float = quantity(0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample")
-    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
-    bits: int | None = None  #: of the converter; None measures exactly
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        super().__post_init__()
         if self.protocol not in PROTOCOLS:
             raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
         if self.samples < 1:
@@ -52,10 +50,6 @@ class DatasetSettings:
             raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
         if not 0 < self.cap < 1:
             raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
-        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
-            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
-        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
 
 
 def dataset_recipe(response: ArrayResponse, settings: DatasetSettings) -> str:
@@ -73,7 +67,7 @@ def simulate(
     response : ArrayResponse
         Influence matrix and design of the sensor.
     settings : DatasetSettings
-        Protocol, number, seed, cap and measurement.
+        Protocol, number, seed, cap, and the imperfections of sensor and measurement.
     progress : function
         Called with the number of samples each block adds.
 
@@ -81,6 +75,8 @@ def simulate(
     ------
     LoadError
         If a sample's strain passes the cap in `MOST_ROUNDS` draws on end.
+    DesignError
+        As `Imperfections.apply` does.
     """
     design, n = response.design, settings.samples
     rows, cols = design.array.rows, design.array.cols
@@ -112,7 +108,7 @@ def simulate(
         **by_unit,
         force_n=forces(by_unit["traction_mpa"], design),
         made_from={
-            **{key: value for key, value in asdict(settings).items() if value is not None},
+            **settings.as_attributes(),
             "summary": PROTOCOLS[settings.protocol].summary,
             "redrawn": redrawn,
             "recipe": dataset_recipe(response, settings),
@@ -120,6 +116,34 @@ def simulate(
             "mesh_hash": response.mesh_hash,
             "residual": response.residual,
         },
+    )
+
+
+def measured_again(data: SimulatedData, imperfections: Imperfections, seed: int) -> LabelledData:
+    """What a sensor with these imperfections measures under the loads of `data`, however those were measured.
+
+    Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
+    last bit what `simulate` gives with the same loads, imperfections and seed.
+
+    Raises
+    ------
+    DesignError
+        As `Imperfections.apply` does.
+    """
+    exact_ohm = _exact_resistances(data.length_mm, data.design)
+    blocks = [
+        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK))
+        for start in range(0, len(exact_ohm), BLOCK)
+    ]
+    resistance_ohm = np.concatenate(blocks)
+    return LabelledData(
+        resistance_ohm=resistance_ohm,
+        force_n=data.force_n,
+        design=data.design,
+        content_hash=digest(data.force_n, resistance_ohm),
+        noise=imperfections.noise,
+        bits=imperfections.bits,
+        dead=imperfections.dead_mask(data.design.array.rows, data.design.array.cols),
     )
 
 
@@ -169,12 +193,21 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
             f"{MOST_ROUNDS} draws on end: raise the cap, or lower the forces by a smaller pad "
             f"(size_mm={design.pad.size_mm:g})."
         )
-    exact = pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-    generator = np.random.default_rng([settings.seed, number, MOST_ROUNDS])  # a stream that no draw uses
+    by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
+    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number))
     block = {
         "traction_mpa": traction,
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": measured(exact, settings.noise, settings.bits, generator),
+        "resistance_ohm": resistance.reshape(length.shape),
     }
     return block, redrawn
+
+
+def _exact_resistances(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
+    return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+
+
+def _noise_stream(seed: int, block: int) -> np.random.Generator:
+    """Generator of a block's noise; no draw of loads uses this stream."""
+    return np.random.default_rng([seed, block, MOST_ROUNDS])

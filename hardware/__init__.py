@@ -2,10 +2,11 @@
 
 In: a recording (`read_recording`), the bytes a board sent. Out: `replay` gives the forces over time that a
 trained model finds in it. Without a board, `recording_from_resistances` makes one. Open `docs/frames.md` for
-what is on the wire, then `frames.py` (the codec), `wiring.py` (which crossing reads which pillar),
+what is on the wire, then `frames.py` (the codec), `geometry.wiring` (which crossing reads which pillar),
 `recording.py` and `replay.py`.
 """
 
+from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 from hardware.frames import (
     PROTOCOL,
     Frame,
@@ -24,7 +25,6 @@ from hardware.recording import (
     write_recording,
 )
 from hardware.replay import ForceModel, Replay, replay, resistances, write_forces
-from hardware.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 
 __all__ = [
     "PROTOCOL",

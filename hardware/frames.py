@@ -49,7 +49,7 @@ class Frame:
     sequence: int  #: counts frames sent, modulo 2¹⁶
     device_us: int  #: the board's clock at the start of the scan [µs], modulo 2³²
     bits: int  #: of the converter
-    counts: NDArray[np.uint16]  #: (n,), in the order of `hardware.wiring.crossings`; read-only
+    counts: NDArray[np.uint16]  #: (n,), in the order of `geometry.wiring.crossings`; read-only
     saturated: bool = False  #: the board saw a count of 0 or of full scale
     scan_mode: ScanMode = ScanMode.DIVIDER
     overruns: int = 0  #: scans skipped because the one before was not done, modulo 2⁸

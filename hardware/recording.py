@@ -13,8 +13,8 @@ from dataset.measurement import counts_from_resistance
 from geometry import files
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
+from geometry.wiring import crossings_from_pillars
 from hardware.frames import PROTOCOL, Frame, FrameDecoder, Info, Statistics, encode
-from hardware.wiring import crossings_from_pillars
 
 _STEP = 2**20  # bytes handed to the decoder at a time, lest the pieces it cuts them into fill the memory
 
@@ -24,7 +24,7 @@ class Recording:
     """The frames of a recording in the order received; n of them."""
 
     info: Info
-    counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `hardware.wiring.crossings`
+    counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone
     flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode

@@ -11,9 +11,9 @@ from dataset.measurement import resistance_from_counts
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from geometry.netcdf import write_netcdf
+from geometry.wiring import pillars_from_crossings
 from hardware.frames import Info, ScanMode, Statistics
 from hardware.recording import Recording
-from hardware.wiring import pillars_from_crossings
 
 
 class ForceModel(Protocol):
@@ -45,7 +45,7 @@ def resistances(counts: NDArray[Any], info: Info) -> tuple[FloatArray, NDArray[n
     Parameters
     ----------
     counts : array, shape (n, rows·cols·3)
-        As sent, in the order of `hardware.wiring.crossings`.
+        As sent, in the order of `geometry.wiring.crossings`.
     info : Info
         Of the board that sent them.
 

@@ -17,6 +17,7 @@ from dataset.labelled import read_labelled
 from hardware import Info, recording_from_resistances, write_recording
 
 SMALL = "[array]\nrows = 1\ncols = 2\n"
+POKE = ["dataset", "--protocol", "contact", "--samples", "9", "--out", "x.nc"]
 
 
 class House:
@@ -170,6 +171,20 @@ def test_replay_gives_the_forces_behind_recorded_frames(house):
         assert np.array_equal(opened["force_n"].values[..., 0], found)
 
 
+def test_a_dataset_of_a_real_specimen(house):
+    flags = ["--noise", "0.001", "--gain-spread", "0.2", "--offset", "20", "--dead-pillar", "0,1,y", "--dead-col", "1"]
+    for specimen in ("1", "2"):
+        house.result(
+            "dataset", "--protocol", "contact-fz", "--samples", "10", "--out", f"specimen-{specimen}.nc", "--design",
+            "small.toml", "--quiet", "--specimen", specimen, *flags, "--dead-pillar", "0,0,z",
+        )  # fmt: skip
+    first, second = (read_labelled(house.folder / f"specimen-{specimen}.nc") for specimen in ("1", "2"))
+    assert first.dead.tolist() == second.dead.tolist() == [[[True, True, False], [False, False, True]]]  # z, x, y
+    assert np.array_equal(first.force_n, second.force_n)
+    assert (first.resistance_ohm != second.resistance_ohm)[:, ~first.dead].all()
+    assert first.noise == 0.001
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -195,6 +210,14 @@ def test_a_bad_design_is_one_line(house, tmp_path, text, says):
         (["dataset", "--protocol", "contact", "--samples", "many", "--out", "x.nc"], "--samples"),
         (["dataset", "--protocol", "contact", "--samples", "0", "--out", "x.nc"], "samples=0 must be"),
         (["dataset", "--protocol", "contact", "--samples", "9", "--cap", "2", "--out", "x.nc"], "cap=2 must be"),
+        ([*POKE, "--gain-spread", "1"], "gain_spread=1 must be from 0 to below 1"),
+        ([*POKE, "--offset=-3"], "offset_ohm=-3 must be"),
+        ([*POKE, "--specimen=-1"], "specimen=-1 must be"),
+        ([*POKE, "--dead-pillar", "0;3;z"], "'0;3;z' is no place of a pillar: write row,col,pillar"),
+        ([*POKE, "--dead-pillar", "0,3,w"], "(0, 3, 'w')"),
+        ([*POKE, "--dead-pillar", "0,6,z"], "an array of 6 × 6 units has no pillar 0,6,z"),
+        ([*POKE, "--dead-row", "12"], "has no row wire 12: its row wires are 0 to 11"),
+        ([*POKE, "--dead-col=-1"], "dead_cols=(-1,) must hold numbers of wires from 0 on"),
         (["evaluate", "--model", "nowhere.safetensors", "--data", "out/data/contact-fz-test.nc"], "no such file"),
         (["evaluate", "--model", "out/models/contact-fz-skip36.safetensors", "--data", "nowhere.nc"], "no such file"),
         (["evaluate", "--model", "small.toml", "--data", "out/data/contact-fz-test.nc"], "no safetensors file"),

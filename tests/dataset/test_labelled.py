@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from dataset import SimulatedData, read_labelled, write_dataset
+from dataset import OPEN_OHM, Imperfections, SimulatedData, read_labelled, write_dataset
 from dataset.labelled import is_current
 from dataset.simulate import DatasetSettings, simulate
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
@@ -99,6 +99,58 @@ def test_largest_seed_fits_the_file(response, tmp_path):
     write_dataset(simulate(response, settings), tmp_path / "a.nc")
     with netCDF4.Dataset(tmp_path / "a.nc") as file:
         assert file.seed == 2**63 - 1
+
+
+DEAD = [
+    {"dead_pillars": ((1, 2, "y"),)},
+    {"dead_pillars": ((0, 0, "z"), (1, 2, "y")), "dead_rows": (3,)},
+    {"dead_rows": (0, 1), "dead_cols": (5,)},
+]
+
+
+@pytest.mark.parametrize("dead", DEAD, ids=["one pillar", "pillars and a wire", "wires"])
+def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dead):
+    """One or several of each: NetCDF hands a list of one over as a scalar."""
+    settings = DatasetSettings(
+        protocol="contact", samples=4, noise=0.01, bits=12, gain_spread=0.1, offset_ohm=20.0, specimen=9, **dead
+    )
+    write_dataset(simulate(response, settings), tmp_path / "a.nc")
+    labelled = read_labelled(tmp_path / "a.nc")
+    assert (labelled.noise, labelled.bits) == (0.01, 12)
+    assert type(labelled.bits) is int
+    assert np.array_equal(labelled.dead, Imperfections(**dead).dead_mask(2, 3))
+    assert np.array_equal(labelled.dead, (labelled.resistance_ohm == OPEN_OHM).all(axis=0))
+    with netCDF4.Dataset(tmp_path / "a.nc") as file:
+        assert (file.gain_spread, file.offset_ohm, file.specimen) == (0.1, 20.0, 9)
+
+
+def test_a_file_that_states_no_sensor_is_taken_as_exact_and_whole(path):
+    def drop_attributes(content):
+        content.attrs.clear()
+        return content
+
+    labelled = read_labelled(rewritten(path, drop_attributes))
+    assert (labelled.noise, labelled.bits, labelled.dead.shape) == (0.0, None, (2, 3, 3))
+    assert not labelled.dead.any()
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"noise": "low"}, {"noise": -1.0}, {"noise": np.nan}, {"noise": [0.1, 0.2]},
+        {"bits": 99}, {"bits": "twelve"}, {"bits": [12, 12]},
+        {"dead_pillars": "all"}, {"dead_pillars": ["0,0,z", "5,0,z"]}, {"dead_pillars": "0,0,w"}, {"dead_pillars": 3},
+        {"dead_rows": 4}, {"dead_rows": -1}, {"dead_rows": [0, 99]}, {"dead_rows": 0.5}, {"dead_rows": ""},
+        {"dead_cols": "first"}, {"dead_cols": 6},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_attributes_of_others_that_make_no_sense_are_passed_over(path, attributes):
+    """And they take no other attribute with them."""
+    labelled = read_labelled(rewritten(path, lambda d: d.assign_attrs(attributes)))
+    assert labelled.noise == (0.0 if "noise" in attributes else 0.001)
+    assert labelled.bits == (None if "bits" in attributes else 16)
+    assert not labelled.dead.any()
 
 
 def test_content_hash_is_of_forces_and_resistances_alone(path, data):

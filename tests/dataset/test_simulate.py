@@ -1,19 +1,22 @@
 """Samples: exact geometry, superposition, and each one the same however many are made with it."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.labelled import VARIABLES
 from dataset.protocols import PROTOCOLS
 from dataset.simulate import (
     BLOCK,
+    MOST_ROUNDS,
     DatasetSettings,
     LoadError,
     dataset_recipe,
     displacements,
     forces,
+    measured_again,
     simulate,
 )
 from geometry import DesignError, Pad, SensorDesign, TriPillarError
@@ -140,6 +143,56 @@ def test_converter_steps_are_seen_in_the_resistances(response):
     assert len(np.unique(read)) < 256
 
 
+@pytest.mark.parametrize(("noise", "bits"), [(0.0, None), (0.01, None), (0.01, 12)])
+def test_a_perfect_specimen_changes_no_bit(response, noise, bits):
+    """By hand: R = ρ l²/V, noise from the stream of its block, the middle of a converter's step; nothing else."""
+    data = simulated(response, samples=BLOCK + 3, seed=4, noise=noise, bits=bits)
+    expected = 4000.0 / (4.0 * np.array([10.0, np.sqrt(200), np.sqrt(200)])) * data.length_mm**2
+    for number, start in enumerate((0, BLOCK)):
+        part = expected[start : start + BLOCK]
+        part *= 1.0 + noise * np.random.default_rng([4, number, MOST_ROUNDS]).standard_normal(part.shape)
+    if bits:
+        counts = np.rint((2**bits - 1) * 1e4 / (expected + 1e4))
+        expected = 1e4 * ((2**bits - 1) / counts - 1.0)
+    assert np.array_equal(data.resistance_ohm, expected)
+
+
+SPECIMEN = Imperfections(
+    gain_spread=0.2, offset_ohm=50.0, specimen=3, noise=0.01, bits=14, dead_pillars=((0, 1, "z"),), dead_cols=(3,)
+)
+
+
+def test_a_specimen_changes_the_resistances_alone(response):
+    exact, real = simulated(response), simulated(response, **vars(SPECIMEN))
+    for name in ARRAYS[:-1]:
+        assert np.array_equal(getattr(exact, name), getattr(real, name))
+    dead = SPECIMEN.dead_mask(2, 3)
+    assert (real.resistance_ohm[:, dead] == OPEN_OHM).all()
+    assert (real.resistance_ohm[:, ~dead] != exact.resistance_ohm[:, ~dead]).all()
+
+
+@pytest.mark.parametrize("before", [Imperfections(), Imperfections(noise=0.1, bits=8, gain_spread=0.5)])
+def test_measuring_again_is_as_simulating_with_that_sensor(response, before):
+    """To the last bit, over more than a block, whatever the data were first measured with."""
+    again = measured_again(simulated(response, samples=BLOCK + 3, seed=6, **vars(before)), SPECIMEN, seed=6)
+    made = simulated(response, samples=BLOCK + 3, seed=6, **vars(SPECIMEN))
+    assert np.array_equal(again.resistance_ohm, made.resistance_ohm)
+    assert np.array_equal(again.force_n, made.force_n)
+    assert (again.design, again.noise, again.bits) == (made.design, 0.01, 14)
+    assert np.array_equal(again.dead, SPECIMEN.dead_mask(2, 3))
+    assert again.content_hash == made.to_xarray().attrs["content_hash"]
+
+
+def test_another_seed_is_the_same_specimen_with_other_noise(response):
+    data = simulated(response, samples=400)
+    real = replace(SPECIMEN, noise=1e-3, bits=None)
+    first, second = (measured_again(data, real, seed).resistance_ohm for seed in (1, 2))
+    alive = ~real.dead_mask(2, 3)
+    ratio = first[:, alive] / second[:, alive] - 1.0
+    assert (ratio != 0).all()
+    assert ratio.std() == pytest.approx(np.sqrt(2) * 1e-3, rel=4 / np.sqrt(2 * ratio.size))  # of a deviation
+
+
 def strains(data) -> np.ndarray:
     rest_mm = np.array([10.0, np.sqrt(200), np.sqrt(200)])
     return np.abs(data.length_mm / rest_mm - 1.0).max(axis=(1, 2, 3))
@@ -193,9 +246,17 @@ def test_progress_adds_up_to_the_samples(response):
 
 
 def test_dataset_says_what_made_it(response):
-    settings = DatasetSettings(protocol="contact", samples=3, seed=7, noise=0.01, bits=12)
+    settings = DatasetSettings(
+        protocol="contact", samples=3, seed=7, noise=0.01, bits=12, gain_spread=0.2, offset_ohm=5.0, specimen=8,
+        dead_pillars=((1, 2, "y"),), dead_rows=(1,),
+    )  # fmt: skip
     made_from = simulate(response, settings).made_from
-    assert asdict(settings).items() <= made_from.items()
+    asked = {
+        "protocol": "contact", "samples": 3, "seed": 7, "cap": 0.3, "noise": 0.01, "bits": 12, "gain_spread": 0.2,
+        "offset_ohm": 5.0, "specimen": 8, "dead_pillars": ["1,2,y"], "dead_rows": [1],
+    }  # fmt: skip
+    assert asked.items() <= made_from.items()
+    assert "dead_cols" not in made_from
     assert made_from["summary"] == PROTOCOLS["contact"].summary
     assert made_from["mesh_hash"] == response.mesh_hash
     assert made_from["residual"] == response.residual
@@ -207,13 +268,15 @@ def test_recipe_changes_with_all_that_a_dataset_depends_on(response):
     settings = DatasetSettings(protocol="contact", samples=3)
     changed = [
         {"protocol": "contact-fz"}, {"samples": 4}, {"seed": 1}, {"cap": 0.2}, {"noise": 0.01}, {"bits": 12},
+        {"gain_spread": 0.2}, {"offset_ohm": 5.0}, {"specimen": 1}, {"dead_pillars": ((1, 2, "y"),)},
+        {"dead_rows": (1,)}, {"dead_cols": (1,)},
     ]  # fmt: skip
     recipes = {dataset_recipe(response, replace(settings, **change)) for change in changed}
     recipes.add(dataset_recipe(response, settings))
     recipes.add(dataset_recipe(replace(response, influence_mm_per_n=2 * response.influence_mm_per_n), settings))
     other = replace(response.design, resistivity_ohm_mm=1.0)  # has the same influence
     recipes.add(dataset_recipe(replace(response, design=other), settings))
-    assert len(recipes) == 9
+    assert len(recipes) == len(changed) + 3
 
 
 def test_resistivity_scales_resistances_alone(response):

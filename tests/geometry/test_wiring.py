@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geometry.layout import PILLARS
-from hardware.wiring import crossings, crossings_from_pillars, pillar_of_crossing, pillars_from_crossings
+from geometry.wiring import crossings, crossings_from_pillars, pillar_of_crossing, pillars_from_crossings
 
 SIZES = [(1, 1), (1, 2), (2, 1), (3, 5), (6, 6)]
 PAGE = Path(__file__).parents[2] / "docs" / "frames.md"

@@ -1,0 +1,191 @@
+"""What a real sensor does to resistances: its pillars differ, its readings are noisy, some cannot be read at all.
+
+`Imperfections` describes one specimen and how it is read; `Imperfections.apply` takes exact resistances to measured
+ones: gain and offset of each pillar, then noise, then the converter, and last what is dead reads as open.
+"""
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.measurement import SENSE_OHM, measured
+from geometry.design import quantity, require_numbers
+from geometry.errors import DesignError
+from geometry.layout import PILLARS, FloatArray
+from geometry.wiring import crossings, pillars_from_crossings
+
+OPEN_OHM = 1e9  #: what stands for an open circuit: finite as files need it, far above any pillar
+
+Place = tuple[int, int, str]  #: array row, array column and name of a pillar
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imperfections:
+    """One physical specimen and how it is read; the default is a perfect sensor.
+
+    Wires as in `geometry.wiring`: row wire 2i carries the z and x pillars of array row i, 2i+1 its y pillars; column
+    wire 2j carries the z and y pillars of array column j, 2j+1 its x pillars.
+    """
+
+    gain_spread: float = quantity(0.0, "each pillar's resistance has a factor, uniform in 1 ± gain_spread")
+    offset_ohm: float = quantity(0.0, "standard deviation of what is added to each pillar's resistance")
+    specimen: int = quantity(0, "seed of the specimen's factors and offsets")
+    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
+    bits: int | None = None  #: of the converter; None measures exactly
+    dead_pillars: tuple[Place, ...] = ()  #: pillars that are broken, as (row, col, name)
+    dead_rows: tuple[int, ...] = ()  #: broken row wires, from 0 to below 2·rows
+    dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        if not 0 <= self.gain_spread < 1:
+            raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
+        if not 0 <= self.offset_ohm <= 1e6:  # far below OPEN_OHM
+            raise DesignError(f"offset_ohm={self.offset_ohm:g} must be from 0 to 1e6; it is a standard deviation.")
+        if not 0 <= self.specimen < 2**63:
+            raise DesignError(f"specimen={self.specimen} must be from 0 to below 2⁶³.")
+        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
+            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
+        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
+        if not (isinstance(self.dead_pillars, tuple) and all(map(_is_place, self.dead_pillars))):
+            raise DesignError(
+                f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and one of the pillars "
+                f"{', '.join(PILLARS)} each, such as ((0, 3, 'z'),)."
+            )
+        for name in ("dead_rows", "dead_cols"):
+            wires = getattr(self, name)
+            if not (isinstance(wires, tuple) and all(map(_is_index, wires))):
+                raise DesignError(f"{name}={wires!r} must hold numbers of wires from 0 on, such as (4, 5).")
+
+    def gain_and_offset(self, rows: int, cols: int) -> tuple[FloatArray, FloatArray]:
+        """Factor [1] and offset [Ω] of every pillar of this specimen, each of shape (rows, cols, 3).
+
+        Both are drawn whatever their size, so that a wider spread is the same specimen with larger deviations.
+        """
+        # a spawn key keeps this stream apart from those of loads and noise, which have none, whatever their seed
+        generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(0,)))
+        shape = (rows, cols, len(PILLARS))
+        gain = 1.0 + self.gain_spread * generator.uniform(-1.0, 1.0, shape)
+        return gain, self.offset_ohm * generator.standard_normal(shape)
+
+    def dead_mask(self, rows: int, cols: int) -> NDArray[np.bool_]:
+        """Which pillars cannot be read, shape (rows, cols, 3): broken themselves or on a broken wire.
+
+        Raises
+        ------
+        DesignError
+            If the array has no such pillar or wire.
+
+        Examples
+        --------
+        >>> Imperfections(dead_rows=(0,)).dead_mask(1, 1).tolist()  # U1's wire: z and x
+        [[[True, True, False]]]
+        """
+        for kind, wires, n_wires in (("row", self.dead_rows, 2 * rows), ("column", self.dead_cols, 2 * cols)):
+            if max(wires, default=0) >= n_wires:
+                raise DesignError(
+                    f"an array of {rows} × {cols} units has no {kind} wire {max(wires)}: its {kind} wires are 0 to "
+                    f"{n_wires - 1}."
+                )
+        dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
+        for row, col, pillar in self.dead_pillars:
+            if row >= rows or col >= cols:
+                raise DesignError(
+                    f"an array of {rows} × {cols} units has no pillar {row},{col},{pillar}: its rows are 0 to "
+                    f"{rows - 1}, its columns 0 to {cols - 1}."
+                )
+            dead[row, col, PILLARS.index(pillar)] = True
+        row_wire, column_wire = crossings(rows, cols).T
+        on_dead_wire = np.isin(row_wire, self.dead_rows) | np.isin(column_wire, self.dead_cols)
+        return dead | pillars_from_crossings(on_dead_wire, rows, cols)
+
+    def apply(self, exact_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """Resistances as this specimen shows them and its electronics read them.
+
+        Parameters
+        ----------
+        exact_ohm : array, shape (n_samples, rows, cols, 3)
+            Resistance of the z, x and y pillars as designed [Ω].
+        generator : numpy Generator
+            Of the noise; one number a resistance is drawn from it whatever the settings.
+
+        Returns
+        -------
+        array, shape (n_samples, rows, cols, 3)
+            Measured resistance [Ω], finite and above 0; `OPEN_OHM` where a pillar cannot be read.
+
+        Raises
+        ------
+        DesignError
+            If the array has no such pillar or wire, an offset outweighs a resistance, or the converter cannot tell
+            one. Dead pillars are exempt from the last two.
+        """
+        _, rows, cols, _ = exact_ohm.shape
+        gain, offset = self.gain_and_offset(rows, cols)
+        dead = self.dead_mask(rows, cols)
+        ohms = gain * exact_ohm + offset
+        ohms[:, dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
+        if (ohms <= 0).any():
+            raise DesignError(
+                f"offset_ohm={self.offset_ohm:g} takes a pillar's resistance to {ohms.min():.4g} Ω: lower it, or "
+                "choose another specimen."
+            )
+        ohms = measured(ohms, self.noise, self.bits, generator)
+        ohms[:, dead] = OPEN_OHM
+        return ohms
+
+    def as_attributes(self) -> dict[str, Any]:
+        """Every field as a NetCDF attribute can hold it; what is None or empty is left out."""
+        plain = asdict(self) | {"dead_pillars": [",".join(map(str, place)) for place in self.dead_pillars]}
+        lists = {name: list(value) if isinstance(value, tuple) else value for name, value in plain.items()}
+        return {name: value for name, value in lists.items() if value is not None and value != []}
+
+
+def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int) -> Imperfections:
+    """What a file's attributes say of its sensor; one that is missing or makes no sense stays at its default."""
+    stated = Imperfections()
+    for name in {spec.name for spec in fields(Imperfections)} & set(attributes):
+        with suppress(DesignError):
+            more = replace(stated, **{name: _from_attribute(name, attributes[name])})
+            more.dead_mask(rows, cols)  # refuses what the array does not have
+            stated = more
+    return stated
+
+
+def place_of(text: str) -> Place:
+    """Place of a pillar from "row,col,pillar", the form of the command line and of a file's attributes.
+
+    >>> place_of("0,3,z")
+    (0, 3, 'z')
+    """
+    found = re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*", text)
+    if found is None:
+        raise DesignError(f"{text!r} is no place of a pillar: write row,col,pillar, such as 0,3,z.")
+    row, col, pillar = found.groups()
+    return int(row), int(col), pillar
+
+
+def _from_attribute(name: str, value: Any) -> Any:
+    """A field from its attribute, which a NetCDF library may hand over as NumPy's; a list of one comes as a scalar."""
+    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    if not name.startswith("dead_"):
+        return plain
+    items = plain if isinstance(plain, list) else [plain]
+    return tuple(place_of(str(item)) for item in items) if name == "dead_pillars" else tuple(items)
+
+
+def _is_index(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_place(value: object) -> bool:
+    match value:
+        case (row, col, pillar):
+            return _is_index(row) and _is_index(col) and pillar in PILLARS
+    return False
