@@ -30,8 +30,8 @@ class Calibration:
 
         Notes
         -----
-        Bayes' rule with normal errors of relative size `noise` and normal priors about gain 1 and offset 0, so a single pair
-        sets the gain, and an offset is believed only as far as a pillar's resistance has varied.
+        Bayes' rule with normal errors of relative size `noise` and normal priors about gain 1 and offset 0, so a single
+        pair sets the gain, and an offset is believed only as far as a pillar's resistance has varied.
         """
         size = modelled_ohm.mean(axis=0)
         weight = (max(noise, LEAST_NOISE) * size) ** -2.0

@@ -10,7 +10,6 @@ from decoupler.errors import SampleError
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 
-
 DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ever sees it
 
 

@@ -18,7 +18,6 @@ from decoupler.uncertainty import Uncertainty
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
-
 CHUNK = 256  #: samples whose arrays fit the processor's cache together
 
 

@@ -10,24 +10,30 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset import LabelledData
+from decoupler.calibration import Calibration
 from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
+from decoupler.forward_model import ForwardModel
+from decoupler.model_inverse import ModelInverse
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
+from decoupler.uncertainty import WITHIN, Uncertainty
 from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
+from geometry.layout import PILLAR_TOP, PILLARS
 
 FORMAT = "tripillar-model-1"
 METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
+_UNCERTAINTY = ("inverse_matrix", "misfit_n2", "unexplained_n2", "widths")
 _MEND = "give a file made by 'tripillar train'"
 
 
 def model_recipe(
-    data_hash: str,
+    data: LabelledData,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -35,7 +41,8 @@ def model_recipe(
 ) -> str:
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
-    return digest(FORMAT, METHOD, data_hash, component, network, training, known)
+    dead = data.dead if data.dead is not None and data.dead.any() else None
+    return digest(FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -50,6 +57,8 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "design_hash": None if decoupler.design is None else digest(decoupler.design),
         "made_from": decoupler.made_from,
     }
+    if decoupler.uncertainty is not None:
+        header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     with replacing(path) as temporary:
@@ -80,11 +89,14 @@ def read_model(path: Path) -> Decoupler:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     for name, shape in _shapes(decoupler).items():
         array = arrays[name]
-        if array.shape != shape or array.dtype != np.float64 or not np.isfinite(array).all():
+        kind = "i" if name == "top" else "b" if name == "dead" else "f"
+        if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
-                f"finite float64 of shape {shape}: {_MEND}."
+                f"finite numbers of shape {shape}: {_MEND}."
             )
+    if decoupler.inverse is not None and not _holds_pillars(decoupler.inverse.forward):
+        raise FileFormatError(f"{path}: its pillars stand on electrodes that it does not hold: {_MEND}.")
     return decoupler
 
 
@@ -125,7 +137,7 @@ def _flat(table: dict[str, Any], group: str = "") -> dict[str, float]:
 
 
 def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
-    return {
+    arrays = {
         "hidden_weights": decoupler.hidden_weights,
         "output_weights": decoupler.output_weights,
         "input_centre": decoupler.input_scaling.centre,
@@ -133,21 +145,51 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
         "output_centre": decoupler.output_scaling.centre,
         "output_half_range": decoupler.output_scaling.half_range,
     }
+    if decoupler.inverse is not None:
+        forward = decoupler.inverse.forward
+        arrays |= {name: getattr(forward, name) for name in ("influence", "top", "rest_mm", "ohm_per_mm2")}
+        arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "chord")}
+    if decoupler.calibration is not None:
+        arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
+    if decoupler.uncertainty is not None:
+        arrays |= {name: getattr(decoupler.uncertainty, name) for name in _UNCERTAINTY}
+    if decoupler.dead is not None:
+        arrays["dead"] = decoupler.dead
+    return arrays
 
 
 def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
-    """Shapes that the arrays must have by the header."""
+    """Shapes that the arrays must have by the header and by which of them there are."""
     hidden, n_units = decoupler.network.hidden, decoupler.rows * decoupler.cols
     n_in, n_out = n_units * len(decoupler.component.pillars), n_units * len(decoupler.component.axes)
-    n_features = hidden + (n_in + 1 if decoupler.network.net == "skip" else 1)
-    return {
-        "hidden_weights": (hidden, n_in + 1),
+    seen = n_out if decoupler.inverse is not None else n_in
+    n_features = hidden + (seen + 1 if decoupler.network.net == "skip" else 1)
+    shapes: dict[str, tuple[int, ...]] = {
+        "hidden_weights": (hidden, seen + 1),
         "output_weights": (n_out, n_features),
-        "input_centre": (n_in,),
-        "input_half_range": (n_in,),
+        "input_centre": (seen,),
+        "input_half_range": (seen,),
         "output_centre": (n_out,),
         "output_half_range": (n_out,),
     }
+    if decoupler.inverse is not None:
+        n_electrodes = n_units * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in decoupler.component.pillars})
+        shapes |= {"influence": (n_out, 3 * n_electrodes), "top": (n_in,), "rest_mm": (3, n_in), "ohm_per_mm2": (n_in,)}
+        shapes |= {"centre_n": (n_out,), "centre_mm": (n_in,), "chord": (n_in, n_out)}
+    if decoupler.calibration is not None:
+        shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
+    if decoupler.uncertainty is not None:
+        n_axes = len(decoupler.component.axes)
+        shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
+        shapes |= {"widths": (len(WITHIN), n_axes)}
+    if decoupler.dead is not None:
+        shapes["dead"] = (decoupler.rows, decoupler.cols, len(PILLARS))
+    return shapes
+
+
+def _holds_pillars(forward: ForwardModel) -> bool:
+    n_electrodes = forward.influence.shape[1] // 3
+    return bool(((forward.top >= 0) & (forward.top < n_electrodes)).all())
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
@@ -156,15 +198,27 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
+    network = NetworkConfig(**header["network"])
+    inverse = uncertainty = None
+    if network.feature == "inverse":
+        forward = ForwardModel(**{name: arrays[name] for name in ("influence", "top", "rest_mm", "ohm_per_mm2")})
+        inverse = ModelInverse(forward=forward, **{n: arrays[n] for n in ("centre_n", "centre_mm", "chord")})
+    if _UNCERTAINTY[0] in arrays:
+        given = {name: arrays[name] for name in _UNCERTAINTY}
+        uncertainty = Uncertainty(**given, noise=float(header["noise"]), bits=header["bits"])
     return Decoupler(
         component=component_named(header["component"]),
         rows=int(header["rows"]),
         cols=int(header["cols"]),
-        network=NetworkConfig(**header["network"]),
+        network=network,
         input_scaling=Scaling(arrays["input_centre"], arrays["input_half_range"]),
         output_scaling=Scaling(arrays["output_centre"], arrays["output_half_range"]),
         hidden_weights=arrays["hidden_weights"],
         output_weights=arrays["output_weights"],
         design=None if header["design"] is None else design_from_toml(header["design"]),
+        inverse=inverse,
+        calibration=Calibration(arrays["gain"], arrays["offset_ohm"]) if "gain" in arrays else None,
+        dead=arrays.get("dead"),
+        uncertainty=uncertainty,
         made_from=dict(header["made_from"]),
     )

@@ -1,7 +1,7 @@
 """Forces that a known response gives for resistances, nearly: the input feature `inverse`.
 
-A fixed number of chord steps costs little and always ends; what it leaves, the network learns. `limits.py` has the inverse
-iterated to the end.
+A fixed number of chord steps costs little and always ends; what it leaves, the network learns. `limits.py` has the
+inverse iterated to the end.
 """
 
 from dataclasses import dataclass
@@ -33,8 +33,8 @@ class ModelInverse:
     def about(cls, forward: ForwardModel, force_n: FloatArray, readable: np.ndarray, noise: float = 0.0) -> Self:
         """The inverse about the mean of training forces, shape (n, n_forces) [N].
 
-        `readable` (n_pillars,) says which pillars can be read; the others get no weight. With fewer pillars than forces,
-        or noise, the chord is the linear estimate of least mean square under the forces' own covariance.
+        `readable` (n_pillars,) says which pillars can be read; the others get no weight. With fewer pillars than
+        forces the chord is the linear estimate of least mean square under the forces' own covariance.
         """
         centre = force_n.mean(axis=0)
         lengths, J = forward.jacobian(centre[None])

@@ -103,7 +103,7 @@ def train(
         trained,
         uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge),
         made_from={
-            "recipe": model_recipe(data.content_hash, component, network, training, response),
+            "recipe": model_recipe(data, component, network, training, response),
             "data_hash": data.content_hash,
             "n_samples": len(inputs),
             "training": asdict(training),

@@ -20,9 +20,9 @@ LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
 class Uncertainty:
     """What a force's standard deviation is made of.
 
-    variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations of
-    the sample and A those of the training set: the Gauss-Newton matrix of the output layer. Scaled so that the shares
-    `WITHIN` of leave-one-out errors lie within.
+    variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations
+    of the sample and A those of the training set: the Gauss-Newton matrix of the output layer. Scaled so that the
+    shares `WITHIN` of leave-one-out errors lie within.
     """
 
     noise: float  #: of the training readings, relative
@@ -34,19 +34,25 @@ class Uncertainty:
 
     @classmethod
     def fitted(
-        cls, decoupler: "Decoupler", columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None, ridge: float
+        cls,
+        decoupler: "Decoupler",
+        columns_ohm: FloatArray,
+        force_n: FloatArray,
+        noise: float,
+        bits: int | None,
+        ridge: float,
     ) -> Self:
         """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N].
 
         Notes
         -----
-        A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS residual of
-        linear regression).
+        A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
+        residual of linear regression).
         """
         A = decoupler.activations(columns_ohm)
         M = A.T @ A
         M.flat[:: len(M) + 1] += ridge
-        G = np.linalg.inv(M)
+        G = np.linalg.inv(M).astype(np.float64)
         leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, 0.05)[:, None]
         unexplained = (errors**2).mean(axis=0)
@@ -68,7 +74,9 @@ class Uncertainty:
         through = _through(decoupler, columns_ohm, self.noise, self.bits)
         deviation = np.sqrt(through + self.misfit_n2 + self.unexplained_n2 * leverage[:, None])
         by_axis = deviation.reshape(len(deviation), -1, self.widths.shape[1])
-        one, two = (k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True))
+        one, two = (
+            k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True)
+        )
         return one, two
 
 

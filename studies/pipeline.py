@@ -232,7 +232,7 @@ def trained(
     data: LabelledData, component: str, network: NetworkConfig, training: TrainingConfig, path: Path
 ) -> tuple[Decoupler, bool]:
     """Train and write a network unless `path` holds it already; returns it and whether it did."""
-    recipe = model_recipe(data.content_hash, component_named(component).name, network, training)
+    recipe = model_recipe(data, component_named(component).name, network, training)
     try:
         model = read_model(path)
         if model.made_from.get("recipe") == recipe:

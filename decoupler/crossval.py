@@ -1,0 +1,123 @@
+"""k-fold cross-validation, as in the paper's section 3.3: every sample is tested once, by a network that never saw it."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.errors import SampleError
+from decoupler.metrics import ForceErrors, evaluate
+from decoupler.settings import NetworkConfig, TrainingConfig
+from fem.response import ArrayResponse
+from geometry.files import digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fold:
+    """One fold's outcome."""
+
+    errors: dict[str, ForceErrors]  #: by force, on the samples left out
+    iterations: int
+    reason: str  #: why training stopped
+    seconds: float  #: of training
+
+
+def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
+    """Sample numbers of each fold's test set: shuffled, then cut in `folds` parts as equal as can be.
+
+    >>> sorted(int(i) for part in split_folds(5, 2, seed=0) for i in part)
+    [0, 1, 2, 3, 4]
+    """
+    if not 2 <= folds <= n_samples // 2:
+        raise SampleError(f"folds={folds} must be from 2 to {n_samples // 2}, half of the {n_samples} samples.")
+    return np.array_split(np.random.default_rng(seed).permutation(n_samples), folds)
+
+
+def selected(data: LabelledData, samples: Sequence[int] | np.ndarray | slice) -> LabelledData:
+    """Some of the samples, with a hash of their own."""
+    force_n, resistance_ohm = data.force_n[samples], data.resistance_ohm[samples]
+    return replace(data, force_n=force_n, resistance_ohm=resistance_ohm, content_hash=digest(force_n, resistance_ohm))
+
+
+def cross_validate(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    folds: int = 10,
+    response: ArrayResponse | None = None,
+    progress: Callable[[int], None] = lambda fold: None,
+) -> list[Fold]:
+    """Train and test once a fold, folds in parallel processes of one thread each.
+
+    Parameters
+    ----------
+    data : LabelledData
+    component, network, training, response
+        As `training.train` takes them. The seed also shuffles the samples.
+    folds : int
+        From 2 to half the number of samples.
+    progress : callable
+        Called with the number of each fold as it ends, in whatever order.
+
+    Returns
+    -------
+    list of Fold
+        In the order of the folds; the same however many processes there are.
+    """
+    parts = split_folds(len(data.force_n), folds, training.seed)
+    every = np.arange(len(data.force_n))
+    jobs = [(_fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
+    return in_parallel(jobs, progress)
+
+
+def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) -> list[Any]:
+    """What each job (function, arguments ...) gives, in order; as many at once as there are cores, each on one thread."""
+    with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                progress(futures[future])
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+        return [future.result() for future in futures]
+
+
+def _fold(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    response: ArrayResponse | None,
+    trained_on: np.ndarray,
+    tested_on: np.ndarray,
+) -> Fold:
+    from decoupler.training import train  # loads torch: in the processes that train, and only there
+
+    model, history = train(selected(data, trained_on), component, network, training, response=response)
+    errors = evaluate(model, selected(data, tested_on))
+    return Fold(errors=errors, iterations=history.iterations, reason=history.reason, seconds=history.seconds)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Tell the processes started meanwhile to use one thread for linear algebra."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
