@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -20,7 +20,11 @@ from geometry.design_file import design_to_toml, read_design, write_design
 from geometry.errors import DesignError, TriPillarError
 
 if TYPE_CHECKING:
+    from dataset.labelled import LabelledData
+    from decoupler.decoupler import Decoupler
     from decoupler.metrics import ForceErrors
+    from decoupler.settings import Feature, NetworkConfig
+    from fem.response import ArrayResponse
     from studies.progress import Bars
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
@@ -31,6 +35,13 @@ Component = Literal["fz", "fx", "fy", "all"]
 
 DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+FeatureOption = Annotated[
+    Literal["auto", "inverse", "root", "resistance"],
+    typer.Option(help="Inputs: the known response's own inverse, √R or R; auto: the first if it explains the data."),
+]
+GoalOption = Annotated[
+    float | None, typer.Option(help="Stop at this mean squared error, scaled; default: the trainer's own.")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
 
 
@@ -225,8 +236,8 @@ def train(
     net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
     hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
     trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
-    feature: Annotated[Literal["root", "resistance"], typer.Option(help="Inputs √R or R.")] = "root",
-    goal: Annotated[float, typer.Option(help="Stop at this mean squared error, scaled.")] = 1e-5,
+    feature: FeatureOption = "auto",
+    goal: GoalOption = None,
     iterations: Annotated[int, typer.Option(help="Stop after so many at the latest; 0: the trainer's own.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
     json_: JsonOption = False,
@@ -238,28 +249,32 @@ def train(
     from decoupler.model_file import write_model
     from decoupler.settings import NetworkConfig, TrainingConfig
 
-    network = NetworkConfig(hidden=hidden, net=net, feature=feature)
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
+    NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
-    from decoupler.training import train as train_network
-
     with progress_bars(quiet) as bars:
+        network, solved = suited_network(labelled, component, hidden, net, feature, bars)
+        from decoupler.training import train as train_network
+
         advance = bars.begin(f"train {component}", total=training.max_iterations)
         model, history = train_network(
-            labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}")
+            labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved
         )
     write_model(model, out)
     figures = {
+        "feature": network.feature,
         "iterations": history.iterations,
         "mse": history.mse,
         "reason": history.reason,
         "seconds": history.seconds,
         "training_errors": plain(errors_on(model, labelled)),
+        "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
     }
     if json_:
         show_json({"file": str(out), **figures})
     else:
         print(f"{history.iterations} iterations in {history.seconds:.1f} s to mse {history.mse:.2e} ({history.reason})")
+        say_untrusted(model)
     wrote([out])
 
 
@@ -267,11 +282,15 @@ def train(
 def evaluate(
     model: Annotated[Path, typer.Option(help="Model file.")],
     data: Annotated[Path, typer.Option(help="Dataset to test on.")],
+    limits: Annotated[
+        bool, typer.Option(help="Work out what the readings allow; solves the response if need be.")
+    ] = True,
     json_: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
-    """Errors of a model on a dataset: relative (eq. 17), RMSE in newtons, and % of full scale."""
+    """Errors of a model on a dataset (relative by eq. 17, RMSE, % of full scale) beside the limit and two baselines."""
     from dataset.labelled import read_labelled
-    from decoupler.metrics import evaluate as errors_on
+    from decoupler.assessment import assess
     from decoupler.model_file import read_model, require_same_sensor
 
     decoupler, labelled = read_model(model), read_labelled(data)
@@ -279,13 +298,87 @@ def evaluate(
     for file, stated in ((data, labelled.design), (model, decoupler.design)):
         if stated is None:
             print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
-    errors = errors_on(decoupler, labelled)
+    with progress_bars(quiet) as bars:
+        assessed = assess(decoupler, labelled, known_response(labelled, bars) if limits else None)
     if json_:
-        show_json(plain(errors))
-    else:
-        from studies.report import errors_table, show
+        from decoupler.assessment import as_plain
 
-        show(errors_table(errors))
+        show_json(as_plain(assessed))
+    else:
+        from studies.report import assessment_table, show
+
+        show(assessment_table(assessed))
+        say_untrusted(decoupler)
+
+
+@app.command()
+def crossval(
+    data: Annotated[Path, typer.Option(help="Dataset to split.")],
+    component: Annotated[Component, typer.Option(help="Forces to decouple.")],
+    folds: Annotated[int, typer.Option(help="Parts, each tested once; the paper uses 10.")] = 10,
+    net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
+    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
+    trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
+    feature: FeatureOption = "auto",
+    goal: GoalOption = None,
+    seed: Annotated[int, typer.Option(help="Of the split and the random start.")] = 0,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """k-fold cross-validation, folds in parallel: every sample is tested once, by a network that never saw it."""
+    from dataset.labelled import read_labelled
+    from decoupler.crossval import cross_validate, summary
+    from decoupler.settings import NetworkConfig, TrainingConfig
+
+    training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
+    NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
+    labelled = read_labelled(data)
+    with progress_bars(quiet) as bars:
+        network, solved = suited_network(labelled, component, hidden, net, feature, bars)
+        advance = bars.begin(f"{folds} folds", total=folds)
+        tested = cross_validate(labelled, component, network, training, folds, solved, lambda _: advance(1, ""))
+    if json_:
+        show_json({"feature": network.feature} | summary(tested))
+    else:
+        from studies.report import crossval_table, show
+
+        show(crossval_table(tested))
+
+
+@app.command("fine-tune")
+def fine_tune(
+    model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
+    data: Annotated[Path, typer.Option(help="Measured resistances and forces of one sensor.")],
+    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    pairs: Annotated[int | None, typer.Option(help="Use the first so many; default: all.")] = None,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Fit a model to one real sensor by a few measured pairs: gain and offset of each pillar, then the output layer."""
+    from dataset.labelled import read_labelled
+    from decoupler.crossval import selected
+    from decoupler.fine_tuning import fine_tune as fine_tuned
+    from decoupler.metrics import evaluate as errors_on
+    from decoupler.model_file import read_model, require_same_sensor, write_model
+
+    if pairs is not None and pairs < 1:
+        raise DesignError(f"--pairs {pairs} must be at least 1.")
+    decoupler, measured = read_model(model), read_labelled(data)
+    require_same_sensor(decoupler, measured, model, data)
+    measured = selected(measured, slice(pairs))
+    with progress_bars(quiet) as bars:
+        solved = None if decoupler.inverse is not None else known_response(measured, bars)
+    tuned = fine_tuned(decoupler, measured, solved)
+    write_model(tuned, out)
+    before, after = (errors_on(one, measured) for one in (decoupler, tuned))
+    if json_:
+        show_json({"pairs": len(measured.force_n), "before": plain(before), "after": plain(after)})
+    else:
+        for name in after:
+            print(
+                f"{name}: {before[name].rmse_n:.3g} N before, {after[name].rmse_n:.3g} N after, on the pairs themselves"
+            )
+    wrote([out])
 
 
 @app.command()
@@ -375,6 +468,38 @@ def progress_bars(quiet: bool) -> "Bars":
     from studies.progress import Bars
 
     return Bars(quiet=quiet)
+
+
+def known_response(data: "LabelledData", bars: "Bars") -> "ArrayResponse | None":
+    """Response of the design that the data state, solved if it is not in the cache; None if they state none."""
+    if data.design is None:
+        return None
+    from studies.pipeline import respond
+
+    return respond(data.design, bars)[1]
+
+
+def suited_network(
+    data: "LabelledData", component: str, hidden: int, net: Literal["plain", "skip"], feature: str, bars: "Bars"
+) -> "tuple[NetworkConfig, ArrayResponse | None]":
+    """The network that the options ask for, and the response where its feature needs it."""
+    from decoupler.components import component_named
+    from decoupler.model_inverse import suited_feature
+    from decoupler.settings import NetworkConfig
+
+    automatic = feature == "auto"
+    solved = known_response(data, bars) if feature == "inverse" or (automatic and net == "skip") else None
+    if automatic:
+        feature = suited_feature(data, component_named(component), net, solved)
+        if feature == "root" and solved is not None:
+            print("the response of the stated design does not explain these data: inputs are √R", file=sys.stderr)
+    return NetworkConfig(hidden=hidden, net=net, feature=cast("Feature", feature)), solved
+
+
+def say_untrusted(model: "Decoupler") -> None:
+    """Name the forces that dead pillars leave unsure, on stderr."""
+    for row, col, name in model.untrusted():
+        print(f"{name} of the unit in row {row}, col {col} cannot be trusted", file=sys.stderr)
 
 
 def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:

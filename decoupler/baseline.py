@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dataset import LabelledData
 from decoupler.components import Component, force_columns, pillar_columns
@@ -47,20 +48,21 @@ class LeastSquares:
 
     component: Component
     coefficients: FloatArray  #: (n_in + 1, n_out), the constant last
+    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that are not looked at
 
     @classmethod
     def fitted(cls, data: LabelledData, component: Component) -> Self:
         """The map with the smallest squared error in newtons on `data`; the shortest if there are several."""
-        inputs = _root_and_one(data.resistance_ohm, component)
+        inputs = _root_and_one(data.resistance_ohm, component, data.dead)
         coefficients = np.linalg.lstsq(inputs, force_columns(data.force_n, component))[0]
-        return cls(component=component, coefficients=coefficients.astype(np.float64))
+        return cls(component=component, coefficients=coefficients.astype(np.float64), dead=data.dead)
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces along ``component.axes``, shape (n_samples, rows, cols, n_axes) [N]."""
-        outputs = _root_and_one(resistance_ohm, self.component) @ self.coefficients
+        outputs = _root_and_one(resistance_ohm, self.component, self.dead) @ self.coefficients
         return outputs.reshape(*resistance_ohm.shape[:3], len(self.component.axes))
 
 
-def _root_and_one(resistance_ohm: FloatArray, component: Component) -> FloatArray:
-    root = np.sqrt(pillar_columns(resistance_ohm, component))
+def _root_and_one(resistance_ohm: FloatArray, component: Component, dead: NDArray[np.bool_] | None) -> FloatArray:
+    root = np.sqrt(pillar_columns(resistance_ohm, component, dead))
     return np.hstack([root, np.ones((len(root), 1))])

@@ -1,10 +1,10 @@
-"""k-fold cross-validation, as in the paper's section 3.3: every sample is tested once, by a network that never saw it."""
+"""k-fold cross-validation as in the paper's section 3.3: every sample is tested once, by a net that never saw it."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
@@ -78,7 +78,7 @@ def cross_validate(
 
 
 def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) -> list[Any]:
-    """What each job (function, arguments ...) gives, in order; as many at once as there are cores, each on one thread."""
+    """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
     with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
         try:
@@ -121,3 +121,38 @@ def _one_thread_each() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def over_folds(tested: list[Fold], statistic: Callable[[list[float]], Any]) -> dict[str, ForceErrors]:
+    """A statistic of each kind of error over the folds, by force; None where a fold has none."""
+    found = {}
+    for force in tested[0].errors:
+        columns: dict[str, Any] = {}
+        for kind in ("rel_err", "rmse_n", "full_scale_pct"):
+            values = [getattr(fold.errors[force], kind) for fold in tested]
+            columns[kind] = None if None in values else float(statistic(values))
+        found[force] = ForceErrors(**columns)
+    return found
+
+
+def summary(tested: list[Fold]) -> dict[str, Any]:
+    """Folds with their means as dictionaries and numbers, for JSON.
+
+    One force component: a fold holds its errors, and the means are called ``mean_rel_err`` and so on. Several: a fold
+    holds each component's errors by name, and so do ``mean`` and ``spread``.
+    """
+    rows = [{name: asdict(errors) for name, errors in fold.errors.items()} for fold in tested]
+    training = [{"iterations": f.iterations, "reason": f.reason, "seconds": f.seconds} for f in tested]
+    overall = {"mean": over_folds(tested, np.mean), "spread": over_folds(tested, np.std)}
+    if len(rows[0]) > 1:
+        folds = [row | trained for row, trained in zip(rows, training, strict=True)]
+        return {"folds": folds} | {
+            label: {name: asdict(errors) for name, errors in by_force.items()} for label, by_force in overall.items()
+        }
+    (name,) = rows[0]
+    flat = {
+        f"{label}_{kind}": value
+        for label, by_force in overall.items()
+        for kind, value in asdict(by_force[name]).items()
+    }
+    return {"folds": [row[name] | trained for row, trained in zip(rows, training, strict=True)]} | flat

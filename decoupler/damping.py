@@ -55,7 +55,7 @@ class Stop:
 
     def reason(self, mse: float) -> Reason | None:
         self.errors.append(mse)
-        if mse <= self.config.goal_mse:
+        if self.config.goal_mse is not None and mse <= self.config.goal_mse:
             return "goal"
         if len(self.errors) > self.config.max_iterations:
             return "iterations"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, pillar_columns
 from decoupler.errors import SampleError
@@ -38,6 +39,7 @@ class Decoupler:
     calibration: Calibration | None = None  #: of this very sensor; None for one as designed
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: of its forces
+    least_squares: LeastSquares | None = None  #: the mark to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: recipe, data hash, seed, trainer, how it ended
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -92,6 +94,14 @@ class Decoupler:
         shape = (-1, self.rows, self.cols, len(self.component.axes))
         one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
+
+    def untrusted(self) -> list[tuple[int, int, str]]:
+        """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
+        if self.uncertainty is None:
+            return []
+        lost = self.uncertainty.untrusted(self.output_scaling.half_range)
+        places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
+        return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """The resistances that the network takes, (n, rows, cols, 3) -> (n, n_in) [Ω]; refuses what `forces` does."""

@@ -10,6 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset import LabelledData
+from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
@@ -153,6 +154,8 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
         arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
     if decoupler.uncertainty is not None:
         arrays |= {name: getattr(decoupler.uncertainty, name) for name in _UNCERTAINTY}
+    if decoupler.least_squares is not None:
+        arrays["least_squares"] = decoupler.least_squares.coefficients
     if decoupler.dead is not None:
         arrays["dead"] = decoupler.dead
     return arrays
@@ -182,6 +185,8 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
         n_axes = len(decoupler.component.axes)
         shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
         shapes |= {"widths": (len(WITHIN), n_axes)}
+    if decoupler.least_squares is not None:
+        shapes["least_squares"] = (n_in + 1, n_out)
     if decoupler.dead is not None:
         shapes["dead"] = (decoupler.rows, decoupler.cols, len(PILLARS))
     return shapes
@@ -206,8 +211,12 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     if _UNCERTAINTY[0] in arrays:
         given = {name: arrays[name] for name in _UNCERTAINTY}
         uncertainty = Uncertainty(**given, noise=float(header["noise"]), bits=header["bits"])
+    component, dead = component_named(header["component"]), arrays.get("dead")
+    least_squares = None
+    if "least_squares" in arrays:
+        least_squares = LeastSquares(component=component, coefficients=arrays["least_squares"], dead=dead)
     return Decoupler(
-        component=component_named(header["component"]),
+        component=component,
         rows=int(header["rows"]),
         cols=int(header["cols"]),
         network=network,
@@ -218,7 +227,8 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
         calibration=Calibration(arrays["gain"], arrays["offset_ohm"]) if "gain" in arrays else None,
-        dead=arrays.get("dead"),
+        dead=dead,
         uncertainty=uncertainty,
+        least_squares=least_squares,
         made_from=dict(header["made_from"]),
     )

@@ -9,10 +9,12 @@ from typing import Self
 
 import numpy as np
 
-from decoupler.components import Component
+from dataset import LabelledData
+from decoupler.components import Component, force_columns, pillar_columns, readable_columns
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
 from decoupler.rowwise import rowwise
+from decoupler.settings import Feature, Net
 from fem.response import ArrayResponse
 from geometry.layout import FloatArray
 
@@ -100,6 +102,19 @@ def explaining(
             "use the feature 'root', or the component that holds all loads ('all')."
         )
     return forward
+
+
+def suited_feature(data: LabelledData, component: Component, net: Net, response: ArrayResponse | None) -> Feature:
+    """`inverse` for a skip net if the response explains the data, else `root`."""
+    if net != "skip" or response is None:
+        return "root"
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)
+    forces = force_columns(data.force_n, component)
+    try:
+        explaining(response, component, columns, forces, readable_columns(component, data.dead, columns.shape[1]))
+    except SampleError:
+        return "root"
+    return "inverse"
 
 
 def _explained(measured: FloatArray, modelled: FloatArray) -> float:

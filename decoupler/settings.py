@@ -12,9 +12,10 @@ MOST_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then
 Trainer = Literal["varpro", "lm", "momentum"]
 
 _TRAINERS_OWN = {
-    "varpro": {"max_iterations": 200, "patience": 10},
-    "lm": {"max_iterations": 200, "patience": 10},
+    "varpro": {"goal_mse": 1e-7, "max_iterations": 200, "patience": 10},
+    "lm": {"goal_mse": 1e-5, "max_iterations": 200, "patience": 10},  # the paper's goal
     "momentum": {
+        "goal_mse": 1e-5,
         "max_iterations": 5000,
         "patience": 500,
     },  # first order: many cheap steps, each gaining little
@@ -52,7 +53,7 @@ class TrainingConfig:
     """How a network is trained, always on the full batch; errors are of outputs scaled to [-1, 1]."""
 
     trainer: Trainer = "varpro"  #: variable projection, Levenberg-Marquardt, or the paper's momentum rule
-    goal_mse: float = 1e-5  #: stop when reached; the paper's
+    goal_mse: float | None = None  #: stop when reached; None: the trainer's own
     max_iterations: int = 0  #: stop at the latest then; 0: the trainer's own
     patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
     least_gain: float = 0.02  #: share of the error; 0 never gives up
@@ -65,8 +66,12 @@ class TrainingConfig:
         _require_one_of("trainer", self.trainer, get_args(Trainer))
         for name in ("max_iterations", "patience", "seed"):
             _require_whole(name, getattr(self, name), 0)
-        for name, value in _TRAINERS_OWN[self.trainer].items():
-            object.__setattr__(self, name, getattr(self, name) or value)
+        own = _TRAINERS_OWN[self.trainer]
+        for name in ("max_iterations", "patience"):
+            object.__setattr__(self, name, getattr(self, name) or own[name])
+        if self.goal_mse is None:
+            object.__setattr__(self, "goal_mse", own["goal_mse"])
+        assert self.goal_mse is not None
         if not (math.isfinite(self.goal_mse) and self.goal_mse >= 0):
             raise DesignError(f"goal_mse={self.goal_mse:g} must be 0 or above; the paper uses 1e-5.")
         if not 0 <= self.least_gain < 1:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from dataset import LabelledData
+from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, component_named, force_columns, pillar_columns, readable_columns
 from decoupler.damping import Outcome, Point, Progress, Stop
@@ -93,7 +94,7 @@ def train(
     samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     with _one_torch_thread():
-        ridge = best_ridge(samples.linear, samples.targets) if known else RIDGE * len(inputs)
+        ridge = best_ridge(samples.linear.numpy(), targets) if known else RIDGE * len(inputs)
         point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
     output_weights = point.output.numpy().copy()
     if known:
@@ -147,6 +148,7 @@ def _untrained(
         inverse=inverse,
         calibration=calibration,
         dead=dead,
+        least_squares=LeastSquares.fitted(data, component),
     )
 
 

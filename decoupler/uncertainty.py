@@ -1,9 +1,10 @@
 """How far to trust each force: noise through the network's derivatives, and what training could not settle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
 from geometry.layout import FloatArray
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
 CHUNK = 64  #: samples whose derivatives are in memory together
+MANY_TIMES, LEAST_SHARE = (
+    3.0,
+    0.05,
+)  #: errors of an output, over its axis's median and over half its range, to distrust it
 LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
 
 
@@ -78,6 +83,25 @@ class Uncertainty:
             k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True)
         )
         return one, two
+
+    def widened(
+        self, decoupler: "Decoupler", columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
+    ) -> Self:
+        """The same for another sensor and its noise, widened as far as its pairs (n, n_in) [Ω], (n, n_out) [N] say."""
+        changed = replace(self, noise=noise, bits=bits)
+        errors = np.abs(decoupler.outputs(columns_ohm) - force_n)
+        n_axes = self.widths.shape[1]
+        scales = [
+            np.quantile((errors / width).reshape(-1, n_axes), share, axis=0)
+            for share, width in zip(WITHIN, changed.deviations(decoupler, columns_ohm), strict=True)
+        ]
+        return replace(changed, widths=self.widths * np.maximum(np.stack(scales), 1.0))
+
+    def untrusted(self, half_range_n: FloatArray) -> NDArray[np.bool_]:
+        """Which outputs (n_out,) miss by far more than the others of their axis, or by much of their range [N]."""
+        n_axes = self.widths.shape[1]
+        share = (np.sqrt(self.unexplained_n2) / np.maximum(half_range_n, 1e-300)).reshape(-1, n_axes)
+        return ((share > MANY_TIMES * np.median(share, axis=0)) & (share > LEAST_SHARE)).reshape(-1)
 
 
 def _through(decoupler: "Decoupler", columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:

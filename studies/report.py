@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from decoupler.assessment import Assessment
+from decoupler.crossval import Fold, over_folds
 from decoupler.metrics import ForceErrors
 from fem.solution import Solution
 from geometry.layout import AXES
@@ -49,13 +52,48 @@ def stage_table(stages: list[Stage]) -> Table:
     return table
 
 
-def errors_table(errors: Mapping[str, ForceErrors]) -> Table:
-    """Errors of one model on one dataset."""
-    table = Table()
-    for header in ("force", "relative error", "RMSE [N]", "% of full scale"):
-        table.add_column(header, justify="right")
-    for name, values in errors.items():
-        table.add_row(name, *_error_cells(values))
+def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
+    """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
+    table = Table(caption=_coverage(assessed))
+    table.add_column("force")
+    table.add_column("decoupler")
+    for header in ("relative error", "RMSE [N]", "% of full scale", "times the limit"):
+        table.add_column(escape(header), justify="right")
+    for name, one in assessed.items():
+        table.add_row(name, "this model", *_error_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
+        if one.limits is not None:
+            unbiased = one.limits.cramer_rao_n
+            shown = "not determined" if unbiased is None else f"{unbiased:.3f}"
+            table.add_row("", "limit without bias (Cramér-Rao)", "", shown, "", "", style="dim")
+            table.add_row("", "limit knowing the usual loads", "", f"{one.limits.bayes_n:.3f}", "", "", style="dim")
+        for label, errors in one.baselines.items():
+            table.add_row("", label, *_error_cells(errors), "")
+        table.add_section()
+    return table
+
+
+def _coverage(assessed: Mapping[str, Assessment]) -> str:
+    shares = [
+        f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}"
+        for name, one in assessed.items()
+        if one.coverage is not None
+    ]
+    return f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
+
+
+def crossval_table(tested: list[Fold]) -> Table:
+    """Errors of every fold, their mean and their spread."""
+    table = Table(title=f"{len(tested)}-fold cross-validation")
+    for header in ("fold", "force", "relative error", "RMSE [N]", "% of full scale", "iterations", "seconds"):
+        table.add_column(escape(header), justify="right")
+    for number, fold in enumerate(tested, 1):
+        for row, (name, errors) in enumerate(fold.errors.items()):
+            trained = ("", "") if row else (str(fold.iterations), f"{fold.seconds:.1f}")
+            table.add_row("" if row else str(number), name, *_error_cells(errors), *trained)
+    table.add_section()
+    for label, statistic in (("mean", np.mean), ("spread", np.std)):
+        for name, errors in over_folds(tested, statistic).items():
+            table.add_row(label, name, *_error_cells(errors), "", "")
     return table
 
 

@@ -1,0 +1,112 @@
+"""A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.baseline import hooke_forces
+from decoupler.components import force_columns, readable_columns
+from decoupler.decoupler import Decoupler
+from decoupler.forward_model import ForwardModel
+from decoupler.limits import bayes, cramer_rao
+from decoupler.metrics import ForceErrors, component_errors
+from fem.response import ArrayResponse
+from geometry.layout import AXES, FloatArray
+
+MOST_SAMPLES = 200  #: whose limits are worked out; spread over the data
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Least root mean squared error of one force [N] that the readings allow."""
+
+    cramer_rao_n: float | None  #: without bias; None where pillars that can be read do not determine the force
+    bayes_n: float  #: knowing the forces' mean and covariance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """Everything about one force component."""
+
+    errors: ForceErrors
+    limits: Limits | None  #: None if the response is unknown or other forces act as well
+    ratio: float | None  #: error over the lower bound without bias; None without noise
+    baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
+    coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % deviation
+
+
+def assess(decoupler: Decoupler, data: LabelledData, response: ArrayResponse | None) -> dict[str, Assessment]:
+    """Assess a model on data that it has not seen, force by force.
+
+    `response` is that of the sensor; without it there are no limits.
+
+    Raises
+    ------
+    SampleError
+        As `Decoupler.forces` does.
+    """
+    component = decoupler.component
+    resistance_ohm, dead = data.resistance_ohm, decoupler.dead
+    predicted = decoupler.forces(resistance_ohm)
+    errors = component_errors(predicted, data, component)
+    baselines = {}
+    if data.design is not None and dead is None:
+        baselines["eq. 8, each pillar alone"] = hooke_forces(resistance_ohm, data.design, component)
+    if decoupler.least_squares is not None:
+        baselines["least squares on √R"] = decoupler.least_squares.forces(resistance_ohm)
+    compared = {name: component_errors(forces, data, component) for name, forces in baselines.items()}
+    limits = _limits(decoupler, data, response)
+    covered = None
+    if decoupler.uncertainty is not None:
+        missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
+        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.deviations(resistance_ohm)]
+    found = {}
+    for axis, name in enumerate(component.forces):
+        limit = limits[axis] if limits is not None else None
+        found[name] = Assessment(
+            errors=errors[name],
+            limits=limit,
+            ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
+            baselines={label: by_force[name] for label, by_force in compared.items()},
+            coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
+        )
+    return found
+
+
+def _limits(decoupler: Decoupler, data: LabelledData, response: ArrayResponse | None) -> list[Limits] | None:
+    """Limits of every axis of the component; None where the response does not say them."""
+    component = decoupler.component
+    others = [index for index, axis in enumerate(AXES) if axis not in component.axes]
+    if response is None or np.any(data.force_n[..., others]):
+        return None
+    every = np.linspace(0, len(data.force_n) - 1, min(MOST_SAMPLES, len(data.force_n))).astype(int)
+    force_n = force_columns(data.force_n, component)[every]
+    forward = ForwardModel.of(response, component)
+    readable = readable_columns(component, decoupler.dead, forward.n_pillars)
+    reading = force_n, data.noise, data.bits, readable
+    unbiased, biased = (_by_axis(bound(forward, *reading), component.axes) for bound in (cramer_rao, bayes))
+    return [
+        Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
+        for one, other in zip(unbiased, biased, strict=True)
+    ]
+
+
+def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
+    """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
+    return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
+
+
+def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:
+    """The same as dictionaries and numbers, for JSON: the errors themselves first, what they are held against below."""
+    return {
+        name: asdict(one.errors)
+        | {
+            "limits": None if one.limits is None else asdict(one.limits),
+            "ratio": one.ratio,
+            "baselines": {label: asdict(errors) for label, errors in one.baselines.items()},
+            "coverage": one.coverage,
+        }
+        for name, one in assessed.items()
+    }

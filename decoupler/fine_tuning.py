@@ -1,0 +1,75 @@
+"""From a model of the sensor as designed to one of the sensor on the table, by a few measured pairs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.calibration import Calibration
+from decoupler.components import force_columns
+from decoupler.decoupler import Decoupler
+from decoupler.errors import SampleError
+from decoupler.forward_model import ForwardModel
+from decoupler.ridge import best_ridge
+from fem.response import ArrayResponse
+from geometry.files import digest
+
+LEAST_PAIRS = 10  #: below which the output layer stays as it is: its errors could not be judged
+
+
+def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: ArrayResponse | None) -> Decoupler:
+    """The same model for the sensor that the pairs were measured on.
+
+    Parameters
+    ----------
+    decoupler : Decoupler
+        Trained on simulated data.
+    pairs : LabelledData
+        Measured resistances and the forces that caused them; one is enough to begin with.
+    response : ArrayResponse, optional
+        Of the sensor as designed; not needed if the model holds one.
+
+    Raises
+    ------
+    SampleError
+        If the response is unknown, of another array, or a resistance or force is no number.
+
+    Notes
+    -----
+    First gain and offset of every pillar (`calibration`). Then, from `LEAST_PAIRS` on, the output layer: its deviation
+    from the simulated one by ridge regression, kept only where the errors of pairs left out fall.
+    """
+    component = decoupler.component
+    if decoupler.inverse is not None:
+        forward = decoupler.inverse.forward
+    elif response is not None:
+        forward = ForwardModel.of(response, component)
+    else:
+        raise SampleError("fine-tuning needs the array's response, and none is known: state the design in the data.")
+    columns, forces = decoupler.columns(pairs.resistance_ohm), force_columns(pairs.force_n, component)
+    if forces.shape[1] != forward.n_forces:
+        raise SampleError(f"the pairs hold {forces.shape[1]} forces, the model {forward.n_forces}: measure this array.")
+    calibration = Calibration.fitted(columns, forward.resistances(forces), pairs.noise)
+    tuned = replace(decoupler, calibration=calibration)
+    if len(forces) >= LEAST_PAIRS:
+        tuned = _nearer(tuned, columns, forces)
+    if tuned.uncertainty is not None:
+        noise = pairs.noise * np.sqrt(1.0 + 2.0 / len(forces))  # gain and offset are only as good as the pairs
+        tuned = replace(tuned, uncertainty=tuned.uncertainty.widened(tuned, columns, forces, noise, pairs.bits))
+    story = {"fine_tuned_on": pairs.content_hash, "pairs": len(forces)}
+    recipe = digest(decoupler.made_from.get("recipe"), pairs.content_hash, pairs.noise)
+    return replace(tuned, made_from=decoupler.made_from | story | {"recipe": recipe})
+
+
+def _nearer(decoupler: Decoupler, columns_ohm: np.ndarray, force_n: np.ndarray) -> Decoupler:
+    """The model with another output layer if that lowers the errors of pairs left out, else itself."""
+    A = decoupler.activations(columns_ohm)
+    missing = decoupler.output_scaling.scale(force_n) - A @ decoupler.output_weights.T
+    M = A.T @ A
+    M.flat[:: len(M) + 1] += best_ridge(A, missing)
+    solved = np.linalg.solve(M, A.T)  # (n_features, n_pairs)
+    leverage = np.einsum("ni,in->n", A, solved)
+    left_out = (missing - A @ (solved @ missing)) / (1.0 - leverage)[:, None]
+    if np.sum(left_out**2) >= np.sum(missing**2):
+        return decoupler
+    return replace(decoupler, output_weights=decoupler.output_weights + (solved @ missing).T)
