@@ -1,5 +1,6 @@
 """Work-precision pictures of training: error against time."""
 
+from itertools import accumulate
 from pathlib import Path
 
 from geometry.files import replacing
@@ -22,9 +23,10 @@ def draw_race(title: str, runs: list[Run], path: Path) -> None:
         if run.failure:
             continue
         _, seconds, mse = zip(*run.trace, strict=True)
+        lowest = list(accumulate(mse, min))
         axes.plot(
             seconds,
-            mse,
+            lowest,
             color=colour,
             marker="o" if run.iterations < 100 else "",
             markersize=3.5,
@@ -32,11 +34,11 @@ def draw_race(title: str, runs: list[Run], path: Path) -> None:
             drawstyle="steps-post",  # a step counts once it is done
             label=run.contender,
         )
-        axes.plot(seconds[-1], mse[-1], color=colour, marker="s", markersize=7)
+        axes.plot(seconds[-1], lowest[-1], color=colour, marker="s", markersize=7)
     for goal in GOALS.values():
         axes.axhline(goal, color="black", linewidth=0.6, linestyle=":")
     axes.set(xscale="log", yscale="log", xlabel="seconds since the start of the training, one thread")
-    axes.set_ylabel("mean squared error of the scaled training outputs")
+    axes.set_ylabel("mean squared error of the scaled training outputs, lowest so far")
     axes.set_title(f"{title}: lower and further left is better; squares mark the end")
     axes.grid(visible=True, which="major", alpha=0.25)
     axes.legend(loc="lower left", fontsize=9)
