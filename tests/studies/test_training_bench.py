@@ -31,7 +31,6 @@ def problem(request) -> Problem:
 
 
 @pytest.mark.parametrize("one", CONTENDERS, ids=lambda one: one.name)
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:(pytorch_lightning|torchmetrics|lightning_).*")
 def test_every_contender_lowers_the_error(one, problem):
     if one.missing():
         pytest.skip(one.missing())
