@@ -28,8 +28,9 @@ dataset: $(READY)  ## the same, up to the datasets
 picture: $(READY)  ## draw the deformed array again, for the README
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
 
-bench: $(READY)  ## run time against error, beside scikit-fem, NGSolve and CalculiX where installed
+bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
+	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 
 stress: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.stress --out $(OUT)/stress

@@ -1,9 +1,6 @@
 """``python -m studies.bench``: the table, the JSON and the pictures of run time against error."""
 
-import os
-import platform
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated
 
@@ -13,11 +10,13 @@ from geometry.files import replacing
 from studies.bench.contenders import CONTENDERS
 from studies.bench.figures import draw_work_precision
 from studies.bench.scenes import all_scenes
+from studies.bench.surroundings import surroundings
 from studies.bench.table import ratio_table, work_precision_table
 from studies.bench.work_precision import Settings, as_json, measure_scene
 from studies.report import show
 
 SCENES = ("block-normal-0.49", "slab-12-normal")  #: a symmetric scene and one that is not
+PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
 
 
 def bench(
@@ -47,25 +46,11 @@ def bench(
         show(ratio_table(name, found, loaded=True))
         if len(scenes[name].probes) > 1:
             show(ratio_table(name, found))
-    about = surroundings() | {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
+    measured = {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
+    about = surroundings(PACKAGES) | measured
     with replacing(out / "bench.json") as temporary:
         temporary.write_text(as_json(everything, about), encoding="utf-8")
     print(f"{out}: bench.json and a picture of each scene", file=sys.stderr)
-
-
-def surroundings() -> dict[str, object]:
-    """Machine and versions, without which times mean little."""
-    found: dict[str, object] = {
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-    }
-    for package in ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
 
 
 if __name__ == "__main__":

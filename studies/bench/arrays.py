@@ -18,7 +18,7 @@ from rich.table import Table
 
 from geometry.design import Array, Material, SensorDesign
 from geometry.files import replacing
-from studies.bench.measure import peak_mib
+from studies.bench.memory import peak_mib
 from studies.bench.whole_grid import whole_grid_response
 from studies.report import show
 

@@ -5,24 +5,11 @@ what it started. Threads are what the environment says.
 """
 
 import json
-import resource
 import sys
-from pathlib import Path
 
 from studies.bench.contenders import contender
+from studies.bench.memory import peak_mib
 from studies.bench.scenes import all_scenes
-
-
-def peak_mib() -> float:
-    """Largest resident memory so far of this process, or of a program that it ran, in MiB."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    status = Path("/proc/self/status")
-    if status.exists():  # ru_maxrss of the process itself would remember the one that started it
-        lines = status.read_text(encoding="ascii").splitlines()
-        own = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
-    else:
-        own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return max(own, children) / 1024
 
 
 def main(name: str, scene: str, resolution: str) -> None:

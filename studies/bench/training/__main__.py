@@ -1,0 +1,93 @@
+"""``python -m studies.bench.training``: the tables, the JSON and the pictures of training time against error."""
+
+import json
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+
+from dataset.labelled import write_dataset
+from dataset.simulate import DatasetSettings, simulate
+from decoupler.settings import Net
+from fem.array_response import array_response
+from geometry.design import SensorDesign
+from geometry.files import replacing
+from studies.bench.surroundings import surroundings
+from studies.bench.training.contenders import CONTENDERS
+from studies.bench.training.dense import step_difference
+from studies.bench.training.figures import draw_race
+from studies.bench.training.race import Case, race
+from studies.bench.training.table import ratio_table, time_table
+from studies.report import show
+
+PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
+TEST_SAMPLES = 200
+SEEDS = {"train": 1, "test": 2}
+PACKAGES = ("numpy", "scipy", "torch", "torch-levenberg-marquardt")
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/bench"),
+    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
+    samples: Annotated[int, typer.Option(help="Training samples.")] = 2000,
+    patience: Annotated[float, typer.Option(help="Seconds after which a training is stopped.")] = 60.0,
+    protocol: Annotated[list[str] | None, typer.Option(help="Protocol to run; may be given again.")] = None,
+    net: Annotated[list[str] | None, typer.Option(help="Net to run, plain or skip; may be given again.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="First case only, 5 s each: a look, no record.")] = False,
+) -> None:
+    """Train by every contender on every case; what is not installed is skipped with a word."""
+    protocols, nets = protocol or list(PROTOCOLS), net or ["skip", "plain"]
+    if quick:
+        protocols, nets, patience = protocols[:1], nets[:1], 5.0
+    if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:
+        raise typer.BadParameter(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
+    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
+    out.mkdir(parents=True, exist_ok=True)
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases(Path(folder), protocols, nets, hidden, samples, patience):
+            difference = step_difference(case.problem())
+            runs = race(case, chosen, lambda line: print(line, file=sys.stderr))
+            draw_race(case.name, runs, out / f"training-{case.name}.png")
+            show(time_table(case.name, runs, difference))
+            show(ratio_table(case.name, runs))
+            found.append({"name": case.name, "step_difference": difference, "runs": [asdict(run) for run in runs]})
+    about = surroundings(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
+    with replacing(out / "training.json") as temporary:
+        temporary.write_text(json.dumps({"about": about, "cases": found}, indent=1) + "\n", encoding="utf-8")
+    print(f"{out}: training.json and a picture of each case", file=sys.stderr)
+
+
+def cases(
+    folder: Path, protocols: list[str], nets: list[str], hidden: int, samples: int, patience_s: float
+) -> list[Case]:
+    """Every protocol's samples, simulated into the folder, with every net."""
+    response, _, _ = array_response(SensorDesign())
+    made = []
+    for protocol in protocols:
+        files = {}
+        for split, seed in SEEDS.items():
+            n = samples if split == "train" else TEST_SAMPLES
+            files[split] = folder / f"{protocol}-{split}.nc"
+            write_dataset(simulate(response, DatasetSettings(protocol=protocol, samples=n, seed=seed)), files[split])
+        for net in nets:
+            made.append(
+                Case(
+                    name=f"{protocol}-{net}-{hidden}",
+                    train=str(files["train"]),
+                    test=str(files["test"]),
+                    component=PROTOCOLS[protocol],
+                    net=net,  # type: ignore[arg-type]  # checked above
+                    hidden=hidden,
+                    patience_s=patience_s,
+                )
+            )
+    return made
+
+
+if __name__ == "__main__":
+    typer.run(bench)

@@ -1,0 +1,66 @@
+"""What every contender is handed: samples, the form of the network, and the seed of its start."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dataset import LabelledData
+from decoupler.components import component_named, force_columns, pillar_columns
+from decoupler.decoupler import Decoupler, features
+from decoupler.network import Network
+from decoupler.scaling import Scaling
+from decoupler.settings import NetworkConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """A network to be trained on data."""
+
+    data: LabelledData
+    component: str
+    network: NetworkConfig
+    seed: int = 0
+
+    def first(self, samples: int) -> "Problem":
+        """The same with the first samples only."""
+        data = self.data
+        fewer = replace(data, resistance_ohm=data.resistance_ohm[:samples], force_n=data.force_n[:samples])
+        return replace(self, data=fewer)
+
+
+class Scaled:
+    """A problem as `decoupler.training.train` prepares it: the same columns, scaling and random start."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.parts = problem, component_named(problem.component)
+        inputs = features(pillar_columns(problem.data.resistance_ohm, self.parts), problem.network.feature)
+        targets = force_columns(problem.data.force_n, self.parts)
+        self.scalings = Scaling.fitted(inputs), Scaling.fitted(targets)
+        self.x = torch.from_numpy(self.scalings[0].scale(inputs))  #: (n_samples, n_in)
+        self.t = torch.from_numpy(self.scalings[1].scale(targets))  #: (n_samples, n_out)
+        self.model = Network(problem.network, self.x.shape[1], self.t.shape[1], problem.seed)
+
+    def loss(self) -> Tensor:
+        """Mean squared error of the scaled outputs, with its graph."""
+        return torch.mean((self.model(self.x) - self.t) ** 2)
+
+    @torch.no_grad()
+    def mse(self) -> float:
+        """The same as a number."""
+        return self.loss().item()
+
+    def decoupler(self) -> Decoupler:
+        """The network as it now is, with its scaling."""
+        data = self.problem.data
+        return Decoupler(
+            component=self.parts,
+            rows=data.resistance_ohm.shape[1],
+            cols=data.resistance_ohm.shape[2],
+            network=self.problem.network,
+            input_scaling=self.scalings[0],
+            output_scaling=self.scalings[1],
+            hidden_weights=self.model.hidden.detach().numpy(),
+            output_weights=self.model.output.detach().numpy(),
+            design=data.design,
+        )
