@@ -33,14 +33,14 @@ def bench(
     out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/bench"),
     hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
     samples: Annotated[int, typer.Option(help="Training samples.")] = 2000,
-    patience: Annotated[float, typer.Option(help="Seconds after which a training is stopped.")] = 60.0,
+    patience: Annotated[float, typer.Option(help="Seconds after which a training is stopped.")] = 30.0,
     protocol: Annotated[list[str] | None, typer.Option(help="Protocol to run; may be given again.")] = None,
     net: Annotated[list[str] | None, typer.Option(help="Net to run, plain or skip; may be given again.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="First case only, 5 s each: a look, no record.")] = False,
 ) -> None:
     """Train by every contender on every case; what is not installed is skipped with a word."""
-    protocols, nets = protocol or list(PROTOCOLS), net or ["skip", "plain"]
+    protocols, nets = protocol or ["contact-fz"], net or ["skip", "plain"]
     if quick:
         protocols, nets, patience = protocols[:1], nets[:1], 5.0
     if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:

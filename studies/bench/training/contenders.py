@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from decoupler.decoupler import Decoupler
 from decoupler.settings import Trainer, TrainingConfig
 from decoupler.training import train
+from fem.array_response import array_response
 from studies.bench.training import peers
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
@@ -24,19 +25,23 @@ class Contender:
     missing: Callable[[], str] = str  #: what the environment lacks to run this, in a word; str() is nothing
 
 
-def by_ours(trainer: Trainer) -> Callable[[Problem, Trace], tuple[Decoupler, str]]:
-    """Training by `decoupler.training.train`."""
+def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace], tuple[Decoupler, str]]:
+    """Training by `decoupler.training.train`; `known`: of a skip net that starts from the response's inverse."""
 
     def run(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
         config = TrainingConfig(
-            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=LEAST_GAIN, seed=problem.seed
+            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=LEAST_GAIN, seed=problem.seed, held_out=0.0
         )
+        network, response = problem.network, None
+        if known and problem.data.design is not None:
+            network, response = replace(network, net="skip", feature="inverse"), array_response(problem.data.design)[0]
+        asked = problem.data, problem.component, network
         try:
-            model, history = train(problem.data, problem.component, problem.network, config, trace.record)
+            model, history = train(*asked, config, trace.record, response)
             return model, history.reason
         except Ended as end:  # once more, off the clock, for the weights it had then
             again = replace(config, max_iterations=max(trace.points[-1][0], 1))
-            return train(problem.data, problem.component, problem.network, again)[0], str(end)
+            return train(*asked, again, response=response)[0], str(end)
 
     return run
 
@@ -57,6 +62,7 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Callable[[Problem, Trace], t
 
 VARPRO, LM = "VarPro", "structured LM"  #: what the others are compared with
 CONTENDERS = [
+    Contender(name="VarPro from the known response", train=by_ours("varpro", known=True), ours=True),
     Contender(name=VARPRO, train=by_ours("varpro"), ours=True),
     Contender(name=LM, train=by_ours("lm"), ours=True),
     Contender(name="momentum (eq. 15)", train=by_ours("momentum"), ours=True),

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dataset import LabelledData
 from decoupler.components import component_named, force_columns, pillar_columns
-from decoupler.decoupler import Decoupler, features
+from decoupler.decoupler import Decoupler
 from decoupler.network import Network
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig
@@ -34,7 +35,8 @@ class Scaled:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.parts = problem, component_named(problem.component)
-        inputs = features(pillar_columns(problem.data.resistance_ohm, self.parts), problem.network.feature)
+        columns = pillar_columns(problem.data.resistance_ohm, self.parts)
+        inputs = np.sqrt(columns) if problem.network.feature == "root" else columns
         targets = force_columns(problem.data.force_n, self.parts)
         self.scalings = Scaling.fitted(inputs), Scaling.fitted(targets)
         self.x = torch.from_numpy(self.scalings[0].scale(inputs))  #: (n_samples, n_in)
