@@ -7,7 +7,7 @@ from geometry.files import replacing
 from studies.bench.training.race import Run
 from studies.bench.training.trace import GOALS
 
-OURS = ("#c1272d", "#e07b39", "#e6b35a")  #: reds stand out
+OURS = ("#7f1d3a", "#c1272d", "#e07b39", "#e6b35a")  #: reds stand out
 PEERS = ("#0081a7", "#3a5a40", "#6a4c93", "#7a7a7a")
 
 
