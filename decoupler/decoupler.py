@@ -75,7 +75,7 @@ class Decoupler:
             outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
 
         if n <= CHUNK:
-            fill(0)
+            fill(0)  # a live scan starts no threads
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 list(pool.map(fill, range(0, n, CHUNK)))

@@ -29,7 +29,7 @@ FX = component_named("fx")
 @pytest.mark.parametrize("net", ["plain", "skip"])
 def test_second_order_trainers_reach_the_goal(trainer, net):
     """Nodes enough for six forces: the goal is reached, and unseen samples beat least squares by far."""
-    config = TrainingConfig(trainer=trainer, goal_mse=1e-7)
+    config = TrainingConfig(trainer=trainer, goal_mse=1e-7, held_out=0.0)
     decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
     assert history.reason == "goal"
     assert history.mse <= 1e-7
