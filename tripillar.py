@@ -382,6 +382,29 @@ def fine_tune(
 
 
 @app.command()
+def export(
+    model: Annotated[Path, typer.Option(help="Model file.")],
+    out: Annotated[Path, typer.Option(help="File to write: .onnx, or .h for a header in C.")],
+    precision: Annotated[
+        Literal["float", "double"] | None, typer.Option(help="Of its numbers; default: double in .onnx, float in .h.")
+    ] = None,
+    json_: JsonOption = False,
+) -> None:
+    """Write a model for other programs: an ONNX graph, or a C header for a microcontroller."""
+    from decoupler.export import export_model
+    from decoupler.model_file import read_model
+
+    exported = export_model(read_model(model), out, precision)
+    if json_:
+        show_json({"file": str(out), **asdict(exported)})
+    elif exported.deviation is None:
+        print(f"not checked: {exported.unchecked}")
+    else:
+        print(f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})")
+    wrote([out])
+
+
+@app.command()
 def replay(
     recording: Annotated[Path, typer.Argument(help="Recorded frames.")],
     model: Annotated[Path, typer.Option(help="Model file.")],
