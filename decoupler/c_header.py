@@ -11,8 +11,7 @@ import numpy as np
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.errors import ExportError
-from decoupler.model_inverse import STEPS
-from decoupler.portable import dead_inputs, facts, input_factors, output_weights_n, places
+from decoupler.portable import dead_inputs, facts, output_weights_n, places
 from geometry.layout import PILLARS, FloatArray
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
@@ -94,8 +93,8 @@ _INVERSE = """\
     for (int step = 0;; step++) {
         for (int i = 0; i < TRIPILLAR_INPUTS; i++)
             for (int k = 0; k < TRIPILLAR_INPUTS; k++)
-                input[k] += residual[i] * TRIPILLAR_READ(tripillar_chord[i][k]);
-        if (step == $steps)
+                input[k] += residual[i] * TRIPILLAR_READ(tripillar_correctors[step][i][k]);
+        if (step == TRIPILLAR_STEPS - 1)
             break;
         for (int e = 0; e < 3 * TRIPILLAR_ELECTRODES; e++)
             moved[e] = 0;
@@ -160,7 +159,7 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     output = output_weights_n(decoupler)
     numbers = {
         "input_centre": decoupler.input_scaling.centre,
-        "input_factor": input_factors(decoupler),
+        "input_factor": decoupler.input_scaling.factor,
         "hidden": decoupler.hidden_weights,
         "output": output,
     }
@@ -182,10 +181,11 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         reading += _CALIBRATION
     if inverse is not None:
         forward = inverse.forward
+        sizes["STEPS"] = len(inverse.correctors)
         sizes["ELECTRODES"] = forward.influence.shape[1] // 3
         working += 2 * len(place) + 3 * sizes["ELECTRODES"]
         indices["top"] = forward.top
-        numbers |= {name: getattr(inverse, name) for name in ("centre_n", "centre_mm", "chord")}
+        numbers |= {name: getattr(inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
         numbers |= {name: getattr(forward, name) for name in ("influence", "rest_mm", "ohm_per_mm2")}
     size = np.dtype(dtype).itemsize
     known = {
@@ -197,7 +197,6 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "steps": STEPS,
         "millionth": _literal(dtype(1e-6)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
     }
@@ -248,14 +247,12 @@ def _literal(value: np.generic) -> str:
 
 
 def _table(kind: str, name: str, values: np.ndarray, where: str) -> str:
-    """A constant array of one or two dimensions."""
+    """A constant array of any number of dimensions."""
     size = "".join(f"[{n}]" for n in values.shape)
-    if values.ndim == 1:
-        body = _numbers(values)
-    else:
-        body = ",\n".join(f"{{\n{_numbers(row)}\n}}" for row in values)
-    return f"static const {kind} tripillar_{name}{size} {where}= {{\n{body}\n}};\n"
+    return f"static const {kind} tripillar_{name}{size} {where}= {{\n{_numbers(values)}\n}};\n"
 
 
 def _numbers(values: np.ndarray) -> str:
+    if values.ndim > 1:
+        return ",\n".join(f"{{\n{_numbers(row)}\n}}" for row in values)
     return fill(", ".join(map(_literal, values)), 118, break_long_words=False, break_on_hyphens=False)

@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from dataset import LabelledData
 from decoupler.errors import SampleError
 from decoupler.metrics import ForceErrors, evaluate
 from decoupler.settings import NetworkConfig, TrainingConfig
-from fem.response import ArrayResponse
 from geometry.files import digest
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +53,7 @@ def cross_validate(
     network: NetworkConfig,
     training: TrainingConfig,
     folds: int = 10,
-    response: ArrayResponse | None = None,
+    response: "ArrayResponse | None" = None,
     progress: Callable[[int], None] = lambda fold: None,
 ) -> list[Fold]:
     """Train and test once a fold, folds in parallel processes of one thread each.
@@ -96,7 +98,7 @@ def _fold(
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
-    response: ArrayResponse | None,
+    response: "ArrayResponse | None",
     trained_on: np.ndarray,
     tested_on: np.ndarray,
 ) -> Fold:

@@ -74,7 +74,7 @@ class Decoupler:
             chunk = columns[start : start + CHUNK]
             outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
 
-        if n <= CHUNK:
+        if 0 < n <= CHUNK:
             fill(0)  # a live scan starts no threads
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -8,8 +8,8 @@ from onnx import helper, numpy_helper
 
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
-from decoupler.model_inverse import STEPS, ModelInverse
-from decoupler.portable import dead_inputs, facts, input_factors, output_weights_n, places
+from decoupler.model_inverse import ModelInverse
+from decoupler.portable import dead_inputs, facts, output_weights_n, places
 from geometry.layout import PILLARS, FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one
@@ -45,7 +45,7 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
         x = _inverse(graph, x, decoupler.inverse)
     elif decoupler.network.feature == "root":
         x = graph.add("Sqrt", x)
-    x = graph.add("Mul", graph.add("Sub", x, decoupler.input_scaling.centre), input_factors(decoupler))
+    x = graph.add("Mul", graph.add("Sub", x, decoupler.input_scaling.centre), decoupler.input_scaling.factor)
     seen = graph.add("Tanh", graph.affine(x, decoupler.hidden_weights))
     if decoupler.network.net == "skip":
         seen = graph.add("Concat", seen, x, axis=1)
@@ -99,13 +99,15 @@ def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:
     """Add `ModelInverse.forces`: resistances (n, n_pillars) [Ω] -> forces (n, n_forces) [N]."""
     forward = inverse.forward
     lengths = graph.add("Sqrt", graph.add("Div", columns_ohm, forward.ohm_per_mm2))
-    step = graph.add("MatMul", graph.add("Sub", lengths, inverse.centre_mm), inverse.chord)
-    forces = graph.add("Add", step, inverse.centre_n)
-    for _ in range(STEPS):
+    first, *others = inverse.correctors
+    forces = graph.add(
+        "Add", graph.add("MatMul", graph.add("Sub", lengths, inverse.centre_mm), first), inverse.centre_n
+    )
+    for corrector in others:
         moved = graph.add("MatMul", forces, forward.influence)
         moved = graph.add("Reshape", moved, np.array([0, 3, forward.influence.shape[1] // 3]))
         vectors = graph.add("Add", graph.add("Gather", moved, forward.top, axis=2), forward.rest_mm)
         squares = graph.add("ReduceSum", graph.add("Mul", vectors, vectors), np.array([1]), keepdims=0)
         residual = graph.add("Sub", lengths, graph.add("Sqrt", squares))
-        forces = graph.add("Add", forces, graph.add("MatMul", residual, inverse.chord))
+        forces = graph.add("Add", forces, graph.add("MatMul", residual, corrector))
     return forces

@@ -23,12 +23,6 @@ def dead_inputs(decoupler: Decoupler) -> NDArray[np.bool_]:
     return ~readable_columns(decoupler.component, decoupler.dead, len(places(decoupler)))
 
 
-def input_factors(decoupler: Decoupler) -> FloatArray:
-    """What a feature less its centre is multiplied by, shape (n_in,); 0 for a column that tells nothing."""
-    half_range = decoupler.input_scaling.half_range
-    return np.divide(1.0, half_range, out=np.zeros_like(half_range), where=half_range > 0)
-
-
 def output_weights_n(decoupler: Decoupler) -> FloatArray:
     """Output weights that give newtons without unscaling, (n_out, n_hidden [+ n_in] + 1) [N], bias last."""
     weights = decoupler.output_weights * decoupler.output_scaling.half_range[:, None]

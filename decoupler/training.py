@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,8 +27,10 @@ from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import Uncertainty
 from decoupler.varpro import RIDGE, train_varpro
-from fem.response import ArrayResponse
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,7 @@ def train(
     network: NetworkConfig,
     training: TrainingConfig,
     progress: Progress = _silent,
-    response: ArrayResponse | None = None,
+    response: "ArrayResponse | None" = None,
 ) -> tuple[Decoupler, History]:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
@@ -120,7 +123,7 @@ def _untrained(
     network: NetworkConfig,
     columns_ohm: FloatArray,
     force_n: FloatArray,
-    response: ArrayResponse | None,
+    response: "ArrayResponse | None",
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
     inverse = calibration = None
