@@ -21,7 +21,8 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
-LEAST_EXPLAINED = 0.5  #: share of the lengths' variance, below which a response is held to be of another sensor
+LEAST_EXPLAINED = 0.9  #: share of the lengths' variance, below which a response is held to be of another sensor
+SLOPES = (0.8, 1.25)  #: between which a pillar's own gain may change its length
 STEPS = 4  #: corrections; one more divides the error by three to five and costs a fifth of a scan's time
 LEAST_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
 LOADS = 4000  #: that the corrections are fitted to, at least
@@ -165,9 +166,9 @@ def suited_feature(data: LabelledData, component: Component, net: Net, response:
 
 
 def _explained(measured: FloatArray, modelled: FloatArray) -> float:
-    """Share of the variance of all columns together that a line per column through `modelled` explains."""
+    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains."""
     measured, modelled = measured - measured.mean(axis=0), modelled - modelled.mean(axis=0)
     both, own = (measured * modelled).sum(axis=0), (modelled**2).sum(axis=0)
+    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
     total = (measured**2).sum()
-    explained = np.divide(both * np.abs(both), own, out=np.zeros_like(own), where=own > 0).sum()
-    return float(explained / total) if total > 0 else 1.0
+    return float(1.0 - ((measured - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0

@@ -67,7 +67,7 @@ def test_the_pipeline_beats_the_paper_and_the_marks(house):
     }  # fmt: skip
     for comparison in house.outcome["comparisons"]:
         errors = {entry["decoupler"]: entry["errors"]["rel_err"] for entry in comparison["entries"]}
-        ours = errors.pop("skip net (ours)")
+        ours = errors.pop("skip net from the response (ours)")
         assert ours < comparison["paper_rel_err"]
         assert ours < errors["least squares on √R"]
         assert ours < errors["eq. 8, each pillar alone"]
@@ -190,7 +190,7 @@ def test_replay_gives_the_forces_behind_recorded_frames(house):
     data = read_labelled(house.folder / "out/data/contact-fz-test.nc")
     info = Info(rows=1, cols=2, bits=16)
     write_recording(recording_from_resistances(data.resistance_ohm, info), house.folder / "press.frames")
-    model = "out/models/contact-fz-skip36.safetensors"
+    model = "out/models/contact-fz-skip17-inverse.safetensors"
     replayed = house.result("replay", "press.frames", "--model", model)
     assert (replayed["frames"], replayed["saturated_frames"], replayed["axes"]) == (200, 0, ["z"])
     found, known = np.array(replayed["force_n"])[..., 0], data.force_n[..., 2]
@@ -248,15 +248,15 @@ def test_a_bad_design_is_one_line(house, tmp_path, text, says):
         ([*POKE, "--dead-row", "12"], "has no row wire 12: its row wires are 0 to 11"),
         ([*POKE, "--dead-col=-1"], "dead_cols=(-1,) must hold numbers of wires from 0 on"),
         (["evaluate", "--model", "nowhere.safetensors", "--data", "out/data/contact-fz-test.nc"], "no such file"),
-        (["evaluate", "--model", "out/models/contact-fz-skip36.safetensors", "--data", "nowhere.nc"], "no such file"),
+        (["evaluate", "--model", "out/models/contact-fz-skip17-inverse.safetensors", "--data", "nowhere.nc"], "no such file"),
         (["evaluate", "--model", "small.toml", "--data", "out/data/contact-fz-test.nc"], "no safetensors file"),
         (["train", "--data", "small.toml", "--component", "fz", "--out", "x.safetensors"], "truncated or not NetCDF"),
-        (["replay", "small.toml", "--model", "out/models/contact-fz-skip36.safetensors"], "small.toml"),
+        (["replay", "small.toml", "--model", "out/models/contact-fz-skip17-inverse.safetensors"], "small.toml"),
         (["run", "--design", "nowhere.toml"], "nowhere.toml"),
         (["view", "--save", "picture.txt"], "must end in .png"),
         (["view", "--save", "picture.png", "--pressure", "nan"], "--pressure nan must be above 0"),
         (["design", "--out", "out"], "out is a folder"),
-        (["evaluate", "--model", "out/models/contact-fz-skip36.safetensors", "--data", "out"], "out: a folder"),
+        (["evaluate", "--model", "out/models/contact-fz-skip17-inverse.safetensors", "--data", "out"], "out: a folder"),
     ],
     ids=lambda value: "-".join(value[:3]) if isinstance(value, list) else None,
 )
@@ -270,7 +270,7 @@ def test_data_of_another_design_are_refused(house):
         "dataset", "--protocol", "contact-fz", "--samples", "20", "--out", "wide.nc", "--design", "wide.toml", "-q"
     )
     assert done.returncode == 0, done.stderr
-    line = house.refusal("evaluate", "--model", "out/models/contact-fz-skip36.safetensors", "--data", "wide.nc")
+    line = house.refusal("evaluate", "--model", "out/models/contact-fz-skip17-inverse.safetensors", "--data", "wide.nc")
     assert "array.pitch_mm: model 15, data 17" in line
 
 
