@@ -248,7 +248,10 @@ def test_a_bad_design_is_one_line(house, tmp_path, text, says):
         ([*POKE, "--dead-row", "12"], "has no row wire 12: its row wires are 0 to 11"),
         ([*POKE, "--dead-col=-1"], "dead_cols=(-1,) must hold numbers of wires from 0 on"),
         (["evaluate", "--model", "nowhere.safetensors", "--data", "out/data/contact-fz-test.nc"], "no such file"),
-        (["evaluate", "--model", "out/models/contact-fz-skip17-inverse.safetensors", "--data", "nowhere.nc"], "no such file"),
+        (
+            ["evaluate", "--model", "out/models/contact-fz-skip17-inverse.safetensors", "--data", "nowhere.nc"],
+            "no such file",
+        ),
         (["evaluate", "--model", "small.toml", "--data", "out/data/contact-fz-test.nc"], "no safetensors file"),
         (["train", "--data", "small.toml", "--component", "fz", "--out", "x.safetensors"], "truncated or not NetCDF"),
         (["replay", "small.toml", "--model", "out/models/contact-fz-skip17-inverse.safetensors"], "small.toml"),
