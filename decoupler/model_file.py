@@ -15,7 +15,7 @@ from decoupler.calibration import Calibration
 from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
-from decoupler.model_inverse import STEPS, ModelInverse
+from decoupler.model_inverse import ModelInverse
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import WITHIN, Uncertainty
@@ -180,7 +180,11 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
     if decoupler.inverse is not None:
         n_electrodes = n_units * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in decoupler.component.pillars})
         shapes |= {"influence": (n_out, 3 * n_electrodes), "top": (n_in,), "rest_mm": (3, n_in), "ohm_per_mm2": (n_in,)}
-        shapes |= {"centre_n": (n_out,), "centre_mm": (n_in,), "correctors": (STEPS, n_in, n_out)}
+        shapes |= {
+            "centre_n": (n_out,),
+            "centre_mm": (n_in,),
+            "correctors": (len(decoupler.inverse.correctors), n_in, n_out),
+        }
     if decoupler.calibration is not None:
         shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
     if decoupler.uncertainty is not None:

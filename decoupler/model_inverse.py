@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 LEAST_EXPLAINED = 0.9  #: share of the lengths' variance, below which a response is held to be of another sensor
 SLOPES = (0.8, 1.25)  #: between which a pillar's own gain may change its length
-STEPS = 4  #: corrections; one more divides the error by three to five and costs a fifth of a scan's time
+MOST_STEPS = 6  #: corrections; each divides the error by three to five and costs a fifth of a scan's time
+ENOUGH = 1e-3  #: of the forces' spread: what may be left when corrections end sooner
 LEAST_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
 LOADS = 4000  #: that the corrections are fitted to, at least
 HELD = 1e-2  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
@@ -58,15 +59,16 @@ class ModelInverse:
         force_n = _more_loads(force_n)
         lengths = forward.lengths(force_n)
         found = np.broadcast_to(centre, force_n.shape)
-        correctors = np.empty((STEPS, *tangent.shape))
-        for k in range(STEPS):
+        correctors: list[FloatArray] = []
+        while len(correctors) < MOST_STEPS and np.std(force_n - found) > ENOUGH * np.std(force_n - centre):
             residual = np.where(readable, lengths - forward.lengths(found), 0.0)
             missing = force_n - found - residual @ tangent
             G = residual.T @ residual
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G) + len(force_n) * unsure_mm**2
-            correctors[k] = tangent + (np.linalg.solve(G, residual.T @ missing) if readable.all() else 0.0)
-            found = found + residual @ correctors[k]
-        return cls(forward=forward, centre_n=centre, centre_mm=forward.lengths(centre[None])[0], correctors=correctors)
+            correctors.append(tangent + (np.linalg.solve(G, residual.T @ missing) if readable.all() else 0.0))
+            found = found + residual @ correctors[-1]
+        centre_mm = forward.lengths(centre[None])[0]
+        return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
