@@ -96,6 +96,8 @@ def train(
         targets = targets - inputs
     samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
+    if known:
+        torch.nn.init.zeros_(model.output)  # what is known is the start
     with _one_torch_thread():
         ridge = best_ridge(samples.linear.numpy(), targets) if known else RIDGE * len(inputs)
         point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
