@@ -32,7 +32,7 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 
-stress: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
+stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.stress --out $(OUT)/stress
 
 test: $(READY)  ## run the tests

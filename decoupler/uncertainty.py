@@ -18,6 +18,7 @@ MANY_TIMES, LEAST_SHARE = (
     3.0,
     0.05,
 )  #: errors of an output, over its axis's median and over half its range, to distrust it
+LEAST_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
 LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
 
 
@@ -52,14 +53,16 @@ class Uncertainty:
         Notes
         -----
         A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
-        residual of linear regression).
+        residual of linear regression). A sample that the output layer meets whatever its force is (fewer samples than
+        features) has none; it is taken to be as unknown as before training.
         """
         A = decoupler.activations(columns_ohm)
         M = A.T @ A
         M.flat[:: len(M) + 1] += ridge
         G = np.linalg.inv(M).astype(np.float64)
         leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
-        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, 0.05)[:, None]
+        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, LEAST_FREEDOM)[:, None]
+        errors = np.where((leverage < 1.0 - LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
         unexplained = (errors**2).mean(axis=0)
         through = _through(decoupler, columns_ohm, noise, bits)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
