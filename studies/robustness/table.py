@@ -10,7 +10,7 @@ def robustness_table(found: Found) -> Table:
     """Errors of every sensor and net, and below what the models say of dead pillars themselves."""
     caption = [
         "68 %, 95 %: share of errors within these deviations; specimen: gains ± 20 %, offsets of 200 Ω",
-        f"dead pillars and wires: outputs whose error rose more than {ROSE:g}-fold, against those that the model names:",
+        f"outputs whose error rose more than {ROSE:g}-fold by a dead pillar or wire, against those the model names:",
     ]
     for one in found.named:
         counts = ", ".join(f"{count} {kind}" for kind, count in one.counts.items())

@@ -64,6 +64,11 @@ def test_a_dead_pillar_raises_the_error_of_its_own_unit_most(found):
             axis = {"z": 2, "x": 0, "y": 1}[one.case.split()[1]]
             assert one.rise[..., axis].argmax() == 3  # unit (1, 1)
             assert one.rise[1, 1, axis] > 3.0
+            assert one.named[1, 1, axis]
+
+
+def test_what_a_model_names_has_risen(found):
+    assert [one.counts["false alarms"] for one in found.named] == [0] * len(found.named)
 
 
 @pytest.mark.parametrize(("fault", "pillars"), [("dead row wire", "zx"), ("dead column wire", "zy")])
