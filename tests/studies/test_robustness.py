@@ -67,6 +67,13 @@ def test_a_dead_pillar_raises_the_error_of_its_own_unit_most(found):
             assert one.named[1, 1, axis]
 
 
+def test_a_model_that_knows_the_response_names_what_a_dead_wire_hurts(found):
+    """Half of all outputs have risen then, and with them the median that a net without the response goes by."""
+    named = {(one.case, one.net): one.counts["hits"] for one in found.named}
+    assert named["dead row wire", "inverse"] >= 4  # those of the two units that lost pillars, along z and x
+    assert named["dead column wire", "inverse"] >= 4
+
+
 def test_what_a_model_names_has_risen(found):
     assert [one.counts["false alarms"] for one in found.named] == [0] * len(found.named)
 
