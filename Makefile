@@ -6,7 +6,7 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress test check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness test check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -35,8 +35,11 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 
-stress: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
+stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.stress --out $(OUT)/stress
+
+robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
+	$(BIN)/python -m studies.robustness --out $(OUT)/robustness
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest

@@ -84,11 +84,12 @@ def _limits(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse |
     if response is None or np.any(data.force_n[..., others]):
         return None
     every = np.linspace(0, len(data.force_n) - 1, min(MOST_SAMPLES, len(data.force_n))).astype(int)
-    force_n = force_columns(data.force_n, component)[every]
+    usual_n = force_columns(data.force_n, component)
     forward = ForwardModel.of(response, component)
     readable = readable_columns(component, decoupler.dead, forward.n_pillars)
-    reading = force_n, data.noise, data.bits, readable
-    unbiased, biased = (_by_axis(bound(forward, *reading), component.axes) for bound in (cramer_rao, bayes))
+    reading = usual_n[every], data.noise, data.bits, readable
+    bounds = cramer_rao(forward, *reading), bayes(forward, *reading, usual_n)
+    unbiased, biased = (_by_axis(bound, component.axes) for bound in bounds)
     return [
         Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
         for one, other in zip(unbiased, biased, strict=True)

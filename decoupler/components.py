@@ -70,7 +70,7 @@ def pillar_columns(
             f"samples first, pillars {', '.join(PILLARS)} last."
         )
     pillars = [PILLARS.index(pillar) for pillar in component.pillars]
-    taken = resistance_ohm[..., pillars]
+    taken = np.asarray(resistance_ohm[..., pillars], dtype=np.float64)  # recordings may be of single precision
     if dead is not None:
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
@@ -95,7 +95,7 @@ def readable_columns(component: Component, dead: NDArray[np.bool_] | None, n_col
 
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
     """The forces a component gives, (n, rows, cols, 3) -> (n, rows·cols·n_axes) [N]."""
-    taken = force_n[..., [AXES.index(axis) for axis in component.axes]]
+    taken = np.asarray(force_n[..., [AXES.index(axis) for axis in component.axes]], dtype=np.float64)
     if not np.isfinite(taken).all():
         sample, row, col, axis = np.argwhere(~np.isfinite(taken))[0]
         raise SampleError(

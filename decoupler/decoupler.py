@@ -11,6 +11,7 @@ from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, pillar_columns
 from decoupler.errors import SampleError
+from decoupler.limits import cramer_rao
 from decoupler.model_inverse import ModelInverse
 from decoupler.rowwise import in_blocks, rowwise
 from decoupler.scaling import Scaling
@@ -99,7 +100,11 @@ class Decoupler:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         if self.uncertainty is None:
             return []
-        lost = self.uncertainty.untrusted(self.output_scaling.half_range)
+        least = None
+        if self.inverse is not None and self.dead is not None:
+            noise, bits = self.uncertainty.noise, self.uncertainty.bits
+            least = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], noise, bits)[0]
+        lost = self.uncertainty.untrusted(self.output_scaling.half_range, least)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 

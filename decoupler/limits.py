@@ -58,15 +58,20 @@ def bayes(
     noise: float,
     bits: int | None,
     readable: NDArray[np.bool_] | None = None,
+    usual_n: FloatArray | None = None,
 ) -> FloatArray:
-    """The same for estimates that know the mean and covariance of `force_n`, as a trained network does.
+    """The same for estimates that know the mean and covariance of the usual forces, as a trained network does.
+
+    `usual_n`, shape (many, n_forces), is where these are taken from; default: `force_n`. Give several times as many as
+    there are forces: m samples of p forces seem to determine each other, which lowers the limit by √(1 − p/m) where
+    the readings say little.
 
     Notes
     -----
     The diagonal of C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C with C the covariance of the forces: exact for normal forces and linear
     lengths. Forces of another distribution can be estimated better.
     """
-    C = np.cov(force_n.T, bias=True).reshape(force_n.shape[1], -1)
+    C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
     found = np.empty_like(force_n)
     for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
         JC = J @ C

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
 CHUNK = 64  #: samples whose derivatives are in memory together
-MANY_TIMES, LEAST_SHARE = (
-    3.0,
-    0.05,
-)  #: errors of an output, over its axis's median and over half its range, to distrust it
+MANY_TIMES = 3.0  #: errors of an output over the usual, to distrust it
+LEAST_SHARE = 0.05  #: of half its range, to distrust an output where the usual is only known from the others
+BEST = 0.1  #: share of the outputs of an axis that are held to be as good as without dead pillars
+LEAST_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
 LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
 
 
@@ -52,14 +52,16 @@ class Uncertainty:
         Notes
         -----
         A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
-        residual of linear regression).
+        residual of linear regression). A sample that the output layer meets whatever its force is (fewer samples than
+        features) has none; it is taken to be as unknown as before training.
         """
         A = decoupler.activations(columns_ohm)
         M = A.T @ A
         M.flat[:: len(M) + 1] += ridge
         G = np.linalg.inv(M).astype(np.float64)
         leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
-        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, 0.05)[:, None]
+        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, LEAST_FREEDOM)[:, None]
+        errors = np.where((leverage < 1.0 - LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
         unexplained = (errors**2).mean(axis=0)
         through = _through(decoupler, columns_ohm, noise, bits)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
@@ -97,10 +99,19 @@ class Uncertainty:
         ]
         return replace(changed, widths=np.maximum(np.stack(scales), 1.0))
 
-    def untrusted(self, half_range_n: FloatArray) -> NDArray[np.bool_]:
-        """Which outputs (n_out,) miss by far more than the others of their axis, or by much of their range [N]."""
-        n_axes = self.widths.shape[1]
-        share = (np.sqrt(self.unexplained_n2) / np.maximum(half_range_n, 1e-300)).reshape(-1, n_axes)
+    def untrusted(self, half_range_n: FloatArray, least_n: FloatArray | None = None) -> NDArray[np.bool_]:
+        """Which outputs (n_out,) dead pillars leave unsure.
+
+        With the limit of the sensor whose pillars can all be read, `least_n` (n_out,) [N]: those that miss by many
+        times as much, counted from where the best outputs of their axis are. Without it: those that miss by far more
+        than the others of their axis, and by much of their range `half_range_n` (n_out,) [N].
+        """
+        missed, n_axes = np.sqrt(self.unexplained_n2), self.widths.shape[1]
+        if least_n is not None and least_n.all():
+            times = (missed / least_n).reshape(-1, n_axes)
+            best = np.quantile(times, BEST, axis=0)
+            return (times > MANY_TIMES * np.maximum(best, 1.0)).reshape(-1)
+        share = (missed / np.maximum(half_range_n, 1e-300)).reshape(-1, n_axes)
         return ((share > MANY_TIMES * np.median(share, axis=0)) & (share > LEAST_SHARE)).reshape(-1)
 
 

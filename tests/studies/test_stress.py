@@ -7,8 +7,11 @@ import pytest
 import typer
 
 from fem.factors import SolverError
-from studies import stress
-from studies.stress import Outcome, Trial, all_trials, flat_cells, flattened, signed_volumes, tried
+from studies.stress import __main__ as command
+from studies.stress.__main__ import all_trials
+from studies.stress.scenes import flat_cells, flattened, signed_volumes
+from studies.stress.training import other_response, training_trials
+from studies.stress.trials import Outcome, Trial, tried
 
 
 def outcome(error: float) -> Outcome:
@@ -70,12 +73,40 @@ def test_trials_are_told_apart_by_name_and_value():
 
 @pytest.mark.parametrize(("error", "status"), [(1e-4, 0), (1e-2, 1)])
 def test_the_table_is_stored_and_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error, status):
-    monkeypatch.setattr(stress, "all_trials", lambda: [Trial(name="one", value="1", run=lambda: outcome(error))])
+    monkeypatch.setattr(command, "all_trials", lambda: [Trial(name="one", value="1", run=lambda: outcome(error))])
     app = typer.Typer()
-    app.command()(stress.stress)
+    app.command()(command.stress)
     with pytest.raises(SystemExit) as ended:
         app(["--out", str(tmp_path), "--only", "one"])
     assert ended.value.code == status
     stored = json.loads((tmp_path / "stress.json").read_text(encoding="utf-8"))
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]
     assert "a twin" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("constant input", "varpro skip"),
+        ("duplicated input", "lm plain"),
+        ("float32", "lm skip"),
+        ("saturated start", "varpro plain"),
+        ("slope at the end", "varpro skip"),
+        ("10 samples", "varpro skip, stated"),
+        ("dead column wire", "joint, from the response"),
+        ("one pair", "gains ± 20 %"),
+    ],
+)
+def test_cheap_trainings_are_right(name, value):
+    chosen = [trial for trial in training_trials() if (trial.name, trial.value) == (f"training, {name}", value)]
+    assert [tried(trial).verdict for trial in chosen] == ["right"]
+
+
+@pytest.mark.parametrize("value", ["nan Ω", "inf Ω", "0 Ω", "-1 Ω"])
+def test_what_is_no_resistance_is_refused(value):
+    chosen = [trial for trial in training_trials() if (trial.name, trial.value) == ("training, no resistance", value)]
+    assert [tried(trial).verdict.split(":")[0] for trial in chosen] == ["refused"]
+
+
+def test_a_response_of_another_sensor_is_refused_before_it_does_harm():
+    assert tried(Trial(name="one", value="8 mm", run=lambda: other_response(8.0))).verdict.startswith("refused")

@@ -1,24 +1,9 @@
-"""``python -m studies.stress``: scenes at the edge of what can be solved, and what comes of each.
+"""Scenes at the edge of what can be solved."""
 
-Every trial either gets an answer that something independent of it confirms (a closed form, a scaled twin, another
-element, a tighter solve), or is refused with a reason. An answer further off than its tolerance or its own estimate
-allows is WRONG, and makes the exit status 1.
-"""
-
-import json
-import os
-import sys
-import tempfile
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from time import perf_counter
-from typing import Annotated
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import typer
-from rich.markup import escape
-from rich.table import Table
 from skfem import ElementTetP2, FacetBasis, LinearForm, MeshTet
 from threadpoolctl import threadpool_limits
 
@@ -33,13 +18,11 @@ from fem.solution import Solution, largest_error
 from fem.solve import solve_scene
 from fem.substructured import PADS, condensed_cell, lone_unit
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
-from geometry.errors import TriPillarError
-from geometry.files import replacing
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh
 from geometry.quality import quality
 from studies.bench.scenes import response_scenes
-from studies.report import show
+from studies.stress.trials import NotTriedError, Outcome, Trial
 
 YOUNG_MPA = 6.1
 RUBBER = Material(young_mpa=YOUNG_MPA, poisson=0.49)
@@ -51,71 +34,6 @@ ROUNDED = 1e-9  #: the same, amplified by the system's condition
 END = 0.2  #: share of width over length by which a pillar's clamped end may stiffen it
 PATCH_TEST = 1e-8  #: of linear fields, which quadratic elements hold exactly
 SPREAD = 3e-3  #: of a probe over meshes of the same body
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a trial found."""
-
-    residual: float  #: relative, of the linear systems
-    error: float
-    allowed: float  #: largest error that is right
-    against: str  #: what the error is measured against
-    short_of: float | None = None  #: the tolerance, where the answer says itself that it misses it
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trial:
-    """One line of the table before it is tried."""
-
-    name: str
-    value: str
-    run: Callable[[], Outcome]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One line of the table."""
-
-    name: str
-    value: str
-    residual: float | None
-    error: float | None
-    allowed: float | None
-    against: str
-    seconds: float
-    verdict: str  #: "right", "refused: why", "not tried: why" or "WRONG"; after a colon, what else is to be said
-
-
-class NotTriedError(TriPillarError):
-    """A trial left out because it would not end in any time worth waiting for."""
-
-
-def tried(trial: Trial) -> Finding:
-    """Run a trial and judge it. A refusal is an error that the package itself raises; any other is WRONG."""
-    start = perf_counter()
-    outcome, verdict = None, ""
-    try:
-        outcome = trial.run()
-        verdict = "right" if outcome.error <= outcome.allowed else "WRONG"  # NaN is WRONG
-        if outcome.short_of is not None:
-            verdict += f": as estimated, short of its tolerance {outcome.short_of:g}"
-    except NotTriedError as error:
-        verdict = f"not tried: {error}"
-    except TriPillarError as error:
-        verdict = f"refused: {error}"
-    except Exception as error:  # whatever it is, a study of crashes reports it and goes on
-        verdict = f"WRONG: {type(error).__name__}: {error}"
-    return Finding(
-        name=trial.name,
-        value=trial.value,
-        residual=outcome.residual if outcome else None,
-        error=outcome.error if outcome else None,
-        allowed=outcome.allowed if outcome else None,
-        against=outcome.against if outcome else "",
-        seconds=perf_counter() - start,
-        verdict=verdict,
-    )
 
 
 def compared(scene: Scene, found: Solution, probes: dict[str, FloatArray], slack: float, against: str) -> Outcome:
@@ -397,7 +315,7 @@ def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
     return Outcome(residual=max(cell.residual, misfit), error=error, allowed=ROUNDED, against="Betti's reciprocity")
 
 
-def all_trials() -> list[Trial]:
+def scene_trials() -> list[Trial]:
     """Every line of the table, cheap ones first within each kind."""
     trials: list[Trial] = []
 
@@ -443,64 +361,3 @@ def all_trials() -> list[Trial]:
     add("reciprocity", "2 × 2, pitch 12, height 2", reciprocity, 12.0, 2.0)
     add("reciprocity", "2 × 2, pitch 30, height 30", reciprocity, 30.0, 30.0)
     return trials
-
-
-# table
-
-
-def stress_table(findings: Iterable[Finding]) -> Table:
-    """Every trial with its verdict."""
-    table = Table(title="Scenes at the edge: error, and what it may be")
-    table.add_column("trial")
-    table.add_column("value")
-    for header in ("residual", "error", "allowed"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("against")
-    table.add_column("seconds", justify="right")
-    table.add_column("verdict")
-    last = None
-    for one in findings:
-        numbers = ("" if x is None else f"{x:.1e}" for x in (one.residual, one.error, one.allowed))
-        name = one.name if one.name != last else ""
-        last = one.name
-        wrong = one.verdict.startswith("WRONG")
-        table.add_row(
-            name,
-            one.value,
-            *numbers,
-            one.against,
-            f"{one.seconds:.1f}",
-            escape(one.verdict),
-            style="red" if wrong else "",
-        )
-    return table
-
-
-def stress(
-    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/stress"),
-    only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
-) -> None:
-    """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
-    trials = all_trials()
-    names = list(dict.fromkeys(trial.name for trial in trials))
-    for name in only or []:
-        if name not in names:
-            raise typer.BadParameter(f"no trial '{name}'; there are {', '.join(names)}")
-    findings = []
-    with tempfile.TemporaryDirectory(prefix="stress-") as cache:
-        os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
-        for trial in trials:
-            if only and trial.name not in only:
-                continue
-            findings.append(tried(trial))
-            print(f"{trial.name}, {trial.value}: {findings[-1].verdict}, {findings[-1].seconds:.1f} s", file=sys.stderr)
-    show(stress_table(findings))
-    out.mkdir(parents=True, exist_ok=True)
-    with replacing(out / "stress.json") as temporary:
-        temporary.write_text(json.dumps([asdict(one) for one in findings], indent=1) + "\n", encoding="utf-8")
-    if any(one.verdict.startswith("WRONG") for one in findings):
-        raise typer.Exit(1)
-
-
-if __name__ == "__main__":
-    typer.run(stress)

@@ -1,0 +1,280 @@
+"""The same loads measured by ever worse sensors: nets trained on each, and what their errors are."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset import Imperfections, LabelledData, SimulatedData
+from dataset.simulate import DatasetSettings, measured_again, simulate
+from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named, fine_tune
+from decoupler.components import force_columns, readable_columns
+from decoupler.crossval import in_parallel, selected
+from decoupler.forward_model import ForwardModel
+from decoupler.limits import bayes
+from decoupler.metrics import evaluate
+from decoupler.settings import Feature
+from fem.response import ArrayResponse
+from geometry.layout import FloatArray
+
+HIDDEN = 17  #: the paper's best
+NETS: tuple[Feature, ...] = ("inverse", "root")  #: inputs of the two skip nets: the response's inverse, and √R
+NOISES = (0.001, 0.005, 0.01)
+BITS = (8, 10, 12, 16)
+SPECIMEN = Imperfections(noise=NOISES[0], gain_spread=0.2, offset_ohm=200.0, specimen=1)
+PAIRS = (0, 1, 2, 5, 10, 20, 50, 100, 200)
+BAR = 1.15  #: of the limit, that the net with the response's inverse is to stay below
+ROSE = 3.0  #: times the healthy error, from where an output should be distrusted
+LIMIT_SAMPLES = 200  #: of which the limits of single units are worked out; as many as `assess` takes
+SEEDS = {"train": 1, "test": 2, "pairs": 3}  #: of loads and of noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much is simulated."""
+
+    train: int = 2000
+    test: int = 400
+    draws: int = 5  #: sets of pairs that fine-tuning is repeated with
+    pairs: tuple[int, ...] = PAIRS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One line of the table: errors of one force, in % of full scale."""
+
+    part: str
+    case: str
+    net: str  #: feature of its inputs
+    force: str
+    error_pct: float
+    limit_pct: float | None = None  #: Cramér-Rao
+    bayes_pct: float | None = None  #: knowing the usual loads
+    coverage: tuple[float, float] | None = None  #: shares of errors within the 68 % and the 95 % deviation
+    error_range_pct: tuple[float, float] | None = None  #: over the draws of pairs
+
+    @property
+    def ratio(self) -> float | None:
+        """Error over the limit."""
+        return self.error_pct / self.limit_pct if self.limit_pct else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """Which outputs a model with dead pillars names as not to be trusted, against those whose error rose."""
+
+    case: str
+    net: str
+    rise: FloatArray  #: (rows, cols, 3): error over that of the healthy sensor's model
+    named: NDArray[np.bool_]  #: (rows, cols, 3)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Named and risen, risen and not named, named and not risen."""
+        risen = self.rise > ROSE
+        return {
+            "hits": int((self.named & risen).sum()),
+            "misses": int((risen & ~self.named).sum()),
+            "false alarms": int((self.named & ~risen).sum()),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What the study found."""
+
+    rows: list[Row]
+    named: list[Named]
+
+    def as_plain(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "bar": BAR,
+            "rows": [asdict(row) | {"ratio": row.ratio} for row in self.rows],
+            "untrusted": [
+                {"case": one.case, "net": one.net, **one.counts, "rise": one.rise.tolist(), "named": one.named.tolist()}
+                for one in self.named
+            ],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """A model with its assessment on test samples."""
+
+    model: Decoupler
+    assessed: dict[str, Assessment]
+    bayes_n: FloatArray  #: (rows, cols, 3): least error of every unit for who knows the usual loads [N]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """The loads, and the response of the sensor as designed."""
+
+    response: ArrayResponse
+    loads: dict[str, SimulatedData]  #: by the names of `SEEDS`
+
+    def measured(self, faults: Imperfections, split: str) -> LabelledData:
+        return measured_again(self.loads[split], faults, SEEDS[split])
+
+
+def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> Sensor:
+    """Loads on all pads along all axes, drawn once; sensors differ in how they measure them."""
+    counts = {"train": sizes.train, "test": sizes.test, "pairs": sizes.draws * max(sizes.pairs)}
+    loads = {
+        split: simulate(response, DatasetSettings(protocol="three-axis", samples=n, seed=SEEDS[split]))
+        for split, n in counts.items()
+    }
+    return Sensor(response=response, loads=loads)
+
+
+def noise_case(noise: float) -> str:
+    return f"noise {noise:.1%}"
+
+
+def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
+    """One dead pillar of each kind, one dead row wire and one dead column wire, in the middle of the array."""
+    row, col, noise = rows // 2, cols // 2, NOISES[0]
+    pillars = {f"dead {p} pillar": Imperfections(noise=noise, dead_pillars=((row, col, p),)) for p in "zxy"}
+    return pillars | {
+        "dead row wire": Imperfections(noise=noise, dead_rows=(2 * row,)),
+        "dead column wire": Imperfections(noise=noise, dead_cols=(2 * col,)),
+    }
+
+
+def study(sensor: Sensor, sizes: Sizes, progress: Callable[[str], None] = lambda case: None) -> Found:
+    """Train every net on every sensor, fine-tune, and assess. `progress` is called with each trained case."""
+    array = sensor.response.design.array
+    noises = {noise_case(noise): Imperfections(noise=noise) for noise in NOISES}
+    converters = {f"{bits} bits": Imperfections(bits=bits) for bits in BITS}
+    dead = dead_cases(array.rows, array.cols)
+    models = trained(sensor, noises | converters | dead, progress)
+    rows, named = [], []
+    for part, cases in (("noise", noises), ("converter", converters)):
+        for case in cases:
+            rows += [row for net in NETS for row in _rows(part, case, net, models[case, net])]
+    healthy = {net: models[noise_case(NOISES[0]), net] for net in NETS}
+    for net in NETS:
+        rows += fine_tuned(sensor, sizes, net, healthy[net])
+    for case, faults in dead.items():
+        for net in NETS:
+            lines, one = with_dead(sensor, case, faults, net, models[case, net], healthy[net].model)
+            rows += lines
+            named.append(one)
+    return Found(rows=rows, named=named)
+
+
+def trained(
+    sensor: Sensor, cases: dict[str, Imperfections], progress: Callable[[str], None]
+) -> dict[tuple[str, Feature], Trained]:
+    """Both nets of every case, by case and net, in parallel processes."""
+    keys = [(case, net) for case in cases for net in NETS]
+    usual_n = sensor.loads["train"].force_n
+    jobs = [
+        (_trained, *(sensor.measured(cases[case], split) for split in ("train", "test")), net, sensor.response, usual_n)
+        for case, net in keys
+    ]
+    found = in_parallel(jobs, lambda number: progress(keys[number][0]))
+    return dict(zip(keys, found, strict=True))
+
+
+def _trained(
+    data: LabelledData, test: LabelledData, feature: Feature, response: ArrayResponse, usual_n: FloatArray
+) -> Trained:
+    from decoupler.training import train  # loads torch: in the processes that train, and only there
+
+    model, _ = train(data, "all", NetworkConfig(hidden=HIDDEN, feature=feature), TrainingConfig(), response=response)
+    return Trained(model=model, assessed=assess(model, test, response), bayes_n=unit_bayes(response, test, usual_n))
+
+
+def _rows(part: str, case: str, net: Feature, found: Trained) -> list[Row]:
+    rows = []
+    for axis, (force, one) in enumerate(found.assessed.items()):
+        assert one.errors.full_scale_pct is not None
+        assert one.limits is not None
+        pct_per_n = one.errors.full_scale_pct / one.errors.rmse_n
+        unbiased = one.limits.cramer_rao_n
+        rows.append(
+            Row(
+                part=part,
+                case=case,
+                net=net,
+                force=force,
+                error_pct=one.errors.full_scale_pct,
+                limit_pct=None if unbiased is None else unbiased * pct_per_n,
+                bayes_pct=_rms(found.bayes_n[..., axis]) * pct_per_n,
+                coverage=one.coverage,
+            )
+        )
+    return rows
+
+
+def fine_tuned(sensor: Sensor, sizes: Sizes, net: Feature, designed: Trained) -> list[Row]:
+    """Errors on a specimen whose pillars differ, of a model of the sensor as designed, tuned on ever more pairs.
+
+    The limits are those of the sensor as designed: to relative noise a known gain makes no difference.
+    """
+    test, pairs = sensor.measured(SPECIMEN, "test"), sensor.measured(SPECIMEN, "pairs")
+    rows = []
+    for count in sizes.pairs:
+        errors = []
+        for draw in range(sizes.draws if count else 1):
+            start = draw * max(sizes.pairs)
+            few = selected(pairs, slice(start, start + count))
+            tuned = fine_tune(designed.model, few, sensor.response) if count else designed.model
+            errors.append({force: one.full_scale_pct or 0.0 for force, one in evaluate(tuned, test).items()})
+        for row in _rows("specimen", "1 pair" if count == 1 else f"{count} pairs", net, designed):
+            values = [error[row.force] for error in errors]
+            span = min(values), max(values)
+            rows.append(replace(row, error_pct=float(np.mean(values)), error_range_pct=span, coverage=None))
+    return rows
+
+
+def with_dead(
+    sensor: Sensor, case: str, faults: Imperfections, net: Feature, found: Trained, healthy: Decoupler
+) -> tuple[list[Row], Named]:
+    """Errors of the units that lost a pillar and of the others, and which outputs the model names."""
+    test = sensor.measured(faults, "test")
+    assert test.dead is not None
+    now = unit_rmse(found.model, test)
+    before = unit_rmse(healthy, sensor.measured(Imperfections(noise=faults.noise), "test"))
+    full_scale = np.abs(test.force_n).max(axis=(0, 1, 2))
+    affected = test.dead.any(axis=2)
+    forces = component_named("all").forces
+    rows = [
+        Row(
+            part=case,
+            case=f"{label}: {int(units.sum())}",
+            net=net,
+            force=force,
+            error_pct=100.0 * _rms(now[units, axis]) / full_scale[axis],
+            bayes_pct=100.0 * _rms(found.bayes_n[units, axis]) / full_scale[axis],
+        )
+        for label, units in (("its units", affected), ("others", ~affected))
+        for axis, force in enumerate(forces)
+    ]
+    named = np.zeros(now.shape, dtype=bool)
+    for row, col, force in found.model.untrusted():
+        named[row, col, forces.index(force)] = True
+    return rows, Named(case=case, net=net, rise=now / before, named=named)
+
+
+def unit_rmse(model: Decoupler, data: LabelledData) -> FloatArray:
+    """Root mean squared error of every unit, (rows, cols, 3) [N]."""
+    return np.sqrt(((model.forces(data.resistance_ohm) - data.force_n) ** 2).mean(axis=0))
+
+
+def unit_bayes(response: ArrayResponse, data: LabelledData, usual_n: FloatArray) -> FloatArray:
+    """Least error of every unit for who knows the usual loads (n, rows, cols, 3) [N], (rows, cols, 3) [N]."""
+    parts = component_named("all")
+    forward = ForwardModel.of(response, parts)
+    force_n = force_columns(data.force_n, parts)[:LIMIT_SAMPLES]
+    readable = readable_columns(parts, data.dead, forward.n_pillars)
+    least = bayes(forward, force_n, data.noise, data.bits, readable, force_columns(usual_n, parts))
+    return np.sqrt((least**2).mean(axis=0)).reshape(data.force_n.shape[1:])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values**2).mean()))

@@ -1,0 +1,131 @@
+"""The robustness study on a small array: its limits, its twins and what it writes."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import Imperfections
+from decoupler.components import component_named, force_columns
+from decoupler.forward_model import ForwardModel
+from decoupler.limits import bayes, cramer_rao
+from fem.array_response import ResponseSettings, solve_response
+from geometry.design import Array, SensorDesign
+from geometry.layout import PILLARS
+from studies.robustness.__main__ import write
+from studies.robustness.study import BITS, NETS, NOISES, Named, Row, Sizes, dead_cases, sensor_under_load, study
+from studies.robustness.study import unit_bayes as limits_of_units
+from studies.robustness.table import numbers, robustness_table
+
+SIZES = Sizes(train=300, test=100, draws=2, pairs=(0, 1, 20))
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    """2 × 2 units, their response in closed form."""
+    design = replace(SensorDesign(), array=Array(rows=2, cols=2))
+    return sensor_under_load(solve_response(design, ResponseSettings(method="layer")), SIZES)
+
+
+@pytest.fixture(scope="module")
+def found(sensor):
+    return study(sensor, SIZES)
+
+
+def chosen(found, **labels) -> list[Row]:
+    return [row for row in found.rows if all(getattr(row, name) == value for name, value in labels.items())]
+
+
+def test_every_case_has_a_row_for_every_net_and_force(found):
+    cases = len(NOISES) + len(BITS) + len(SIZES.pairs) + 2 * len(dead_cases(2, 2))
+    assert len(found.rows) == cases * len(NETS) * 3
+    labels = [(row.part, row.case, row.net, row.force) for row in found.rows]
+    assert len(set(labels)) == len(labels)
+
+
+def test_the_net_that_knows_the_response_is_near_the_limit(found):
+    """300 samples leave 12 inputs of a linear layer 2 % above it, and 100 test samples know an error to 4 %."""
+    ratios = [row.ratio for row in chosen(found, part="noise", net="inverse")]
+    assert min(ratios) > 0.8
+    assert max(ratios) < 1.15
+
+
+def test_pairs_bring_a_spread_specimen_near_the_sensor_as_designed(found):
+    for force in ("fx", "fy", "fz"):
+        none, one, twenty = (row.error_pct for row in chosen(found, part="specimen", net="inverse", force=force))
+        assert none > one > twenty
+        assert twenty < 1.5 * chosen(found, case="noise 0.1%", net="inverse", force=force)[0].error_pct
+
+
+def test_a_dead_pillar_raises_the_error_of_its_own_unit_most(found):
+    for one in found.named:
+        if one.net == "inverse" and one.case.endswith("pillar"):
+            axis = {"z": 2, "x": 0, "y": 1}[one.case.split()[1]]
+            assert one.rise[..., axis].argmax() == 3  # unit (1, 1)
+            assert one.rise[1, 1, axis] > 3.0
+            assert one.named[1, 1, axis]
+
+
+def test_a_model_that_knows_the_response_names_what_a_dead_wire_hurts(found):
+    """Half of all outputs have risen then, and with them the median that a net without the response goes by."""
+    named = {(one.case, one.net): one.counts["hits"] for one in found.named}
+    assert named["dead row wire", "inverse"] >= 4  # those of the two units that lost pillars, along z and x
+    assert named["dead column wire", "inverse"] >= 4
+
+
+def test_what_a_model_names_has_risen(found):
+    assert [one.counts["false alarms"] for one in found.named] == [0] * len(found.named)
+
+
+@pytest.mark.parametrize(("fault", "pillars"), [("dead row wire", "zx"), ("dead column wire", "zy")])
+def test_a_dead_wire_takes_the_pillars_that_hang_on_it(fault, pillars):
+    lost = np.argwhere(dead_cases(6, 6)[fault].dead_mask(6, 6))
+    assert {PILLARS[pillar] for _, _, pillar in lost} == set(pillars)
+    assert set(lost[:, 0 if "row" in fault else 1]) == {3}
+    assert len(lost) == 12
+
+
+def test_hits_misses_and_false_alarms_are_told_apart():
+    rise = np.array([[[5.0, 5.0, 1.0]]])
+    one = Named(case="", net="", rise=rise, named=np.array([[[True, False, True]]]))
+    assert one.counts == {"hits": 1, "misses": 1, "false alarms": 1}
+
+
+def test_limits_of_units_add_up_to_those_of_the_array(sensor):
+    data = sensor.measured(Imperfections(noise=0.01), "test")
+    parts = component_named("all")
+    usual_n = sensor.loads["train"].force_n
+    by_unit = limits_of_units(sensor.response, data, usual_n)
+    forward, forces = ForwardModel.of(sensor.response, parts), force_columns(data.force_n, parts)
+    whole = bayes(forward, forces, 0.01, None, None, force_columns(usual_n, parts))
+    np.testing.assert_allclose((by_unit**2).mean(), (whole**2).mean(), rtol=1e-12)  # the same sums in another order
+    assert (by_unit**2).mean() < (cramer_rao(forward, forces, 0.01, None) ** 2).mean()
+
+
+def test_few_usual_loads_lower_the_limit_as_said(sensor):
+    """m samples of p forces that no reading tells apart: their spread about each other falls by √(1 − p/m)."""
+    parts, m = component_named("all"), 40
+    forward = ForwardModel.of(sensor.response, parts)
+    many = force_columns(sensor.loads["train"].force_n, parts)
+    readable = np.ones(forward.n_pillars, dtype=bool)
+    readable[2] = False
+    limits = [bayes(forward, many[:1], 1e-6, None, readable, usual).max() for usual in (many, many[:m])]
+    expected = np.sqrt((1 - many.shape[1] / m) / (1 - many.shape[1] / len(many)))
+    assert limits[1] / limits[0] == pytest.approx(expected, rel=0.3)  # three deviations of √(1/(2·28))
+
+
+def test_a_ratio_beyond_the_bar_is_marked():
+    row = Row(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
+    assert numbers(row)[3] == "1.20 > 1.15"
+    assert numbers(replace(row, net="root"))[3] == "1.20"
+
+
+def test_table_json_and_pictures_are_written(found, tmp_path):
+    write(found, tmp_path)
+    stored = json.loads((tmp_path / "robustness.json").read_text(encoding="utf-8"))
+    assert len(stored["rows"]) == len(found.rows)
+    assert stored["rows"][0]["ratio"] == pytest.approx(found.rows[0].ratio)
+    pictures = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert pictures == [f"robustness-{name}.png" for name in ("dead-inverse", "dead-root", "pairs", "readings")]
+    assert robustness_table(found).row_count == len(found.rows)
