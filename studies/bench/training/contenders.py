@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from decoupler.decoupler import Decoupler
 from decoupler.settings import Trainer, TrainingConfig
 from decoupler.training import train
-from fem.array_response import array_response
 from studies.bench.training import peers
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
@@ -32,10 +31,8 @@ def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace],
         config = TrainingConfig(
             trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=LEAST_GAIN, seed=problem.seed, held_out=0.0
         )
-        network, response = problem.network, None
-        if known and problem.data.design is not None:
-            network, response = replace(network, net="skip", feature="inverse"), array_response(problem.data.design)[0]
-        asked = problem.data, problem.component, network
+        network = replace(problem.network, net="skip", feature="inverse") if known else problem.network
+        asked, response = (problem.data, problem.component, network), problem.response
         try:
             model, history = train(*asked, config, trace.record, response)
             return model, history.reason
@@ -61,8 +58,9 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Callable[[Problem, Trace], t
 
 
 VARPRO, LM = "VarPro", "structured LM"  #: what the others are compared with
+KNOWN = "VarPro from the known response"
 CONTENDERS = [
-    Contender(name="VarPro from the known response", train=by_ours("varpro", known=True), ours=True),
+    Contender(name=KNOWN, train=by_ours("varpro", known=True), ours=True),
     Contender(name=VARPRO, train=by_ours("varpro"), ours=True),
     Contender(name=LM, train=by_ours("lm"), ours=True),
     Contender(name="momentum (eq. 15)", train=by_ours("momentum"), ours=True),

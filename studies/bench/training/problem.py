@@ -12,6 +12,7 @@ from decoupler.decoupler import Decoupler
 from decoupler.network import Network
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig
+from fem.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,7 @@ class Problem:
     component: str
     network: NetworkConfig
     seed: int = 0
+    response: ArrayResponse | None = None  #: of the sensor, for whom it concerns
 
     def first(self, samples: int) -> "Problem":
         """The same with the first samples only."""

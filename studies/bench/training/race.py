@@ -11,6 +11,7 @@ from pathlib import Path
 from dataset import read_labelled
 from decoupler.metrics import evaluate
 from decoupler.settings import Net, NetworkConfig
+from fem.array_response import array_response
 from studies.bench.memory import peak_mib
 from studies.bench.training.contenders import Contender, contender
 from studies.bench.training.problem import Problem
@@ -36,7 +37,9 @@ class Case:
     def problem(self) -> Problem:
         """The same with the samples read."""
         network = NetworkConfig(hidden=self.hidden, net=self.net, feature="root")
-        return Problem(data=read_labelled(Path(self.train)), component=self.component, network=network)
+        data = read_labelled(Path(self.train))
+        response = None if data.design is None else array_response(data.design)[0]
+        return Problem(data=data, component=self.component, network=network, response=response)
 
 
 @dataclass(frozen=True, kw_only=True)
