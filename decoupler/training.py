@@ -39,7 +39,7 @@ class History:
 
     iterations: int
     mse: float  #: mean squared error of the outputs scaled to [-1, 1], on the training set
-    reason: str  #: why it stopped: goal, iterations or stagnation
+    reason: str  #: why it stopped: goal, iterations, stagnation or validation
     seconds: float
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
+ENOUGH_SAMPLES = 500  #: for the effect of noise and for the widths; of each every unit counts
 CHUNK = 64  #: samples whose derivatives are in memory together
 MANY_TIMES = 3.0  #: errors of an output over the usual, to distrust it
 LEAST_SHARE = 0.05  #: of half its range, to distrust an output where the usual is only known from the others
@@ -63,12 +64,13 @@ class Uncertainty:
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, LEAST_FREEDOM)[:, None]
         errors = np.where((leverage < 1.0 - LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
         unexplained = (errors**2).mean(axis=0)
-        through = _through(decoupler, columns_ohm, noise, bits)
+        some = np.linspace(0, len(A) - 1, min(ENOUGH_SAMPLES, len(A))).astype(int)
+        through = _through(decoupler, columns_ohm[some], noise, bits)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
         misfit = np.maximum(unexplained - through.mean(axis=0), 0.0) + smallest
-        deviation = np.sqrt(through + misfit + unexplained * leverage[:, None])
+        deviation = np.sqrt(through + misfit + unexplained * leverage[some, None])
         n_axes = len(decoupler.component.axes)
-        ratio = np.abs(errors / deviation).reshape(-1, n_axes)
+        ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
         widths = np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
         return cls(
             noise=noise, bits=bits, inverse_matrix=G, misfit_n2=misfit, unexplained_n2=unexplained, widths=widths
