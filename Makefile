@@ -6,7 +6,7 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture bench stress robustness test check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness test check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -27,6 +27,9 @@ dataset: $(READY)  ## the same, up to the datasets
 
 picture: $(READY)  ## draw the deformed array again, for the README
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
+
+paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
+	$(BIN)/python -m studies.paper --out $(OUT)/paper
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench

@@ -34,6 +34,9 @@ Protocol = Literal["independent-fz", "independent-fx", "contact-fz", "contact-fx
 Component = Literal["fz", "fx", "fy", "all"]
 
 DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
+UnstatedOption = Annotated[
+    Path | None, typer.Option("--design", help="Design TOML where the data state none; default: the paper's sensor.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 FeatureOption = Annotated[
     Literal["auto", "inverse", "root", "resistance"],
@@ -240,6 +243,7 @@ def train(
     goal: GoalOption = None,
     iterations: Annotated[int, typer.Option(help="Stop after so many at the latest; 0: the trainer's own.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
+    design: UnstatedOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -253,7 +257,9 @@ def train(
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
     with progress_bars(quiet) as bars:
-        network, solved = suited_network(labelled, component, hidden, net, feature, bars)
+        network, solved = suited_network(
+            labelled, likely_design(labelled, design), component, hidden, net, feature, bars
+        )
         from decoupler.training import train as train_network
 
         advance = bars.begin(f"train {component}", total=training.max_iterations)
@@ -299,7 +305,8 @@ def evaluate(
         if stated is None:
             print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
     with progress_bars(quiet) as bars:
-        assessed = assess(decoupler, labelled, known_response(labelled, bars) if limits else None)
+        solved = known_response(labelled.design or decoupler.design, bars) if limits else None
+        assessed = assess(decoupler, labelled, solved)
     if json_:
         from decoupler.assessment import as_plain
 
@@ -322,6 +329,7 @@ def crossval(
     feature: FeatureOption = "auto",
     goal: GoalOption = None,
     seed: Annotated[int, typer.Option(help="Of the split and the random start.")] = 0,
+    design: UnstatedOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -334,7 +342,9 @@ def crossval(
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
     with progress_bars(quiet) as bars:
-        network, solved = suited_network(labelled, component, hidden, net, feature, bars)
+        network, solved = suited_network(
+            labelled, likely_design(labelled, design), component, hidden, net, feature, bars
+        )
         advance = bars.begin(f"{folds} folds", total=folds)
         tested = cross_validate(labelled, component, network, training, folds, solved, lambda _: advance(1, ""))
     if json_:
@@ -367,7 +377,8 @@ def fine_tune(
     require_same_sensor(decoupler, measured, model, data)
     measured = selected(measured, slice(pairs))
     with progress_bars(quiet) as bars:
-        solved = None if decoupler.inverse is not None else known_response(measured, bars)
+        known = measured.design or decoupler.design
+        solved = None if decoupler.inverse is not None else known_response(known, bars)
     tuned = fine_tuned(decoupler, measured, solved)
     write_model(tuned, out)
     before, after = (errors_on(one, measured) for one in (decoupler, tuned))
@@ -378,6 +389,29 @@ def fine_tune(
             print(
                 f"{name}: {before[name].rmse_n:.3g} N before, {after[name].rmse_n:.3g} N after, on the pairs themselves"
             )
+    wrote([out])
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Option(help="Model file.")],
+    out: Annotated[Path, typer.Option(help="File to write: .onnx, or .h for a header in C.")],
+    precision: Annotated[
+        Literal["float", "double"] | None, typer.Option(help="Of its numbers; default: double in .onnx, float in .h.")
+    ] = None,
+    json_: JsonOption = False,
+) -> None:
+    """Write a model for other programs: an ONNX graph, or a C header for a microcontroller."""
+    from decoupler.export import export_model
+    from decoupler.model_file import read_model
+
+    exported = export_model(read_model(model), out, precision)
+    if json_:
+        show_json({"file": str(out), **asdict(exported)})
+    elif exported.deviation is None:
+        print(f"not checked: {exported.unchecked}")
+    else:
+        print(f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})")
     wrote([out])
 
 
@@ -470,29 +504,41 @@ def progress_bars(quiet: bool) -> "Bars":
     return Bars(quiet=quiet)
 
 
-def known_response(data: "LabelledData", bars: "Bars") -> "ArrayResponse | None":
-    """Response of the design that the data state, solved if it is not in the cache; None if they state none."""
-    if data.design is None:
+def likely_design(data: "LabelledData", path: Path | None) -> SensorDesign | None:
+    """The design that the data state, else that of --design if its array fits; None if it does not."""
+    design = data.design or chosen(path)
+    return design if data.force_n.shape[1:3] == (design.array.rows, design.array.cols) else None
+
+
+def known_response(design: SensorDesign | None, bars: "Bars") -> "ArrayResponse | None":
+    """Response of a design, solved if it is not in the cache; None of none."""
+    if design is None:
         return None
     from studies.pipeline import respond
 
-    return respond(data.design, bars)[1]
+    return respond(design, bars)[1]
 
 
 def suited_network(
-    data: "LabelledData", component: str, hidden: int, net: Literal["plain", "skip"], feature: str, bars: "Bars"
+    data: "LabelledData",
+    design: SensorDesign | None,
+    component: str,
+    hidden: int,
+    net: Literal["plain", "skip"],
+    feature: str,
+    bars: "Bars",
 ) -> "tuple[NetworkConfig, ArrayResponse | None]":
-    """The network that the options ask for, and the response where its feature needs it."""
+    """The network that the options ask for, and the response of the design where its feature needs it."""
     from decoupler.components import component_named
     from decoupler.model_inverse import suited_feature
     from decoupler.settings import NetworkConfig
 
     automatic = feature == "auto"
-    solved = known_response(data, bars) if feature == "inverse" or (automatic and net == "skip") else None
+    solved = known_response(design, bars) if feature == "inverse" or (automatic and net == "skip") else None
     if automatic:
         feature = suited_feature(data, component_named(component), net, solved)
         if feature == "root" and solved is not None:
-            print("the response of the stated design does not explain these data: inputs are √R", file=sys.stderr)
+            print("the response of the design does not explain these data: inputs are √R", file=sys.stderr)
     return NetworkConfig(hidden=hidden, net=net, feature=cast("Feature", feature)), solved
 
 

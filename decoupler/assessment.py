@@ -1,7 +1,7 @@
 """A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,10 @@ from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
 from decoupler.limits import bayes, cramer_rao
 from decoupler.metrics import ForceErrors, component_errors
-from fem.response import ArrayResponse
 from geometry.layout import AXES, FloatArray
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 MOST_SAMPLES = 200  #: whose limits are worked out; spread over the data
 
@@ -37,7 +39,7 @@ class Assessment:
     coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % deviation
 
 
-def assess(decoupler: Decoupler, data: LabelledData, response: ArrayResponse | None) -> dict[str, Assessment]:
+def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
     `response` is that of the sensor; without it there are no limits.
@@ -75,7 +77,7 @@ def assess(decoupler: Decoupler, data: LabelledData, response: ArrayResponse | N
     return found
 
 
-def _limits(decoupler: Decoupler, data: LabelledData, response: ArrayResponse | None) -> list[Limits] | None:
+def _limits(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> list[Limits] | None:
     """Limits of every axis of the component; None where the response does not say them."""
     component = decoupler.component
     others = [index for index, axis in enumerate(AXES) if axis not in component.axes]

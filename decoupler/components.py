@@ -75,8 +75,8 @@ def pillar_columns(
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
         taken = np.where(dead[..., pillars], DEAD_OHM, taken)
-    sound = np.isfinite(taken) & (taken > 0)
-    if not sound.all():
+    if taken.size and not 0 < taken.min() <= taken.max() < np.inf:  # NaN is neither
+        sound = np.isfinite(taken) & (taken > 0)
         sample, row, col, pillar = np.argwhere(~sound)[0]
         raise SampleError(
             f"resistance of pillar {component.pillars[pillar]} in row {row}, col {col} of sample {sample} is "

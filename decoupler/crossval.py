@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,12 @@ from dataset import LabelledData
 from decoupler.errors import SampleError
 from decoupler.metrics import ForceErrors, evaluate
 from decoupler.settings import NetworkConfig, TrainingConfig
-from fem.response import ArrayResponse
 from geometry.files import digest
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
+
+Job = tuple[Any, ...]  #: a function and its arguments, all of which another process can import or unpickle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +55,7 @@ def cross_validate(
     network: NetworkConfig,
     training: TrainingConfig,
     folds: int = 10,
-    response: ArrayResponse | None = None,
+    response: "ArrayResponse | None" = None,
     progress: Callable[[int], None] = lambda fold: None,
 ) -> list[Fold]:
     """Train and test once a fold, folds in parallel processes of one thread each.
@@ -71,13 +75,24 @@ def cross_validate(
     list of Fold
         In the order of the folds; the same however many processes there are.
     """
+    return in_parallel(jobs_of(data, component, network, training, folds, response), progress)
+
+
+def jobs_of(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    folds: int,
+    response: "ArrayResponse | None",
+) -> list[Job]:
+    """The jobs of one cross-validation, for `in_parallel` together with others."""
     parts = split_folds(len(data.force_n), folds, training.seed)
     every = np.arange(len(data.force_n))
-    jobs = [(_fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
-    return in_parallel(jobs, progress)
+    return [(fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
 
 
-def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) -> list[Any]:
+def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
     """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
     with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
@@ -91,15 +106,16 @@ def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) ->
         return [future.result() for future in futures]
 
 
-def _fold(
+def fold(
     data: LabelledData,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
-    response: ArrayResponse | None,
+    response: "ArrayResponse | None",
     trained_on: np.ndarray,
     tested_on: np.ndarray,
 ) -> Fold:
+    """Train on some samples of `data` and test on others, in whatever process this runs."""
     from decoupler.training import train  # loads torch: in the processes that train, and only there
 
     model, history = train(selected(data, trained_on), component, network, training, response=response)

@@ -75,8 +75,8 @@ class Decoupler:
             chunk = columns[start : start + CHUNK]
             outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
 
-        if n <= CHUNK:
-            fill(0)
+        if 0 < n <= CHUNK:
+            fill(0)  # a live scan starts no threads
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 list(pool.map(fill, range(0, n, CHUNK)))

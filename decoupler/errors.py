@@ -9,3 +9,7 @@ class SampleError(TriPillarError, ValueError):
 
 class TrainingError(TriPillarError, ArithmeticError):
     """A training that ran away."""
+
+
+class ExportError(TriPillarError, RuntimeError):
+    """A model that cannot be exported, or whose exported form gives other forces."""

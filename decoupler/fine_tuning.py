@@ -1,6 +1,7 @@
 """From a model of the sensor as designed to one of the sensor on the table, by a few measured pairs."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +12,15 @@ from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
 from decoupler.ridge import best_ridge
-from fem.response import ArrayResponse
 from geometry.files import digest
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 LEAST_PAIRS = 10  #: below which the output layer stays as it is: its errors could not be judged
 
 
-def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: ArrayResponse | None) -> Decoupler:
+def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayResponse | None") -> Decoupler:
     """The same model for the sensor that the pairs were measured on.
 
     Parameters

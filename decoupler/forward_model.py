@@ -1,15 +1,17 @@
 """What the array's response says of a component: lengths and resistances of its pillars under its forces."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.components import Component
 from decoupler.rowwise import rowwise
-from fem.response import ArrayResponse
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +27,7 @@ class ForwardModel:
     ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1
 
     @classmethod
-    def of(cls, response: ArrayResponse, component: Component) -> Self:
+    def of(cls, response: "ArrayResponse", component: Component) -> Self:
         """The model of a component from the response of the whole array."""
         design = response.design
         axes = [AXES.index(axis) for axis in component.axes]

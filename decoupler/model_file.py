@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -19,12 +19,14 @@ from decoupler.model_inverse import ModelInverse
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import WITHIN, Uncertainty
-from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 from geometry.layout import PILLAR_TOP, PILLARS
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 FORMAT = "tripillar-model-1"
 METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
@@ -38,7 +40,7 @@ def model_recipe(
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
-    response: ArrayResponse | None = None,
+    response: "ArrayResponse | None" = None,
 ) -> str:
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
@@ -149,7 +151,7 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
     if decoupler.inverse is not None:
         forward = decoupler.inverse.forward
         arrays |= {name: getattr(forward, name) for name in ("influence", "top", "rest_mm", "ohm_per_mm2")}
-        arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "chord")}
+        arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
     if decoupler.calibration is not None:
         arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
     if decoupler.uncertainty is not None:
@@ -178,7 +180,11 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
     if decoupler.inverse is not None:
         n_electrodes = n_units * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in decoupler.component.pillars})
         shapes |= {"influence": (n_out, 3 * n_electrodes), "top": (n_in,), "rest_mm": (3, n_in), "ohm_per_mm2": (n_in,)}
-        shapes |= {"centre_n": (n_out,), "centre_mm": (n_in,), "chord": (n_in, n_out)}
+        shapes |= {
+            "centre_n": (n_out,),
+            "centre_mm": (n_in,),
+            "correctors": (len(decoupler.inverse.correctors), n_in, n_out),
+        }
     if decoupler.calibration is not None:
         shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
     if decoupler.uncertainty is not None:
@@ -207,7 +213,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     inverse = uncertainty = None
     if network.feature == "inverse":
         forward = ForwardModel(**{name: arrays[name] for name in ("influence", "top", "rest_mm", "ohm_per_mm2")})
-        inverse = ModelInverse(forward=forward, **{n: arrays[n] for n in ("centre_n", "centre_mm", "chord")})
+        inverse = ModelInverse(forward=forward, **{n: arrays[n] for n in ("centre_n", "centre_mm", "correctors")})
     if _UNCERTAINTY[0] in arrays:
         given = {name: arrays[name] for name in _UNCERTAINTY}
         uncertainty = Uncertainty(**given, noise=float(header["noise"]), bits=header["bits"])

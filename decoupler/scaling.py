@@ -1,6 +1,7 @@
 """Affine scaling of columns to [-1, 1], so that a network takes ohms and gives newtons."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -37,7 +38,12 @@ class Scaling:
 
     def scale_differences(self, differences: FloatArray) -> FloatArray:
         """Differences of values as differences of scaled values; columns last."""
-        return np.divide(differences, self.half_range, out=np.zeros_like(differences), where=self.half_range > 0)
+        return differences * self.factor
+
+    @cached_property
+    def factor(self) -> FloatArray:
+        """What a difference is multiplied by to be scaled, (n_columns,); 0 for a constant column."""
+        return np.divide(1.0, self.half_range, out=np.zeros_like(self.half_range), where=self.half_range > 0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:
         return scaled * self.half_range + self.centre

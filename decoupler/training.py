@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,8 +27,10 @@ from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import Uncertainty
 from decoupler.varpro import RIDGE, train_varpro
-from fem.response import ArrayResponse
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,7 @@ def train(
     network: NetworkConfig,
     training: TrainingConfig,
     progress: Progress = _silent,
-    response: ArrayResponse | None = None,
+    response: "ArrayResponse | None" = None,
 ) -> tuple[Decoupler, History]:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
@@ -93,6 +96,8 @@ def train(
         targets = targets - inputs
     samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
+    if known:
+        torch.nn.init.zeros_(model.output)  # what is known is the start
     with _one_torch_thread():
         ridge = best_ridge(samples.linear.numpy(), targets) if known else RIDGE * len(inputs)
         point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
@@ -120,7 +125,7 @@ def _untrained(
     network: NetworkConfig,
     columns_ohm: FloatArray,
     force_n: FloatArray,
-    response: ArrayResponse | None,
+    response: "ArrayResponse | None",
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
     inverse = calibration = None

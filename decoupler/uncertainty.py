@@ -89,15 +89,15 @@ class Uncertainty:
     def widened(
         self, decoupler: "Decoupler", columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
     ) -> Self:
-        """The same for another sensor and its noise, widened as far as its pairs (n, n_in) [Ω], (n, n_out) [N] say."""
-        changed = replace(self, noise=noise, bits=bits)
+        """The same for another sensor and its noise, wider if its pairs (n, n_in) [Ω], (n, n_out) [N] say so."""
+        changed = replace(self, noise=noise, bits=bits, widths=np.ones_like(self.widths))
         errors = np.abs(decoupler.outputs(columns_ohm) - force_n)
         n_axes = self.widths.shape[1]
         scales = [
             np.quantile((errors / width).reshape(-1, n_axes), share, axis=0)
             for share, width in zip(WITHIN, changed.deviations(decoupler, columns_ohm), strict=True)
         ]
-        return replace(changed, widths=self.widths * np.maximum(np.stack(scales), 1.0))
+        return replace(changed, widths=np.maximum(np.stack(scales), 1.0))
 
     def untrusted(self, half_range_n: FloatArray, least_n: FloatArray | None = None) -> NDArray[np.bool_]:
         """Which outputs (n_out,) dead pillars leave unsure.

@@ -10,8 +10,8 @@ from decoupler.gauss_newton import Samples
 from decoupler.settings import TrainingConfig
 
 RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
-CLOSE_ENOUGH = 0.3  #: of the gradient that a step leaves; closer costs more products than it saves steps
-MOST_PRODUCTS = 20  #: of the matrix in a step
+CLOSE_ENOUGH = 0.1  #: share of the gradient that a step may leave; 0.3 stalls sooner, 0.03 costs more than it gains
+MOST_PRODUCTS = 40  #: with the matrix in a step
 
 
 class Projected:

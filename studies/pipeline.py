@@ -38,7 +38,8 @@ CAP = 0.3  #: largest pillar strain, the paper's wider one
 
 #: networks of the table by name
 NETWORKS = {
-    "skip net (ours)": (NetworkConfig(hidden=36, net="skip"), TrainingConfig(trainer="varpro", goal_mse=1e-7)),
+    "skip net from the response (ours)": (NetworkConfig(feature="inverse"), TrainingConfig()),
+    "skip net on √R, 36 nodes (ours)": (NetworkConfig(hidden=36), TrainingConfig()),
     "plain 17 (the paper's)": (
         NetworkConfig(hidden=17, net="plain", feature="resistance"),
         TrainingConfig(trainer="lm"),
@@ -90,7 +91,7 @@ def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False
     stages.append(make_datasets(response, out, bars))
     if until_dataset:
         return Outcome(stages=stages, comparisons=[])
-    stage, models = train_networks(out, bars)
+    stage, models = train_networks(response, out, bars)
     stages.append(stage)
     comparisons = [
         compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol])
@@ -207,7 +208,7 @@ def make_dataset(
     return False
 
 
-def train_networks(out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
+def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
     """Train every network of the table on every studied protocol."""
     start = perf_counter()
     models: dict[str, dict[str, Decoupler]] = {}
@@ -217,9 +218,9 @@ def train_networks(out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, De
         data = read_labelled(_dataset_path(out, protocol, "train"))
         models[protocol] = {}
         for name, (network, training) in NETWORKS.items():
-            path = out / "models" / f"{protocol}-{network.net}{network.hidden}.safetensors"
+            path = out / "models" / f"{protocol}-{network.net}{network.hidden}-{network.feature}.safetensors"
             advance(0, f"{protocol}, {name}")
-            model, reused = trained(data, component, network, training, path)
+            model, reused = trained(data, component, network, training, path, response)
             all_reused &= reused
             models[protocol][name] = model
             files.append(path)
@@ -229,10 +230,15 @@ def train_networks(out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, De
 
 
 def trained(
-    data: LabelledData, component: str, network: NetworkConfig, training: TrainingConfig, path: Path
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    path: Path,
+    response: ArrayResponse | None,
 ) -> tuple[Decoupler, bool]:
     """Train and write a network unless `path` holds it already; returns it and whether it did."""
-    recipe = model_recipe(data, component_named(component).name, network, training)
+    recipe = model_recipe(data, component_named(component).name, network, training, response)
     try:
         model = read_model(path)
         if model.made_from.get("recipe") == recipe:
@@ -241,7 +247,7 @@ def trained(
         pass
     from decoupler.training import train  # loads torch, which takes seconds: only when something is trained
 
-    model, _ = train(data, component, network, training)
+    model, _ = train(data, component, network, training, response=response)
     write_model(model, path)
     return model, False
 

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from dataset import LabelledData, pillar_lengths, pillar_resistances
+from fem.response import ArrayResponse
 from geometry import Array, SensorDesign
 from geometry.files import digest
-from geometry.layout import AXES, pillar_volumes, unit_centres
+from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
 
 #: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
 _OWN = np.array(
@@ -38,11 +39,8 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Labe
     force_n = np.zeros((n_samples, rows * cols, 3))
     for axis in axes:
         force_n[..., AXES.index(axis)] = generator.uniform(*_RANGE_N[axis], (n_samples, rows * cols))
-    centres = unit_centres(design)
-    distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
-    neighbour = np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
     pushed = force_n * [1.0, 1.0, -1.0]  # compression moves electrodes along −z
-    displacement_mm = np.einsum("kl,eij,nlj->nkei", neighbour, _OWN, pushed)
+    displacement_mm = np.einsum("kl,eij,nlj->nkei", _neighbour(design), _OWN, pushed)
     length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)
     resistance_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
     force_n = force_n.reshape(n_samples, rows, cols, 3)
@@ -52,6 +50,26 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Labe
         design=design,
         content_hash=digest(force_n, resistance_ohm),
     )
+
+
+def response(design: SensorDesign) -> ArrayResponse:
+    """The influence that `labelled` uses."""
+    rows, cols = design.array.rows, design.array.cols
+    influence = np.einsum("kl,eij->keilj", _neighbour(design), _OWN)
+    return ArrayResponse(
+        design=design,
+        influence_mm_per_n=influence.reshape(rows, cols, 2, 3, rows, cols, 3),
+        residual=0.0,
+        unknowns=0,
+        seconds={},
+    )
+
+
+def _neighbour(design: SensorDesign) -> FloatArray:
+    """How much of its own displacement a unit passes on to each other one, shape (n_units, n_units)."""
+    centres = unit_centres(design)
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
+    return np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
 
 
 def split(data: LabelledData, n_train: int) -> tuple[LabelledData, LabelledData]:

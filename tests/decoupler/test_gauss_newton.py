@@ -6,7 +6,6 @@ import torch
 from decoupler.gauss_newton import GaussNewton, Samples
 from decoupler.network import Network
 from decoupler.settings import NetworkConfig
-from decoupler.varpro import projected
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 40, 4, 3, 5
 
@@ -77,29 +76,3 @@ def test_singular_matrix_gives_no_step():
     samples = Samples(inputs, inputs, skip=True)
     blocks = GaussNewton(samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64))
     assert blocks.step(0.0) is None
-
-
-def test_variable_projection_has_the_exact_gradient(problem):
-    """The gradient of the cost with the output layer solved for is that at fixed output weights."""
-    samples, hidden, _, _ = problem
-    ridge = 0.1
-    point = projected(samples, hidden, ridge)
-    variable = hidden.clone().requires_grad_()
-    A = samples.activations(variable)
-    output = torch.linalg.solve(A.T @ A + ridge * torch.eye(A.shape[1], dtype=torch.float64), A.T @ samples.targets)
-    cost = 0.5 * ((A @ output - samples.targets) ** 2).sum() + 0.5 * ridge * (output**2).sum()
-    cost.backward()
-    assert point.cost == pytest.approx(cost.item(), rel=1e-12)
-    assert_close(GaussNewton(samples, hidden, point.output).gradient_hidden, variable.grad)
-
-
-def test_variable_projection_has_kaufmans_matrix(problem):
-    """K ∘ (ZᵀZ − C M⁻¹ Cᵀ) is J₁ᵀJ₁ with the part that the output layer can follow projected out."""
-    samples, hidden, output, residual = problem
-    ridge = 0.1
-    J = dense_jacobian(residual, hidden, output)
-    J1, J2 = J[:, : hidden.numel()], J[:, hidden.numel() :]
-    followed = torch.linalg.solve(J2.T @ J2 + ridge * torch.eye(J2.shape[1], dtype=torch.float64), J2.T @ J1)
-    eliminated = GaussNewton(samples, hidden, output).eliminate(ridge)
-    assert eliminated is not None
-    assert_close(eliminated.reduced, J1.T @ J1 - J1.T @ J2 @ followed)

@@ -18,9 +18,10 @@ from decoupler import (
 )
 from decoupler.training import train
 from geometry import Array, FileFormatError
-from tests.decoupler.synthetic_sensor import labelled, sensor
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)
+RESPONSE = response(sensor(2, 3))
 NETWORK = NetworkConfig(hidden=4)
 FEW = TrainingConfig(max_iterations=2)
 
@@ -40,6 +41,21 @@ def test_what_is_read_is_what_was_written(decoupler, tmp_path):
     assert again.made_from == decoupler.made_from
 
 
+def test_all_that_a_model_may_hold_comes_back(tmp_path):
+    """Response, calibration, dead pillars, uncertainty and the mark to beat: forces and deviations to the bit."""
+    dead = np.zeros((2, 3, 3), dtype=bool)
+    dead[0, 1, 2] = True
+    data = replace(DATA, dead=dead, noise=1e-3, bits=12)
+    model, _ = train(data, "all", replace(NETWORK, feature="inverse"), FEW, response=RESPONSE)
+    write_model(model, tmp_path / "model.safetensors")
+    again = read_model(tmp_path / "model.safetensors")
+    R = DATA.resistance_ohm
+    np.testing.assert_array_equal(again.forces(R), model.forces(R))
+    np.testing.assert_array_equal(again.deviations(R), model.deviations(R))
+    np.testing.assert_array_equal(again.least_squares.forces(R), model.least_squares.forces(R))
+    assert again.untrusted() == model.untrusted()
+
+
 def test_same_training_gives_the_same_file(tmp_path):
     for name in ("a", "b"):
         write_model(train(DATA, "fz", NETWORK, FEW)[0], tmp_path / name)
@@ -53,19 +69,24 @@ def test_header_can_be_read_by_anyone(decoupler, tmp_path):
         header = json.loads(opened.metadata()["tripillar"])
     assert header["network"]["hidden"] == 4
     assert header["made_from"]["training"]["seed"] == 0
-    assert header["made_from"]["recipe"] == model_recipe(DATA.content_hash, "all", NETWORK, FEW)
+    assert header["made_from"]["recipe"] == model_recipe(DATA, "all", NETWORK, FEW)
 
 
 def test_recipe_follows_all_that_matters():
-    recipe = model_recipe("data", "fz", NETWORK, FEW)
-    assert recipe == model_recipe("data", "fz", NETWORK, FEW)
+    recipe = model_recipe(DATA, "fz", NETWORK, FEW)
+    assert recipe == model_recipe(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
+    known = replace(NETWORK, feature="inverse")
     others = [
-        model_recipe("other", "fz", NETWORK, FEW),
-        model_recipe("data", "fx", NETWORK, FEW),
-        model_recipe("data", "fz", replace(NETWORK, hidden=5), FEW),
-        model_recipe("data", "fz", NETWORK, replace(FEW, seed=1)),
+        model_recipe(replace(DATA, content_hash="other"), "fz", NETWORK, FEW),
+        model_recipe(replace(DATA, noise=0.01), "fz", NETWORK, FEW),
+        model_recipe(replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
+        model_recipe(DATA, "fx", NETWORK, FEW),
+        model_recipe(DATA, "fz", replace(NETWORK, hidden=5), FEW),
+        model_recipe(DATA, "fz", NETWORK, replace(FEW, seed=1)),
+        model_recipe(DATA, "fz", known, FEW, RESPONSE),
+        model_recipe(DATA, "fz", known, FEW, response(sensor(2, 2))),
     ]
-    assert len({recipe, *others}) == 5
+    assert len({recipe, *others}) == 9
 
 
 def test_missing_file_is_refused(tmp_path):

@@ -27,6 +27,7 @@ def test_network_refuses(settings, message):
         ({"goal_mse": float("nan")}, "goal_mse=nan must be 0 or above"),
         ({"max_iterations": -1}, "max_iterations=-1"),
         ({"seed": True}, "seed=True"),
+        ({"held_out": 0.6}, "held_out=0.6 must be from 0 to 0.5"),
         ({"least_gain": 1.0}, "least_gain=1 must be"),
         ({"learning_rate": 0.0}, "learning_rate=0 must be above 0"),
         ({"momentum": 1.0}, "momentum=1 must be"),

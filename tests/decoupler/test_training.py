@@ -17,8 +17,9 @@ from decoupler import (
     evaluate,
     pca_floor,
 )
+from decoupler.components import force_columns
 from decoupler.training import train
-from tests.decoupler.synthetic_sensor import labelled, sensor, split
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
 TRAIN, TEST = split(labelled(SENSOR, "x", n_samples=400, seed=0), 300)
@@ -29,7 +30,7 @@ FX = component_named("fx")
 @pytest.mark.parametrize("net", ["plain", "skip"])
 def test_second_order_trainers_reach_the_goal(trainer, net):
     """Nodes enough for six forces: the goal is reached, and unseen samples beat least squares by far."""
-    config = TrainingConfig(trainer=trainer, goal_mse=1e-7)
+    config = TrainingConfig(trainer=trainer, goal_mse=1e-7, held_out=0.0)
     decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
     assert history.reason == "goal"
     assert history.mse <= 1e-7
@@ -56,10 +57,26 @@ def test_reported_error_is_that_of_the_model(trainer):
 @pytest.mark.parametrize("trainer", ["varpro", "lm"])
 def test_narrow_plain_net_stops_at_the_pca_floor(trainer):
     """Six independent forces through three nodes: never below the floor, and within 2 % of it."""
-    _, history = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), TrainingConfig(trainer=trainer))
+    config = TrainingConfig(trainer=trainer, held_out=0.0)
+    _, history = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), config)
     floor = pca_floor(TRAIN.force_n, FX, 3).scaled_mse
     assert history.reason == "stagnation"
     assert floor < history.mse < 1.02 * floor
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+def test_a_net_on_the_response_starts_from_its_inverse(trainer):
+    """Before the first step it gives the forces of the inverse itself (rounding), and then no worse ones."""
+    network = NetworkConfig(hidden=4, feature="inverse")
+    config = TrainingConfig(trainer=trainer, goal_mse=0.0, max_iterations=30)
+    errors = []
+    decoupler, history = train(TRAIN, "fx", network, config, lambda _, mse: errors.append(mse), response(SENSOR))
+    columns = decoupler.columns(TRAIN.resistance_ohm)
+    known = decoupler.inverse.forces(decoupler.calibration.modelled(columns))
+    scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
+    if trainer != "varpro":  # whose output layer is never at its start
+        assert errors[0] == pytest.approx(np.mean(scaled**2), rel=1e-6)
+    assert history.mse <= np.mean(scaled**2)
 
 
 def test_stops_after_the_iterations_it_was_given():

@@ -1,0 +1,113 @@
+"""A trained network as an ONNX graph: ohms in, newtons out, everything between inside. Needs the extra `export`."""
+
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import helper, numpy_helper
+
+from decoupler.components import DEAD_OHM
+from decoupler.decoupler import Decoupler
+from decoupler.model_inverse import ModelInverse
+from decoupler.portable import dead_inputs, facts, output_weights_n, places
+from geometry.layout import PILLARS, FloatArray
+
+OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one
+
+
+def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProto:
+    """The graph of `Decoupler.forces` without its refusals.
+
+    Parameters
+    ----------
+    decoupler : Decoupler
+    dtype : type
+        ``numpy.float64`` or ``numpy.float32``: of inputs, outputs and all that is between.
+
+    Returns
+    -------
+    onnx.ModelProto
+        From ``resistance_ohm`` (n, rows, cols, 3) [Ω] to ``force_n`` (n, rows, cols, n_axes) [N], n free; what made it
+        is in its metadata. A resistance that `forces` refuses gives a force that means nothing.
+    """
+    rows, cols, n_axes = decoupler.rows, decoupler.cols, len(decoupler.component.axes)
+    dead = dead_inputs(decoupler)
+    graph = _Graph(dtype)
+    x = graph.add("Reshape", "resistance_ohm", np.array([0, rows * cols * len(PILLARS)]))
+    x = graph.add("Gather", x, places(decoupler), axis=1)
+    if dead.any():
+        x = graph.add("Where", dead, np.array(DEAD_OHM), x)
+    if decoupler.calibration is not None:
+        modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
+        modelled = graph.add("Div", modelled, decoupler.calibration.gain)
+        x = graph.add("Max", modelled, graph.add("Mul", x, np.array(1e-6)))
+    if decoupler.inverse is not None:
+        x = _inverse(graph, x, decoupler.inverse)
+    elif decoupler.network.feature == "root":
+        x = graph.add("Sqrt", x)
+    x = graph.add("Mul", graph.add("Sub", x, decoupler.input_scaling.centre), decoupler.input_scaling.factor)
+    seen = graph.add("Tanh", graph.affine(x, decoupler.hidden_weights))
+    if decoupler.network.net == "skip":
+        seen = graph.add("Concat", seen, x, axis=1)
+    outputs = graph.affine(seen, output_weights_n(decoupler))
+    graph.add("Reshape", outputs, np.array([0, rows, cols, n_axes]), to="force_n")
+    kind = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+    model = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "tripillar",
+            [helper.make_tensor_value_info("resistance_ohm", kind, ["n", rows, cols, len(PILLARS)])],
+            [helper.make_tensor_value_info("force_n", kind, ["n", rows, cols, n_axes])],
+            graph.constants,
+        ),
+        producer_name="tripillar",
+        ir_version=IR_VERSION,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+    )
+    helper.set_model_props(model, facts(decoupler))
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+class _Graph:
+    """Nodes and constants in the order in which they are added."""
+
+    def __init__(self, dtype: type[np.floating]) -> None:
+        self.dtype = dtype
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def add(self, operator: str, *inputs: str | np.ndarray, to: str = "", **attributes: Any) -> str:
+        """Add a node whose inputs are names or constants; the name of its output."""
+        name = to or f"{operator.lower()}_{len(self.nodes)}"
+        names = [given if isinstance(given, str) else self._constant(given) for given in inputs]
+        self.nodes.append(helper.make_node(operator, names, [name], **attributes))
+        return name
+
+    def affine(self, x: str, weights: FloatArray) -> str:
+        """Add weights (m, k + 1), bias last, times x (n, k); the name of the result (n, m)."""
+        return self.add("Add", self.add("MatMul", x, weights[:, :-1].T), weights[:, -1])
+
+    def _constant(self, values: np.ndarray) -> str:
+        name = f"constant_{len(self.constants)}"
+        values = values.astype(self.dtype) if values.dtype.kind == "f" else values
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(values), name))
+        return name
+
+
+def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:
+    """Add `ModelInverse.forces`: resistances (n, n_pillars) [Ω] -> forces (n, n_forces) [N]."""
+    forward = inverse.forward
+    lengths = graph.add("Sqrt", graph.add("Div", columns_ohm, forward.ohm_per_mm2))
+    first, *others = inverse.correctors
+    forces = graph.add(
+        "Add", graph.add("MatMul", graph.add("Sub", lengths, inverse.centre_mm), first), inverse.centre_n
+    )
+    for corrector in others:
+        moved = graph.add("MatMul", forces, forward.influence)
+        moved = graph.add("Reshape", moved, np.array([0, 3, forward.influence.shape[1] // 3]))
+        vectors = graph.add("Add", graph.add("Gather", moved, forward.top, axis=2), forward.rest_mm)
+        squares = graph.add("ReduceSum", graph.add("Mul", vectors, vectors), np.array([1]), keepdims=0)
+        residual = graph.add("Sub", lengths, graph.add("Sqrt", squares))
+        forces = graph.add("Add", forces, graph.add("MatMul", residual, corrector))
+    return forces

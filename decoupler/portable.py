@@ -1,0 +1,60 @@
+"""What every exported form of a `Decoupler` needs, in numpy: places of inputs, factors of scaling, facts about it."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoupler.components import readable_columns
+from decoupler.decoupler import Decoupler
+from geometry.files import digest
+from geometry.layout import PILLARS, FloatArray
+
+
+def places(decoupler: Decoupler) -> NDArray[np.int64]:
+    """Where the network's inputs lie in one sample's (rows, cols, 3) resistances laid flat, shape (n_in,)."""
+    n_units = decoupler.rows * decoupler.cols
+    taken = [PILLARS.index(pillar) for pillar in decoupler.component.pillars]
+    return np.arange(n_units * len(PILLARS)).reshape(n_units, -1)[:, taken].reshape(-1)
+
+
+def dead_inputs(decoupler: Decoupler) -> NDArray[np.bool_]:
+    """Which inputs cannot be read and have `DEAD_OHM` in their place, shape (n_in,)."""
+    return ~readable_columns(decoupler.component, decoupler.dead, len(places(decoupler)))
+
+
+def output_weights_n(decoupler: Decoupler) -> FloatArray:
+    """Output weights that give newtons without unscaling, (n_out, n_hidden [+ n_in] + 1) [N], bias last."""
+    weights = decoupler.output_weights * decoupler.output_scaling.half_range[:, None]
+    weights[:, -1] += decoupler.output_scaling.centre
+    return weights
+
+
+def facts(decoupler: Decoupler) -> dict[str, str]:
+    """What a reader of an exported file should know of the model, by name."""
+    made_from, network = decoupler.made_from, decoupler.network
+    try:
+        program = version("tripillar")
+    except PackageNotFoundError:
+        program = "unknown"
+    return {
+        "component": decoupler.component.name,
+        "axes": " ".join(decoupler.component.forces),
+        "net": f"{network.net}, {network.hidden} hidden nodes",
+        "feature": network.feature,
+        "units": "resistance_ohm in ohm (pillars z, x, y), force_n in newton (fz positive in compression)",
+        "design_hash": "unknown" if decoupler.design is None else digest(decoupler.design),
+        "data_hash": str(made_from.get("data_hash", "unknown")),
+        "model_hash": str(made_from.get("recipe", "unknown")),
+        "error": _error(decoupler),
+        "version": program,
+    }
+
+
+def _error(decoupler: Decoupler) -> str:
+    if decoupler.uncertainty is None:
+        return "unknown"
+    axes = decoupler.component.forces
+    rms = np.sqrt(decoupler.uncertainty.unexplained_n2.reshape(-1, len(axes)).mean(axis=0))
+    errors = ", ".join(f"{axis} {error:.2g} N" for axis, error in zip(axes, rms, strict=True))
+    return f"{errors} (root mean square, leave-one-out on the training data)"

@@ -1,0 +1,258 @@
+"""The paper's experiments of sections 3.2 and 3.3: which data, which networks, and all trainings in one go."""
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from time import perf_counter
+
+import numpy as np
+
+from dataset import LabelledData
+from dataset.resistance import pillar_strains
+from dataset.simulate import DatasetSettings, dataset_recipe, measured_again, simulate
+from decoupler.components import component_named, force_columns
+from decoupler.crossval import Fold, Job, fold, in_parallel, jobs_of, selected
+from decoupler.floor import pca_floor
+from decoupler.metrics import ForceErrors
+from decoupler.model_file import METHOD
+from decoupler.settings import NetworkConfig, TrainingConfig
+from fem.response import ArrayResponse
+from geometry.files import digest
+from geometry.layout import FloatArray
+from studies.paper.printed import MEAN_OVER_WIDTHS
+from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
+from studies.paper.results import DataSet, Result, Results, Shown, Trial
+from studies.progress import Bars
+
+VERSION = 1  #: raise when the same settings give other trials
+FIGURE_9, TABLE_2 = "figure 9", "table 2"
+LOADS = ("contact", "independent")  #: protocols by what comes before the component
+COMPONENTS = ("fz", "fx")
+CAPS = tuple(MEAN_OVER_WIDTHS)  #: largest strains of figure 9; table 2 and figure 11 have the first
+TABLE_2_SAMPLES = tuple(PRINTED_TABLE_2)
+
+PAPERS, SKIP, INFORMED, FLOOR = "plain, LM", "skip", "skip + response", "PCA floor"
+#: networks by name; the paper's takes its number of nodes from the trial
+NETWORKS = {
+    PAPERS: (NetworkConfig(net="plain", feature="resistance"), TrainingConfig(trainer="lm")),
+    SKIP: (NetworkConfig(hidden=36, feature="root"), TrainingConfig(goal_mse=1e-7)),
+    INFORMED: (NetworkConfig(hidden=17, feature="inverse"), TrainingConfig(goal_mse=1e-7)),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiments:
+    """How the experiments are done; by default as in the paper, section 3.2 and 3.3."""
+
+    widths: tuple[int, ...] = tuple(range(10, 20))  #: nodes of figure 9: eq. 16 for 36 inputs and 36 outputs
+    training_samples: int = 2000  #: of figures 9 and 11
+    test_samples: int = 200
+    folds: int = 10
+    table_nodes: Mapping[str, int] = field(default_factory=lambda: {"fz": 16, "fx": 17})  #: text of section 3.3
+    shown_nodes: int = 17  #: of figure 11: the paper's best for Fz, section 3.2
+    shown_samples: int = 10
+    seed: int = 1  #: of the samples
+
+    def data_settings(self, loads: str, component: str, cap: float) -> DatasetSettings:
+        """The samples of one kind: those of figure 9, of which table 2 takes the first."""
+        samples = max(self.training_samples + self.test_samples, *TABLE_2_SAMPLES)
+        return DatasetSettings(protocol=f"{loads}-{component}", samples=samples, seed=self.seed, cap=cap)
+
+
+Kinds = dict[tuple[str, str, float], LabelledData]  #: by loads, component and cap
+
+
+def recipe_of(response: ArrayResponse, asked: Experiments) -> str:
+    """Hash of all that the results depend on."""
+    data = [dataset_recipe(response, asked.data_settings(*kind)) for kind in product(LOADS, COMPONENTS, CAPS)]
+    networks = [part for pair in NETWORKS.values() for part in pair]
+    return digest("paper", VERSION, METHOD, data, asked, *networks)
+
+
+def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> Results:
+    """Train and test everything, in as many processes as there are cores; the paper's own trainings come first."""
+    started = perf_counter()
+    kinds, data_sets = simulate_all(response, asked)
+    planned = [*plan_figure_9(response, asked, kinds), *plan_table_2(response, asked, kinds)]
+    planned.sort(key=lambda pair: not _is_papers_own(pair[0]))
+    shown = list(plan_figure_11(response, asked, kinds))
+    waiting = {number for number, (trial, _) in enumerate(planned) if _is_papers_own(trial)}
+    own_trainings, own_seconds = len(waiting), 0.0
+    advance = bars.begin("trainings", total=len(planned) + len(shown))
+
+    def ended(number: int) -> None:
+        nonlocal own_seconds
+        advance(1, "the paper's own" if waiting else "ours, and independent loads")
+        if number in waiting:
+            waiting.remove(number)
+            own_seconds = perf_counter() - started
+
+    outcomes = in_parallel([job for _, job in planned] + [job for _, job in shown], ended)
+    trained, forces = outcomes[: len(planned)], outcomes[len(planned) :]
+    return Results(
+        recipe=recipe_of(response, asked),
+        own_trainings=own_trainings,
+        own_seconds=own_seconds,
+        all_trainings=len(outcomes),
+        all_seconds=perf_counter() - started,
+        cores=os.cpu_count() or 1,
+        data_sets=data_sets,
+        results=[
+            *(_result(trial, one) for (trial, _), one in zip(planned, trained, strict=True)),
+            *floors(asked, kinds),
+        ],
+        shown=[
+            replace(one, decoupled_n=decoupled.ravel().tolist())
+            for (one, _), decoupled in zip(shown, forces, strict=True)
+        ],
+    )
+
+
+def simulate_all(response: ArrayResponse, asked: Experiments) -> tuple[Kinds, list[DataSet]]:
+    """The samples of every kind, and what is worth knowing of them."""
+    kinds, described = {}, []
+    for loads, component, cap in product(LOADS, COMPONENTS, CAPS):
+        settings = asked.data_settings(loads, component, cap)
+        made = simulate(response, settings)
+        data = measured_again(made, settings, settings.seed)
+        kinds[loads, component, cap] = data
+        strain = pillar_strains(made.displacement_mm, made.length_mm, made.design.unit).max()
+        widest = pca_floor(data.force_n[: asked.training_samples], component_named(component), max(asked.widths))
+        described.append(
+            DataSet(
+                loads=loads,
+                component=component,
+                cap=cap,
+                content_hash=data.content_hash,
+                largest_strain=float(strain),
+                least_mse=widest.scaled_mse,
+            )
+        )
+    return kinds, described
+
+
+def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
+    """The paper's network at every width, and ours at its one."""
+    trained_on, tested_on = _split(asked)
+    for (loads, component, cap), data in kinds.items():
+        for name, widths in ((PAPERS, asked.widths), (INFORMED, (NETWORKS[INFORMED][0].hidden,))):
+            network, training = NETWORKS[name]
+            for hidden in widths:
+                trial = Trial(
+                    experiment=FIGURE_9,
+                    loads=loads,
+                    component=component,
+                    cap=cap,
+                    samples=len(trained_on) + len(tested_on),
+                    network=name,
+                    hidden=hidden,
+                )
+                sized = replace(network, hidden=hidden)
+                yield trial, (fold, data, component, sized, training, response, trained_on, tested_on)
+
+
+def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
+    """Cross-validation of every network on the large and the small set."""
+    for loads, component, size in product(LOADS, COMPONENTS, TABLE_2_SAMPLES):
+        data = selected(kinds[loads, component, CAPS[0]], slice(size))
+        for name, (usual, training) in NETWORKS.items():
+            network = replace(usual, hidden=asked.table_nodes[component]) if name == PAPERS else usual
+            jobs = jobs_of(data, component, network, training, asked.folds, response)
+            for number, job in enumerate(jobs, start=1):
+                trial = Trial(
+                    experiment=TABLE_2,
+                    loads=loads,
+                    component=component,
+                    cap=CAPS[0],
+                    samples=size,
+                    network=name,
+                    hidden=network.hidden,
+                    fold=number,
+                )
+                yield trial, job
+
+
+def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Shown, Job]]:
+    """Forces Fz of random test samples, still without the decoupled ones."""
+    trained_on, tested_on = _split(asked)
+    some = np.random.default_rng(asked.seed).choice(tested_on, asked.shown_samples, replace=False)
+    fz = component_named("fz")
+    for loads, name in product(LOADS, (PAPERS, INFORMED)):
+        data = kinds[loads, fz.name, CAPS[0]]
+        network, training = NETWORKS[name]
+        network = replace(network, hidden=asked.shown_nodes) if name == PAPERS else network
+        actual_n = force_columns(data.force_n[some], fz).ravel().tolist()
+        shown = Shown(
+            loads=loads,
+            network=name,
+            hidden=network.hidden,
+            samples=some.tolist(),
+            actual_n=actual_n,
+            decoupled_n=[],
+        )
+        yield shown, (decoupled_forces, data, fz.name, network, training, response, trained_on, some)
+
+
+def decoupled_forces(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    response: ArrayResponse,
+    trained_on: np.ndarray,
+    shown: np.ndarray,
+) -> FloatArray:
+    """Train on some samples and give the forces of others [N]; for another process, like `crossval.fold`."""
+    from decoupler.training import train  # loads torch: in the processes that train, and only there
+
+    model, _ = train(selected(data, trained_on), component, network, training, response=response)
+    return model.forces(data.resistance_ohm[shown])
+
+
+def floors(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
+    """What the best projection leaves: of figure 9's test forces at every width, of table 2's sets at their nodes."""
+    tested_on = _split(asked)[1]
+    for (loads, name, cap), data in kinds.items():
+        wanted = [(FIGURE_9, data.force_n[tested_on], hidden) for hidden in asked.widths]
+        if cap == CAPS[0]:
+            wanted += [(TABLE_2, data.force_n[:size], asked.table_nodes[name]) for size in TABLE_2_SAMPLES]
+        for experiment, force_n, hidden in wanted:
+            trial = Trial(
+                experiment=experiment,
+                loads=loads,
+                component=name,
+                cap=cap,
+                samples=len(force_n),
+                network=FLOOR,
+                hidden=hidden,
+            )
+            errors = pca_floor(force_n, component_named(name), hidden).projection[name]
+            yield Result(trial=trial, rel_err=_stated(errors), rmse_n=errors.rmse_n)
+
+
+def _split(asked: Experiments) -> tuple[np.ndarray, np.ndarray]:
+    """Sample numbers of figure 9's training and test set."""
+    numbers = np.arange(asked.training_samples + asked.test_samples)
+    return numbers[: asked.training_samples], numbers[asked.training_samples :]
+
+
+def _is_papers_own(trial: Trial) -> bool:
+    return trial.network == PAPERS and trial.loads == LOADS[0]
+
+
+def _result(trial: Trial, outcome: Fold) -> Result:
+    errors = outcome.errors[trial.component]
+    return Result(
+        trial=trial,
+        rel_err=_stated(errors),
+        rmse_n=errors.rmse_n,
+        iterations=outcome.iterations,
+        reason=outcome.reason,
+        seconds=outcome.seconds,
+    )
+
+
+def _stated(errors: ForceErrors) -> float:
+    assert errors.rel_err is not None, "no pad of these loads goes free, so eq. 17 has a meaning"
+    return errors.rel_err

@@ -1,0 +1,24 @@
+"""What Song, Wang and Zhang print: Micromachines 2018, 9(5), 236, sections 3.2 and 3.3. Relative errors in %."""
+
+from studies.comparison import PAPER_REL_ERR
+
+#: mean over the widths 10 to 19 by largest strain and component, section 3.2
+MEAN_OVER_WIDTHS = {
+    0.3: {name: 100 * error for name, error in PAPER_REL_ERR.items()},
+    0.2: {"fz": 2.30, "fx": 4.21},
+}
+
+#: table 2 by number of samples and component: the ten folds in order
+TABLE_2 = {
+    2000: {
+        "fz": (1.80, 1.69, 1.56, 1.59, 1.55, 1.63, 1.88, 1.60, 1.68, 1.89),
+        "fx": (2.94, 3.12, 2.57, 2.71, 2.69, 2.82, 2.39, 2.31, 2.23, 2.34),
+    },
+    200: {
+        "fz": (1.90, 1.85, 1.83, 1.77, 1.75, 2.10, 1.91, 1.77, 1.84, 1.93),
+        "fx": (3.15, 3.23, 2.75, 2.64, 2.83, 2.95, 2.53, 2.46, 2.37, 2.59),
+    },
+}
+
+#: the last row of table 2; the small set's Fz is 1.865 before rounding
+TABLE_2_AVERAGE = {2000: {"fz": 1.69, "fx": 2.61}, 200: {"fz": 1.86, "fx": 2.75}}

@@ -1,0 +1,66 @@
+"""An assessment: the model's errors beside limit and baselines, each as its own module gives it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import LeastSquares, NetworkConfig, TrainingConfig, assess, component_errors, component_named, evaluate
+from decoupler.assessment import as_plain
+from decoupler.baseline import hooke_forces
+from decoupler.components import force_columns
+from decoupler.forward_model import ForwardModel
+from decoupler.limits import cramer_rao
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+NOISE = 2e-3
+ALL = component_named("all")
+
+
+def noisy(data):
+    errors = np.random.default_rng(1).standard_normal(data.resistance_ohm.shape)
+    return replace(data, resistance_ohm=data.resistance_ohm * (1 + NOISE * errors), noise=NOISE)
+
+
+TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0)), 600)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)[0]
+
+
+def test_holds_what_its_parts_say(model):
+    found = assess(model, TEST, RESPONSE)
+    least = component_errors(LeastSquares.fitted(TRAIN, ALL).forces(TEST.resistance_ohm), TEST, ALL)
+    hooke = component_errors(hooke_forces(TEST.resistance_ohm, SENSOR, ALL), TEST, ALL)
+    bound = cramer_rao(ForwardModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
+    for axis, name in enumerate(("fx", "fy", "fz")):
+        one = found[name]
+        assert one.errors == evaluate(model, TEST)[name]
+        assert one.baselines == {"eq. 8, each pillar alone": hooke[name], "least squares on √R": least[name]}
+        limit = np.sqrt(np.mean(bound.reshape(100, 6, 3)[..., axis] ** 2))
+        assert one.limits.cramer_rao_n == pytest.approx(limit, rel=1e-12)
+        assert one.ratio == pytest.approx(one.errors.rmse_n / limit)
+        assert one.limits.bayes_n < limit
+
+
+def test_errors_are_within_15_percent_of_the_limit(model):
+    """What the project promises, on a small sensor."""
+    for one in assess(model, TEST, RESPONSE).values():
+        assert one.ratio < 1.15
+
+
+def test_plain_form_starts_with_the_contracts_numbers(model):
+    found = as_plain(assess(model, TEST, None))
+    assert list(found["fz"])[:3] == ["rel_err", "rmse_n", "full_scale_pct"]
+    assert found["fz"]["limits"] is None
+
+
+def test_no_limit_where_other_forces_act():
+    """A net for Fz alone on mixed loads: the bound of Fz alone would be no bound."""
+    model, _ = train(TRAIN, "fz", NetworkConfig(hidden=4), TrainingConfig(max_iterations=3))
+    assert assess(model, TEST, RESPONSE)["fz"].limits is None

@@ -1,0 +1,78 @@
+"""Cross-validation: every sample tested once, nothing of it known in training, the same however it is run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate
+from decoupler.crossval import over_folds, selected, split_folds, summary
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+SENSOR = sensor(2, 3)
+DATA = labelled(SENSOR, "x", n_samples=53, seed=0)
+NETWORK, FEW = NetworkConfig(hidden=3), TrainingConfig(max_iterations=3, seed=4)
+
+
+def test_folds_part_the_samples():
+    parts = split_folds(53, 10, seed=1)
+    assert sorted(np.concatenate(parts)) == list(range(53))
+    assert {len(part) for part in parts} == {5, 6}
+    assert not np.array_equal(parts[0], split_folds(53, 10, seed=2)[0])
+
+
+@pytest.mark.parametrize("folds", [0, 1, 27])
+def test_impossible_folds_are_refused(folds):
+    with pytest.raises(SampleError, match=f"folds={folds} must be from 2 to 26"):
+        split_folds(53, folds, seed=0)
+
+
+def test_processes_give_what_one_after_the_other_gives():
+    """Eq. 17 of a network trained on the rest, to the bit, in the order of the folds."""
+    done = []
+    tested = cross_validate(DATA, "fx", NETWORK, FEW, folds=4, progress=done.append)
+    assert sorted(done) == [0, 1, 2, 3]
+    for fold, part in zip(tested, split_folds(53, 4, FEW.seed), strict=True):
+        rest = np.setdiff1d(np.arange(53), part)
+        model, history = train(selected(DATA, rest), "fx", NETWORK, FEW)
+        assert fold.errors == evaluate(model, selected(DATA, part))
+        assert fold.iterations == history.iterations
+        actual = DATA.force_n[part][..., :1]
+        relative = np.abs(model.forces(DATA.resistance_ohm[part]) - actual) / actual
+        assert fold.errors["fx"].rel_err == pytest.approx(relative.mean(), rel=1e-12)
+    rel_err = [fold.errors["fx"].rel_err for fold in tested]
+    found = summary(tested)
+    assert [fold["rel_err"] for fold in found["folds"]] == rel_err
+    assert found["mean_rel_err"] == pytest.approx(np.mean(rel_err))
+    assert found["spread_rel_err"] == pytest.approx(np.std(rel_err))
+
+
+def test_a_fold_never_sees_its_test_samples_scaling():
+    """The test samples hold the largest forces and resistances by far; no scaling knows of them."""
+    part = split_folds(53, 4, FEW.seed)[0]
+    wild = replace(DATA, force_n=DATA.force_n.copy(), resistance_ohm=DATA.resistance_ohm.copy())
+    wild.force_n[part] *= 100.0
+    wild.resistance_ohm[part] *= 100.0
+    rest = np.setdiff1d(np.arange(53), part)
+    tame, same = (train(selected(data, rest), "fx", NETWORK, FEW)[0] for data in (DATA, wild))
+    for one, other in ((tame.input_scaling, same.input_scaling), (tame.output_scaling, same.output_scaling)):
+        np.testing.assert_array_equal(one.centre, other.centre)
+        np.testing.assert_array_equal(one.half_range, other.half_range)
+    tested = cross_validate(wild, "fx", NETWORK, FEW, folds=4)
+    assert tested[0].errors == evaluate(same, selected(wild, part))
+
+
+def test_a_failure_in_a_fold_is_said():
+    with pytest.raises(SampleError, match="needs the array's response"):
+        cross_validate(DATA, "fx", NetworkConfig(feature="inverse"), FEW, folds=2)
+
+
+def test_joint_summary_holds_every_force():
+    data = labelled(SENSOR, "xyz", n_samples=60, seed=0)
+    network = NetworkConfig(hidden=3, feature="inverse")
+    tested = cross_validate(data, "all", network, FEW, folds=2, response=response(SENSOR))
+    found = summary(tested)
+    assert set(found["mean"]) == {"fx", "fy", "fz"}
+    assert found["mean"]["fz"]["rmse_n"] == over_folds(tested, np.mean)["fz"].rmse_n
+    assert len(found["folds"]) == 2

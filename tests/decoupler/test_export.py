@@ -1,0 +1,195 @@
+"""Exported models against `Decoupler.forces`: the ONNX graph by onnxruntime, the header by the system's C compiler."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from decoupler import NetworkConfig, TrainingConfig, write_model
+from decoupler.c_header import STRICT, c_header, compiled_forces
+from decoupler.calibration import Calibration
+from decoupler.errors import ExportError
+from decoupler.export import export_model, run_onnx
+from decoupler.onnx_file import onnx_model
+from decoupler.portable import output_weights_n
+from decoupler.training import train
+from geometry import DesignError
+from geometry.files import digest
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+CC = shutil.which("cc")
+needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler 'cc' is installed")
+ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
+FLOAT = 1e-5  #: of full scale; 2.1e-6 is the worst of these cases: 6e-8 of √R or l, whose range is 3 to 10 % of it
+SENSOR = sensor(2, 3)
+AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
+DEAD = np.zeros((2, 3, 3), dtype=bool)
+DEAD[0, 1], DEAD[1, 2, 0] = True, True
+
+every_form = pytest.mark.parametrize(
+    ("component", "feature", "net"),
+    [(c, f, n) for c in AXES for f in ("resistance", "root", "inverse") for n in ("plain", "skip")],
+)
+
+
+@cache
+def trained(component: str, feature: str, net: str):
+    """A model of a sensor with dead pillars and gains of its own, and 20 scans of it."""
+    generator = np.random.default_rng(5)
+    gain, offset = generator.uniform(0.8, 1.2, (2, 3, 3)), generator.uniform(-200.0, 200.0, (2, 3, 3))
+    data = labelled(SENSOR, AXES[component], n_samples=80, seed=0)
+    data = replace(data, resistance_ohm=gain * data.resistance_ohm + offset, dead=DEAD)
+    network = NetworkConfig(hidden=5, net=net, feature=feature)
+    model, _ = train(data, component, network, TrainingConfig(max_iterations=3), response=response(SENSOR))
+    if model.calibration is None:  # only `inverse` fits one in training
+        n_in = model.hidden_weights.shape[1] - 1
+        model = replace(model, calibration=Calibration(np.linspace(0.95, 1.05, n_in), np.linspace(-9.0, 9.0, n_in)))
+    return model, np.where(DEAD, np.nan, data.resistance_ohm[:20])
+
+
+def deviation(found, model, resistance_ohm):
+    """Largest, relative to the largest force."""
+    expected = model.forces(resistance_ohm)
+    assert found.shape == expected.shape
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+@every_form
+def test_onnx_gives_the_models_forces(component, feature, net):
+    model, scans = trained(component, feature, net)
+    for dtype, most in ((np.float64, ROUNDING), (np.float32, FLOAT)):
+        content = onnx_model(model, dtype).SerializeToString()
+        for some in (scans, scans[:1]):  # the batch is free
+            assert deviation(run_onnx(content, some, dtype), model, some) < most
+
+
+@needs_cc
+@every_form
+def test_header_gives_the_models_forces(component, feature, net):
+    model, scans = trained(component, feature, net)
+    shape = model.forces(scans).shape[1:]
+    for dtype, most in ((np.float64, ROUNDING), (np.float32, FLOAT)):
+        found = compiled_forces(c_header(model, dtype), scans, shape, dtype, CC)
+        assert deviation(found, model, scans) < most
+
+
+def test_as_designed_and_nothing_dead():
+    """Without calibration and dead pillars the exported forms lack those steps, and still agree."""
+    data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
+    model, _ = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
+    content = onnx_model(model, np.float64).SerializeToString()
+    assert deviation(run_onnx(content, data.resistance_ohm, np.float64), model, data.resistance_ohm) < ROUNDING
+    header = c_header(model, np.float64)
+    assert "gain" not in header
+    assert "< 0 ?" not in header
+    if CC is not None:
+        found = compiled_forces(header, data.resistance_ohm, (2, 3, 3), np.float64, CC)
+        assert deviation(found, model, data.resistance_ohm) < ROUNDING
+
+
+def test_onnx_says_what_it_is(tmp_path):
+    model, _ = trained("all", "inverse", "skip")
+    exported = export_model(model, tmp_path / "model.onnx")
+    assert exported.precision == "double"
+    assert exported.deviation < ROUNDING
+    session = onnxruntime.InferenceSession(tmp_path / "model.onnx")
+    assert [(i.name, i.type, i.shape) for i in session.get_inputs()] == [
+        ("resistance_ohm", "tensor(double)", ["n", 2, 3, 3])
+    ]
+    told = session.get_modelmeta().custom_metadata_map
+    assert told["component"] == "all"
+    assert told["feature"] == "inverse"
+    assert told["design_hash"] == digest(SENSOR)
+    assert told["data_hash"] == model.made_from["data_hash"]
+    assert told["model_hash"] == model.made_from["recipe"]
+    assert "ohm" in told["units"]
+    assert told["version"]
+
+
+@pytest.mark.parametrize("feature", ["root", "inverse"])
+def test_header_states_its_size(feature):
+    """Bytes of constants as counted from the arrays in the text: floats of 4, shorts of 2."""
+    header = c_header(trained("all", feature, "skip")[0], np.float32)
+    arrays = re.findall(r"^static const (float|short) \w+((?:\[\d+\])+)", header, re.MULTILINE)
+    counted = sum(
+        {"float": 4, "short": 2}[kind] * np.prod([int(n) for n in re.findall(r"\d+", size)]) for kind, size in arrays
+    )
+    assert f"Flash: {counted} bytes" in header
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler 'c++' is installed")
+def test_header_is_cpp_too(tmp_path):
+    """An Arduino sketch is C++."""
+    (tmp_path / "model.h").write_text(c_header(trained("all", "inverse", "skip")[0], np.float32), encoding="utf-8")
+    (tmp_path / "sketch.cpp").write_text(
+        '#include "model.h"\nvoid loop(float *r, float *f) { tripillar_forces(r, f); }'
+    )
+    subprocess.run(["c++", "-std=c++11", *STRICT[1:], "-fsyntax-only", "sketch.cpp"], cwd=tmp_path, check=True)
+
+
+@pytest.mark.parametrize(("name", "module"), [("m.onnx", "onnx_file"), pytest.param("m.h", "c_header", marks=needs_cc)])
+def test_what_deviates_is_not_kept(name, module, tmp_path, monkeypatch):
+    """With weights a thousandth off the check fails, and the old file is still there."""
+    (tmp_path / name).write_text("old")
+    monkeypatch.setattr(f"decoupler.{module}.output_weights_n", lambda model: 1.001 * output_weights_n(model))
+    with pytest.raises(ExportError, match="is not written: its forces deviate from the model's by"):
+        export_model(trained("fz", "inverse", "skip")[0], tmp_path / name)
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "old"
+
+
+def test_what_is_not_installed_is_said(tmp_path, monkeypatch):
+    model, _ = trained("fz", "root", "skip")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert export_model(model, tmp_path / "m.onnx").unchecked == "onnxruntime is not installed"
+    assert (tmp_path / "m.onnx").stat().st_size > 0
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    assert export_model(model, tmp_path / "m.h").unchecked == "no C compiler 'cc' is installed"
+    monkeypatch.setitem(sys.modules, "decoupler.onnx_file", None)
+    with pytest.raises(ExportError, match=r"pip install 'tripillar\[export\]'"):
+        export_model(model, tmp_path / "other.onnx")
+    assert not (tmp_path / "other.onnx").exists()
+
+
+def test_what_is_unknown_is_refused(tmp_path):
+    model, _ = trained("fz", "root", "skip")
+    with pytest.raises(DesignError, match=r"model.tflite must end in .onnx or .h"):
+        export_model(model, tmp_path / "model.tflite")
+    with pytest.raises(DesignError, match="precision='half' is unknown; choose one of float, double"):
+        export_model(model, tmp_path / "model.h", "half")
+    assert not list(tmp_path.iterdir())
+
+
+def test_on_the_command_line(tmp_path):
+    write_model(trained("fz", "inverse", "skip")[0], tmp_path / "model.safetensors")
+
+    def tripillar(*words):
+        command = [sys.executable, Path(__file__).parents[2] / "tripillar.py", "export", *words]
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=os.environ, check=False)
+
+    done = tripillar("--model", "model.safetensors", "--out", "model.onnx")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("largest deviation from the model: ")
+    assert done.stderr.splitlines() == ["model.onnx"]
+    result = json.loads(tripillar("--model", "model.safetensors", "--out", "model.h", "--json").stdout)
+    assert result["precision"] == "float"
+    assert (tmp_path / result["file"]).exists()
+    before = sorted(tmp_path.iterdir())
+    for words, says in (
+        (("--model", "model.safetensors", "--out", "model.pt"), "must end in .onnx or .h"),
+        (("--model", "none.safetensors", "--out", "other.h"), "no such file"),
+        (("--model", "model.onnx", "--out", "other.h"), "no safetensors file"),
+    ):
+        done = tripillar(*words)
+        assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+        assert says in done.stderr
+    assert sorted(tmp_path.iterdir()) == before

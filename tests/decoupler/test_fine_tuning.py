@@ -1,0 +1,81 @@
+"""From the sensor as designed to another one: what pairs buy, and what calibration finds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune
+from decoupler.calibration import Calibration
+from decoupler.crossval import selected
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+TRAIN, REST = split(labelled(SENSOR, "xyz", n_samples=500, seed=0), 300)
+GAIN = np.random.default_rng(1).uniform(0.8, 1.2, (2, 3, 3))
+OFFSET_OHM = np.random.default_rng(2).normal(0.0, 200.0, (2, 3, 3))
+NOISE = 1e-3
+
+
+def measured(data):
+    noise = np.random.default_rng(3).standard_normal(data.resistance_ohm.shape)
+    return replace(data, resistance_ohm=(GAIN * data.resistance_ohm + OFFSET_OHM) * (1 + NOISE * noise), noise=NOISE)
+
+
+PAIRS, TEST = split(measured(REST), 100)
+
+
+def test_calibration_finds_gain_and_offset():
+    """Fitted to exact readings: priors pull by (noise/spread)² of what little the resistances leave open."""
+    modelled = REST.resistance_ohm.reshape(200, -1)
+    found = Calibration.fitted(GAIN.reshape(-1) * modelled + OFFSET_OHM.reshape(-1), modelled, noise=0.0)
+    np.testing.assert_allclose(found.gain, GAIN.reshape(-1), atol=1e-3)
+    np.testing.assert_allclose(
+        found.modelled(GAIN.reshape(-1) * modelled + OFFSET_OHM.reshape(-1)), modelled, rtol=1e-3
+    )
+
+
+def test_a_sensor_as_designed_keeps_its_calibration():
+    modelled = REST.resistance_ohm.reshape(200, -1)
+    found = Calibration.fitted(modelled, modelled, noise=0.0)
+    np.testing.assert_array_equal(found.gain, 1.0)
+    np.testing.assert_array_equal(found.offset_ohm, 0.0)
+
+
+@pytest.mark.parametrize("feature", ["inverse", "root"])
+def test_pairs_bring_the_error_down(feature):
+    """Untouched the model is useless; one pair helps, and a hundred bring back what it could do on its own sensor."""
+    noisy = replace(TRAIN, noise=NOISE)
+    model, _ = train(noisy, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
+    own = evaluate(model, REST)
+    before = evaluate(model, TEST)
+    one = evaluate(fine_tune(model, selected(PAIRS, slice(1)), RESPONSE), TEST)
+    all_ = evaluate(fine_tune(model, PAIRS, RESPONSE), TEST)
+    for name in before:
+        assert one[name].rmse_n < before[name].rmse_n / 3
+        assert all_[name].rmse_n < before[name].rmse_n / 10
+        assert all_[name].rmse_n < own[name].rmse_n + 6.0  # newtons: what 0.1 % noise costs on this sensor
+
+
+def test_uncertainty_grows_with_few_pairs():
+    model, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    few, many = (fine_tune(model, selected(PAIRS, slice(n)), RESPONSE) for n in (2, 100))
+    assert few.deviations(TEST.resistance_ohm)[0].mean() > many.deviations(TEST.resistance_ohm)[0].mean()
+    inside = np.abs(many.forces(TEST.resistance_ohm) - TEST.force_n) <= many.deviations(TEST.resistance_ohm)[0]
+    assert 0.6 < inside.mean() < 0.76  # 1800 forces, a hundred at a time from one load: 68 % to a few percent
+
+
+def test_what_the_model_came_from_is_kept():
+    model, _ = train(TRAIN, "all", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    tuned = fine_tune(model, PAIRS, None)  # it holds the response itself
+    assert tuned.made_from["data_hash"] == TRAIN.content_hash
+    assert tuned.made_from["fine_tuned_on"] == PAIRS.content_hash
+    assert tuned.made_from["recipe"] != model.made_from["recipe"]
+
+
+def test_without_a_response_it_is_refused():
+    model, _ = train(TRAIN, "all", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
+    with pytest.raises(SampleError, match="needs the array's response"):
+        fine_tune(model, PAIRS, None)

@@ -1,0 +1,87 @@
+"""The response's inverse as a feature: near the forces, honest about what it cannot explain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate
+from decoupler.components import force_columns, pillar_columns
+from decoupler.forward_model import ForwardModel
+from decoupler.model_inverse import ModelInverse, explaining, suited_feature
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+ALL = component_named("all")
+DATA = labelled(SENSOR, "xyz", n_samples=300, seed=0)
+TRAIN, TEST = split(DATA, 200)
+FORWARD = ForwardModel.of(RESPONSE, ALL)
+READABLE = np.ones(FORWARD.n_pillars, dtype=bool)
+COLUMNS, FORCES = pillar_columns(DATA.resistance_ohm, ALL), force_columns(DATA.force_n, ALL)
+
+
+def test_corrections_come_near_the_forces():
+    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that."""
+    inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise=0.0)
+    others, columns = FORCES[200:], COLUMNS[200:]
+    linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
+    assert np.std(linear - others) > 0.01 * others.std()
+    assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
+
+
+def test_few_or_equal_loads_leave_the_tangent():
+    """Nothing to learn from: the corrections are the tangent's own."""
+    alike = np.tile(FORCES[:1], (3, 1))
+    inverse = ModelInverse.about(FORWARD, alike, READABLE, noise=0.0)
+    for corrector in inverse.correctors:
+        np.testing.assert_allclose(corrector, np.linalg.inv(FORWARD.jacobian(alike[:1])[1][0]).T, rtol=1e-9, atol=1e-9)
+
+
+def test_derivatives_are_those_of_the_forces():
+    """Differences over a millionth of the resistances err by far less than 1e-7 of the largest."""
+    inverse = ModelInverse.about(FORWARD, FORCES, READABLE, noise=0.0)
+    R = COLUMNS[:2]
+    step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
+    differences = (inverse.forces(R + step) - inverse.forces(R - step)) / 2
+    expected = np.einsum("nfp,np->nf", inverse.derivatives(R), step)
+    np.testing.assert_allclose(expected, differences, rtol=0, atol=1e-7 * np.abs(differences).max())
+
+
+def test_an_unreadable_pillar_is_not_looked_at():
+    readable = READABLE.copy()
+    readable[4] = False
+    inverse = ModelInverse.about(FORWARD, FORCES, readable, noise=0.0)
+    garbled = COLUMNS.copy()
+    garbled[:, 4] = 1e4
+    once = inverse.forces(garbled)
+    garbled[:, 4] = 7.0
+    np.testing.assert_array_equal(inverse.forces(garbled), once)
+    assert np.std(once - FORCES) < 0.5 * FORCES.std()
+
+
+def test_a_net_on_the_inverse_beats_one_on_the_root():
+    config = TrainingConfig(goal_mse=1e-12, max_iterations=20)
+    known, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), config, response=RESPONSE)
+    unknown, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="root"), config)
+    for name, errors in evaluate(known, TEST).items():
+        assert errors.rmse_n < evaluate(unknown, TEST)[name].rmse_n / 3
+
+
+def test_the_feature_needs_a_response_that_explains_the_data():
+    with pytest.raises(SampleError, match="needs the array's response"):
+        train(TRAIN, "all", NetworkConfig(feature="inverse"), TrainingConfig())
+    with pytest.raises(SampleError, match="the response is of 12 pillars, the samples of 18"):
+        explaining(response(sensor(2, 2)), ALL, COLUMNS, FORCES, READABLE)
+    shuffled = np.random.default_rng(0).permutation(FORCES)  # resistances of other loads
+    with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
+        explaining(RESPONSE, ALL, COLUMNS, shuffled, READABLE)
+
+
+def test_the_suited_feature():
+    assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
+    assert suited_feature(DATA, ALL, "plain", RESPONSE) == "root"
+    assert suited_feature(DATA, ALL, "skip", None) == "root"
+    shuffled = np.random.default_rng(0).permutation(DATA.force_n)
+    assert suited_feature(replace(DATA, force_n=shuffled), ALL, "skip", RESPONSE) == "root"

@@ -1,0 +1,73 @@
+"""Deviations that hold as many errors as they say, on samples that training never saw."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import NetworkConfig, SampleError, TrainingConfig
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+EXACT = labelled(SENSOR, "xyz", n_samples=900, seed=0)
+
+
+def noisy(noise):
+    errors = np.random.default_rng(1).standard_normal(EXACT.resistance_ohm.shape)
+    return split(replace(EXACT, resistance_ohm=EXACT.resistance_ohm * (1 + noise * errors), noise=noise), 600)
+
+
+@pytest.mark.parametrize("feature", ["inverse", "root"])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_coverage_of_unseen_samples(feature, noise):
+    """5400 errors, those of a sample alike: 68 % within four points, 95 % within two."""
+    training, test = noisy(noise)
+    model, _ = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
+    missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
+    one, two = model.deviations(test.resistance_ohm)
+    assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
+    assert np.mean(missed <= two) == pytest.approx(0.9545, abs=0.02)
+
+
+@pytest.mark.parametrize("feature", ["inverse", "root", "resistance"])
+@pytest.mark.parametrize("net", ["plain", "skip"])
+def test_derivatives_are_those_of_the_forces(feature, net):
+    """Differences over a millionth of the resistances, calibration included; 1e-6 of the largest is their own error."""
+    training, _ = noisy(1e-3)
+    config = NetworkConfig(hidden=6, feature=feature, net=net)
+    model, _ = train(training, "all", config, TrainingConfig(max_iterations=3), response=RESPONSE)
+    R = model.columns(training.resistance_ohm[:2])
+    step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
+    differences = (model.outputs(R + step) - model.outputs(R - step)) / 2
+    found = np.einsum("nom,nm->no", model.derivatives(R), step)
+    np.testing.assert_allclose(found, differences, rtol=0, atol=1e-6 * np.abs(differences).max())
+
+
+def test_a_dead_pillar_is_masked_and_its_unit_named():
+    training, test = noisy(0.0)
+    dead = np.zeros((2, 3, 3), dtype=bool)
+    dead[1, 2, 0] = True
+    hurt = replace(training, dead=dead)
+    model, _ = train(hurt, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    R = test.resistance_ohm.copy()
+    R[:, 1, 2, 0] = np.nan
+    errors = np.sqrt(((model.forces(R) - test.force_n) ** 2).mean(axis=0))
+    assert {(row, col) for row, col, _ in model.untrusted()} == {(1, 2)}
+    assert (1, 2, "fz") in model.untrusted()
+    others = np.delete(errors.reshape(6, 3), 5, axis=0)
+    assert errors[1, 2, 2] > 3 * others[:, 2].max()
+
+
+def test_a_healthy_sensor_is_trusted():
+    training, _ = noisy(1e-3)
+    model, _ = train(training, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    assert model.untrusted() == []
+
+
+def test_a_model_without_it_says_so():
+    training, test = noisy(0.0)
+    model, _ = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
+    with pytest.raises(SampleError, match="knows no uncertainty"):
+        replace(model, uncertainty=None).deviations(test.resistance_ohm)
