@@ -8,6 +8,7 @@ from textwrap import fill
 
 import numpy as np
 
+from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.errors import ExportError
@@ -78,10 +79,9 @@ _SKIP = """\
 """
 
 _CALIBRATION = """\
-        const $real least = $millionth * ohm;
         ohm = (ohm - TRIPILLAR_READ(tripillar_offset_ohm[i])) / TRIPILLAR_READ(tripillar_gain[i]);
-        if (ohm < least)
-            ohm = least;
+        if (ohm < $least_ohm)
+            ohm = $least_ohm;
 """
 
 _WORKSPACE = """\
@@ -197,7 +197,7 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "millionth": _literal(dtype(1e-6)),
+        "least_ohm": _literal(dtype(LEAST_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
     }
     known["reading"] = Template(reading + _FEATURE[network.feature]).substitute(known)

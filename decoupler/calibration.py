@@ -9,6 +9,7 @@ from geometry.layout import FloatArray
 
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
+LEAST_OHM = 1.0  #: that a calibrated resistance is taken for; a pillar of so little is broken
 LEAST_NOISE = 1e-4  #: of a resistance; a model is never trusted more than this
 
 
@@ -46,4 +47,6 @@ class Calibration:
 
     def modelled(self, measured_ohm: FloatArray) -> FloatArray:
         """What a sensor as designed would show, (n, n_pillars) [Ω]; kept above 0."""
-        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, 1e-6 * measured_ohm)
+        modelled = measured_ohm - self.offset_ohm
+        modelled /= self.gain
+        return np.maximum(modelled, LEAST_OHM, out=modelled)

@@ -20,7 +20,7 @@ from decoupler.uncertainty import Uncertainty
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
-CHUNK = 256  #: samples whose arrays fit the processor's cache together
+CHUNK = 512  #: samples worked on together, a thread each
 
 
 @dataclass(frozen=True, kw_only=True)

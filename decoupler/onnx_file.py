@@ -6,6 +6,7 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
+from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.model_inverse import ModelInverse
@@ -40,7 +41,7 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     if decoupler.calibration is not None:
         modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
         modelled = graph.add("Div", modelled, decoupler.calibration.gain)
-        x = graph.add("Max", modelled, graph.add("Mul", x, np.array(1e-6)))
+        x = graph.add("Max", modelled, np.array(LEAST_OHM))
     if decoupler.inverse is not None:
         x = _inverse(graph, x, decoupler.inverse)
     elif decoupler.network.feature == "root":
