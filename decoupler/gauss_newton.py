@@ -26,8 +26,8 @@ class Samples:
         self.targets = targets
         self.linear = self.X if skip else self.X[:, -1:]  # what A holds beside the hidden nodes
 
-    def __getitem__(self, part: slice) -> "Samples":
-        """Some of the samples."""
+    def __getitem__(self, part: slice | Tensor) -> "Samples":
+        """Some of the samples, or all in another order."""
         return Samples(self.X[part, :-1], self.targets[part], self.linear is self.X)
 
     @cached_property

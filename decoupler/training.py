@@ -172,8 +172,11 @@ def _one_torch_thread() -> Iterator[None]:
 def _varpro(
     model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    held_out = int(training.held_out * len(samples.X))
-    return train_varpro(samples, model.hidden.detach(), ridge, held_out, training, progress)
+    n = len(samples.X)
+    mixed = samples[
+        torch.from_numpy(np.random.default_rng(training.seed).permutation(n))
+    ]  # files may be sorted by load
+    return train_varpro(mixed, model.hidden.detach(), ridge, int(training.held_out * n), training, progress)
 
 
 @torch.no_grad()

@@ -19,6 +19,7 @@ from decoupler import (
 )
 from decoupler.components import force_columns
 from decoupler.training import train
+from decoupler.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -97,6 +98,26 @@ def test_a_seed_fixes_the_bits(trainer):
 
     np.testing.assert_array_equal(weights(1), weights(1))
     assert not np.array_equal(weights(1), weights(2))
+
+
+def test_the_samples_that_judge_are_drawn_from_all(monkeypatch):
+    """Files may be sorted by load: not the last samples judge the hidden layer, and a seed says which."""
+    seen = []
+
+    def spy(samples, hidden, ridge, held_out, *others):
+        seen.append(samples.targets[len(samples.targets) - held_out :].numpy().copy())
+        return train_varpro(samples, hidden, ridge, held_out, *others)
+
+    monkeypatch.setattr("decoupler.training.train_varpro", spy)
+    for seed in (1, 1, 2):
+        decoupler, _ = train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
+    last = decoupler.output_scaling.scale(force_columns(TRAIN.force_n, FX)[-30:])
+    once, again, other = seen
+    assert once.shape == last.shape
+    np.testing.assert_array_equal(once, again)
+    in_last = [(row == last).all(axis=1).any() for row in once]
+    assert 0 <= sum(in_last) < 12  # 3 of 30 are expected; 12 or more have a chance of 1e-5
+    assert not np.array_equal(once, other)
 
 
 def test_global_state_of_torch_is_left_alone():
