@@ -27,8 +27,9 @@ class Uncertainty:
     """What a force's standard deviation is made of.
 
     variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations
-    of the sample and A those of the training set: the Gauss-Newton matrix of the output layer. Scaled so that the
-    shares `WITHIN` of leave-one-out errors lie within.
+    of the sample and A those of the training set: the Gauss-Newton matrix of the output layer; no more than half the
+    force's range squared, as unknown as before training. Scaled so that the shares `WITHIN` of leave-one-out errors lie
+    within.
     """
 
     noise: float  #: of the training readings, relative
@@ -53,22 +54,25 @@ class Uncertainty:
         Notes
         -----
         A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
-        residual of linear regression). A sample that the output layer meets whatever its force is (fewer samples than
-        features) has none; it is taken to be as unknown as before training.
+        residual of linear regression); the hidden weights, shared by all outputs, add their share to every leverage. A
+        sample that the network meets whatever its force is (fewer samples than weights) has none; it is taken to be as
+        unknown as before training.
         """
         A = decoupler.activations(columns_ohm)
         M = A.T @ A
         M.flat[:: len(M) + 1] += ridge
         G = np.linalg.inv(M).astype(np.float64)
         leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
-        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(1.0 - leverage, LEAST_FREEDOM)[:, None]
-        errors = np.where((leverage < 1.0 - LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
+        freedom = 1.0 - leverage - np.count_nonzero(decoupler.hidden_weights) / force_n.size
+        errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
+        errors = np.where((freedom > LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
         unexplained = (errors**2).mean(axis=0)
         some = np.linspace(0, len(A) - 1, min(ENOUGH_SAMPLES, len(A))).astype(int)
         through = _through(decoupler, columns_ohm[some], noise, bits)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
         misfit = np.maximum(unexplained - through.mean(axis=0), 0.0) + smallest
-        deviation = np.sqrt(through + misfit + unexplained * leverage[some, None])
+        weights = np.minimum(unexplained * leverage[some, None], decoupler.output_scaling.half_range**2)
+        deviation = np.sqrt(through + misfit + weights)
         n_axes = len(decoupler.component.axes)
         ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
         widths = np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
@@ -81,7 +85,8 @@ class Uncertainty:
         A = decoupler.activations(columns_ohm)
         leverage = np.einsum("ni,ij,nj->n", A, self.inverse_matrix, A, optimize=True)
         through = _through(decoupler, columns_ohm, self.noise, self.bits)
-        deviation = np.sqrt(through + self.misfit_n2 + self.unexplained_n2 * leverage[:, None])
+        weights = np.minimum(self.unexplained_n2 * leverage[:, None], decoupler.output_scaling.half_range**2)
+        deviation = np.sqrt(through + self.misfit_n2 + weights)
         by_axis = deviation.reshape(len(deviation), -1, self.widths.shape[1])
         one, two = (
             k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig
+from decoupler.crossval import selected
 from decoupler.training import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
@@ -71,3 +72,17 @@ def test_a_model_without_it_says_so():
     model, _ = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
     with pytest.raises(SampleError, match="knows no uncertainty"):
         replace(model, uncertainty=None).deviations(test.resistance_ohm)
+
+
+@pytest.mark.parametrize("trainer", ["varpro", "lm"])
+@pytest.mark.parametrize("net", ["plain", "skip"])
+@pytest.mark.parametrize("n", [10, 30, 60])
+def test_few_samples_are_not_called_sure(trainer, net, n):
+    """With more weights than samples, or nearly: the size of errors is known to its order, and none is absurd."""
+    training, test = noisy(0.0)
+    few = selected(training, slice(n))
+    model, _ = train(few, "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
+    missed = np.sqrt(np.mean((model.forces(test.resistance_ohm) - test.force_n) ** 2, axis=(0, 1, 2)))
+    deviation = np.sqrt(np.mean(model.deviations(test.resistance_ohm)[0] ** 2, axis=(0, 1, 2)))
+    assert (missed < 10 * deviation).all()
+    assert (deviation < 2 * np.ptp(training.force_n, axis=(0, 1, 2))).all()
