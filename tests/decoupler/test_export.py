@@ -15,12 +15,13 @@ import onnxruntime
 import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, write_model
-from decoupler.c_header import STRICT, c_header, compiled_forces
 from decoupler.calibration import Calibration
 from decoupler.errors import ExportError
-from decoupler.export import export_model, run_onnx
-from decoupler.onnx_file import onnx_model
-from decoupler.portable import output_weights_n
+from decoupler.export import export_model
+from decoupler.export.c_header import STRICT, c_header, compiled_forces
+from decoupler.export.checked import run_onnx
+from decoupler.export.onnx_file import onnx_model
+from decoupler.export.portable import output_weights_n
 from decoupler.training import train
 from geometry import DesignError
 from geometry.files import digest
@@ -140,7 +141,7 @@ def test_header_is_cpp_too(tmp_path):
 def test_what_deviates_is_not_kept(name, module, tmp_path, monkeypatch):
     """With weights a thousandth off the check fails, and the old file is still there."""
     (tmp_path / name).write_text("old")
-    monkeypatch.setattr(f"decoupler.{module}.output_weights_n", lambda model: 1.001 * output_weights_n(model))
+    monkeypatch.setattr(f"decoupler.export.{module}.output_weights_n", lambda model: 1.001 * output_weights_n(model))
     with pytest.raises(ExportError, match="is not written: its forces deviate from the model's by"):
         export_model(trained("fz", "inverse", "skip")[0], tmp_path / name)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
@@ -154,7 +155,7 @@ def test_what_is_not_installed_is_said(tmp_path, monkeypatch):
     assert (tmp_path / "m.onnx").stat().st_size > 0
     monkeypatch.setattr("shutil.which", lambda name: None)
     assert export_model(model, tmp_path / "m.h").unchecked == "no C compiler 'cc' is installed"
-    monkeypatch.setitem(sys.modules, "decoupler.onnx_file", None)
+    monkeypatch.setitem(sys.modules, "decoupler.export.onnx_file", None)
     with pytest.raises(ExportError, match=r"pip install 'tripillar\[export\]'"):
         export_model(model, tmp_path / "other.onnx")
     assert not (tmp_path / "other.onnx").exists()

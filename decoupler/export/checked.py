@@ -7,10 +7,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from decoupler.c_header import c_header, compiled_forces
 from decoupler.decoupler import Decoupler
 from decoupler.errors import ExportError
-from decoupler.portable import dead_inputs, places
+from decoupler.export.c_header import c_header, compiled_forces
+from decoupler.export.portable import dead_inputs, places
 from geometry.errors import DesignError
 from geometry.files import replacing
 from geometry.layout import PILLARS, FloatArray
@@ -74,7 +74,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
             found = compiled_forces(header, resistance_ohm, expected.shape[1:], dtype, compiler)
         else:
             try:
-                from decoupler.onnx_file import onnx_model
+                from decoupler.export.onnx_file import onnx_model
             except ImportError:
                 raise ExportError("ONNX is not installed: pip install 'tripillar[export]'.") from None
             content = onnx_model(decoupler, dtype).SerializeToString()

@@ -9,8 +9,8 @@ from onnx import helper, numpy_helper
 from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
+from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.model_inverse import ModelInverse
-from decoupler.portable import dead_inputs, facts, output_weights_n, places
 from geometry.layout import PILLARS, FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one

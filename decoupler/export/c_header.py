@@ -12,7 +12,7 @@ from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.errors import ExportError
-from decoupler.portable import dead_inputs, facts, output_weights_n, places
+from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from geometry.layout import PILLARS, FloatArray
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them

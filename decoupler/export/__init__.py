@@ -1,0 +1,9 @@
+"""A trained network for other programs: ohms in, newtons out, as an ONNX graph or a C header.
+
+Open `checked.py` first: it chooses by the file's suffix and keeps nothing that deviates from the model. What both forms
+need is in `portable.py`. ONNX needs the extra `export`, and is loaded only when such a file is written.
+"""
+
+from decoupler.export.checked import Exported, export_model
+
+__all__ = ["Exported", "export_model"]
