@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: share of the lengths' variance, below which a response is held to be of another sensor: with pads a third smaller
 #: it explains 0.83, with those of an eighth less 0.99; noise of 1 % leaves 0.93 and more
 LEAST_EXPLAINED = 0.9
-SLOPES = (0.8, 1.25)  #: between which a pillar's own gain may change its length
+SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, the body is softer or stiffer
 MOST_STEPS = 6  #: corrections; each divides the error by three to five and costs a fifth of a scan's time
 ENOUGH = 1e-3  #: of the forces' spread: what may be left when corrections end sooner
 LEAST_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
@@ -170,7 +170,11 @@ def suited_feature(data: LabelledData, component: Component, net: Net, response:
 
 
 def _explained(measured: FloatArray, modelled: FloatArray) -> float:
-    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains."""
+    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
+
+    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
+    """
+    measured = measured * (modelled.mean(axis=0) / measured.mean(axis=0))
     measured, modelled = measured - measured.mean(axis=0), modelled - modelled.mean(axis=0)
     both, own = (measured * modelled).sum(axis=0), (modelled**2).sum(axis=0)
     slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)

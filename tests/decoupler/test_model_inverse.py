@@ -79,6 +79,20 @@ def test_the_feature_needs_a_response_that_explains_the_data():
         explaining(RESPONSE, ALL, COLUMNS, shuffled, READABLE)
 
 
+def test_another_resistivity_or_gains_are_explained_and_a_softer_body_is_not():
+    """Ohms ten times as many say the same of the forces; a body half as stiff does not."""
+    gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, COLUMNS.shape[1])
+    explaining(RESPONSE, ALL, gains * COLUMNS, FORCES, READABLE)
+    other = replace(DATA, resistance_ohm=DATA.resistance_ohm * gains.reshape(2, 3, 3))
+    model, _ = train(other, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    own, _ = train(DATA, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    for name, errors in evaluate(model, other).items():
+        assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs
+    softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)
+    with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
+        explaining(softer, ALL, COLUMNS, FORCES, READABLE)
+
+
 def test_the_suited_feature():
     assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
     assert suited_feature(DATA, ALL, "plain", RESPONSE) == "root"
