@@ -539,6 +539,8 @@ def suited_network(
         feature = suited_feature(data, component_named(component), net, solved)
         if feature == "root" and solved is not None:
             print("the response of the design does not explain these data: inputs are √R", file=sys.stderr)
+        if feature == "inverse" and data.design is None:
+            print("the data state no design, but the response of --design explains them and is used", file=sys.stderr)
     return NetworkConfig(hidden=hidden, net=net, feature=cast("Feature", feature)), solved
 
 
