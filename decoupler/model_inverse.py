@@ -28,7 +28,7 @@ SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, th
 MOST_STEPS = 6  #: corrections; each divides the error by three to five and costs a fifth of a scan's time
 ENOUGH = 1e-3  #: of the forces' spread: what may be left when corrections end sooner
 LEAST_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
-LOADS = 4000  #: that the corrections are fitted to, at least
+LOADS = 4000  #: that the corrections are fitted to
 HELD = 1e-2  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
@@ -58,7 +58,7 @@ class ModelInverse:
         centre = force_n.mean(axis=0)
         unsure_mm = max(0.5 * noise, LEAST_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
         tangent = _tangent(forward, centre, force_n, readable, unsure_mm)
-        force_n = _more_loads(force_n)
+        force_n = _enough_loads(force_n)
         lengths = forward.lengths(force_n)
         found = np.broadcast_to(centre, force_n.shape)
         correctors: list[FloatArray] = []
@@ -93,10 +93,12 @@ class ModelInverse:
         return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
 
 
-def _more_loads(force_n: FloatArray) -> FloatArray:
-    """Loads (n, n_forces) [N] with mixtures of pairs of them, `LOADS` in all: their lengths cost nothing."""
+def _enough_loads(force_n: FloatArray) -> FloatArray:
+    """`LOADS` loads [N]: some of these (n, n_forces), or all and mixtures of pairs, whose lengths cost nothing."""
+    if len(force_n) >= LOADS:
+        return force_n[np.linspace(0, len(force_n) - 1, LOADS).astype(int)]
     generator = np.random.default_rng(0)
-    n = max(LOADS - len(force_n), 0)
+    n = LOADS - len(force_n)
     one, other = force_n[generator.integers(len(force_n), size=(2, n))]
     return np.concatenate([force_n, one + generator.uniform(0.0, 1.0, (n, 1)) * (other - one)])
 
