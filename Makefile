@@ -34,6 +34,7 @@ paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, besid
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
+	$(BIN)/python -m studies.bench.inference --out $(OUT)/bench/inference.json
 
 stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.stress --out $(OUT)/stress

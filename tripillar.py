@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -20,11 +20,8 @@ from geometry.design_file import design_to_toml, read_design, write_design
 from geometry.errors import DesignError, TriPillarError
 
 if TYPE_CHECKING:
-    from dataset.labelled import LabelledData
     from decoupler.decoupler import Decoupler
     from decoupler.metrics import ForceErrors
-    from decoupler.settings import Feature, NetworkConfig
-    from fem.response import ArrayResponse
     from studies.progress import Bars
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
@@ -252,14 +249,15 @@ def train(
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import write_model
     from decoupler.settings import NetworkConfig, TrainingConfig
+    from studies.suited import likely_design, suited_network
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
     with progress_bars(quiet) as bars:
-        network, solved = suited_network(
-            labelled, likely_design(labelled, design), component, hidden, net, feature, bars
-        )
+        sensor = likely_design(labelled, design)
+        network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
+        say(note)
         from decoupler.training import train as train_network
 
         advance = bars.begin(f"train {component}", total=training.max_iterations)
@@ -298,6 +296,7 @@ def evaluate(
     from dataset.labelled import read_labelled
     from decoupler.assessment import assess
     from decoupler.model_file import read_model, require_same_sensor
+    from studies.suited import known_response
 
     decoupler, labelled = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, labelled, model, data)
@@ -337,14 +336,15 @@ def crossval(
     from dataset.labelled import read_labelled
     from decoupler.crossval import cross_validate, summary
     from decoupler.settings import NetworkConfig, TrainingConfig
+    from studies.suited import likely_design, suited_network
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
     with progress_bars(quiet) as bars:
-        network, solved = suited_network(
-            labelled, likely_design(labelled, design), component, hidden, net, feature, bars
-        )
+        sensor = likely_design(labelled, design)
+        network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
+        say(note)
         advance = bars.begin(f"{folds} folds", total=folds)
         tested = cross_validate(labelled, component, network, training, folds, solved, lambda _: advance(1, ""))
     if json_:
@@ -370,6 +370,7 @@ def fine_tune(
     from decoupler.fine_tuning import fine_tune as fine_tuned
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import read_model, require_same_sensor, write_model
+    from studies.suited import known_response
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
@@ -504,44 +505,10 @@ def progress_bars(quiet: bool) -> "Bars":
     return Bars(quiet=quiet)
 
 
-def likely_design(data: "LabelledData", path: Path | None) -> SensorDesign | None:
-    """The design that the data state, else that of --design if its array fits; None if it does not."""
-    design = data.design or chosen(path)
-    return design if data.force_n.shape[1:3] == (design.array.rows, design.array.cols) else None
-
-
-def known_response(design: SensorDesign | None, bars: "Bars") -> "ArrayResponse | None":
-    """Response of a design, solved if it is not in the cache; None of none."""
-    if design is None:
-        return None
-    from studies.pipeline import respond
-
-    return respond(design, bars)[1]
-
-
-def suited_network(
-    data: "LabelledData",
-    design: SensorDesign | None,
-    component: str,
-    hidden: int,
-    net: Literal["plain", "skip"],
-    feature: str,
-    bars: "Bars",
-) -> "tuple[NetworkConfig, ArrayResponse | None]":
-    """The network that the options ask for, and the response of the design where its feature needs it."""
-    from decoupler.components import component_named
-    from decoupler.model_inverse import suited_feature
-    from decoupler.settings import NetworkConfig
-
-    automatic = feature == "auto"
-    solved = known_response(design, bars) if feature == "inverse" or (automatic and net == "skip") else None
-    if automatic:
-        feature = suited_feature(data, component_named(component), net, solved)
-        if feature == "root" and solved is not None:
-            print("the response of the design does not explain these data: inputs are √R", file=sys.stderr)
-        if feature == "inverse" and data.design is None:
-            print("the data state no design, but the response of --design explains them and is used", file=sys.stderr)
-    return NetworkConfig(hidden=hidden, net=net, feature=cast("Feature", feature)), solved
+def say(note: str) -> None:
+    """A message on stderr, if there is one."""
+    if note:
+        print(note, file=sys.stderr)
 
 
 def say_untrusted(model: "Decoupler") -> None:

@@ -69,7 +69,8 @@ def pillar_columns(
             f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, 3): "
             f"samples first, pillars {', '.join(PILLARS)} last."
         )
-    pillars = [PILLARS.index(pillar) for pillar in component.pillars]
+    first = PILLARS.index(component.pillars[0])
+    pillars = slice(first, first + len(component.pillars))  # one, or all in order: a view, where an index would copy
     taken = np.asarray(resistance_ohm[..., pillars], dtype=np.float64)  # recordings may be of single precision
     if dead is not None:
         if dead.shape != resistance_ohm.shape[1:]:

@@ -100,7 +100,7 @@ def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
             for future in as_completed(futures):
                 future.result()
                 progress(futures[future])
-        except BaseException:
+        except BaseException:  # Ctrl-C as well: what waits must not be begun any more
             pool.shutdown(cancel_futures=True)
             raise
         return [future.result() for future in futures]

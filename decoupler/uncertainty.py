@@ -62,7 +62,7 @@ class Uncertainty:
         M = A.T @ A
         M.flat[:: len(M) + 1] += ridge
         G = np.linalg.inv(M).astype(np.float64)
-        leverage = np.einsum("ni,ij,nj->n", A, G, A, optimize=True).clip(0.0, 1.0)
+        leverage = _leverage(A, G).clip(0.0, 1.0)
         freedom = 1.0 - leverage - np.count_nonzero(decoupler.hidden_weights) / force_n.size
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
         errors = np.where((freedom > LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
@@ -71,22 +71,31 @@ class Uncertainty:
         through = _through(decoupler, columns_ohm[some], noise, bits)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
         misfit = np.maximum(unexplained - through.mean(axis=0), 0.0) + smallest
-        weights = np.minimum(unexplained * leverage[some, None], decoupler.output_scaling.half_range**2)
-        deviation = np.sqrt(through + misfit + weights)
         n_axes = len(decoupler.component.axes)
+        normal = cls(
+            noise=noise,
+            bits=bits,
+            inverse_matrix=G,
+            misfit_n2=misfit,
+            unexplained_n2=unexplained,
+            widths=np.ones((len(WITHIN), n_axes)),
+        )
+        deviation = normal._deviation(through, leverage[some], decoupler.output_scaling.half_range)
         ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
         widths = np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
-        return cls(
-            noise=noise, bits=bits, inverse_matrix=G, misfit_n2=misfit, unexplained_n2=unexplained, widths=widths
-        )
+        return replace(normal, widths=widths)
+
+    def _deviation(self, through_n2: FloatArray, leverage: FloatArray, half_range_n: FloatArray) -> FloatArray:
+        """Standard deviations (n, n_out) [N] before widening."""
+        weights_n2 = np.minimum(self.unexplained_n2 * leverage[:, None], half_range_n**2)
+        return np.sqrt(through_n2 + self.misfit_n2 + weights_n2)
 
     def deviations(self, decoupler: "Decoupler", columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of errors, each (n, n_out) [N], for readings (n, n_in) [Ω]."""
         A = decoupler.activations(columns_ohm)
-        leverage = np.einsum("ni,ij,nj->n", A, self.inverse_matrix, A, optimize=True)
         through = _through(decoupler, columns_ohm, self.noise, self.bits)
-        weights = np.minimum(self.unexplained_n2 * leverage[:, None], decoupler.output_scaling.half_range**2)
-        deviation = np.sqrt(through + self.misfit_n2 + weights)
+        leverage = _leverage(A, self.inverse_matrix)
+        deviation = self._deviation(through, leverage, decoupler.output_scaling.half_range)
         by_axis = deviation.reshape(len(deviation), -1, self.widths.shape[1])
         one, two = (
             k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True)
@@ -120,6 +129,11 @@ class Uncertainty:
             return (times > MANY_TIMES * np.maximum(best, 1.0)).reshape(-1)
         share = (missed / np.maximum(half_range_n, 1e-300)).reshape(-1, n_axes)
         return ((share > MANY_TIMES * np.median(share, axis=0)) & (share > LEAST_SHARE)).reshape(-1)
+
+
+def _leverage(A: FloatArray, inverse_matrix: FloatArray) -> FloatArray:
+    """aᵀ (AᵀA + λI)⁻¹ a of each row a, shape (n,)."""
+    return np.einsum("ni,ij,nj->n", A, inverse_matrix, A, optimize=True)
 
 
 def _through(decoupler: "Decoupler", columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:

@@ -36,8 +36,8 @@ PAPERS, SKIP, INFORMED, FLOOR = "plain, LM", "skip", "skip + response", "PCA flo
 #: networks by name; the paper's takes its number of nodes from the trial
 NETWORKS = {
     PAPERS: (NetworkConfig(net="plain", feature="resistance"), TrainingConfig(trainer="lm")),
-    SKIP: (NetworkConfig(hidden=36, feature="root"), TrainingConfig(goal_mse=1e-7)),
-    INFORMED: (NetworkConfig(hidden=17, feature="inverse"), TrainingConfig(goal_mse=1e-7)),
+    SKIP: (NetworkConfig(hidden=36, feature="root"), TrainingConfig()),
+    INFORMED: (NetworkConfig(hidden=17, feature="inverse"), TrainingConfig()),
 }
 
 

@@ -71,7 +71,7 @@ def samples(
 ) -> LabelledData:
     """Samples of the small array, with noise and whatever else is wrong with it."""
     settings = DatasetSettings(protocol=protocol, samples=n, seed=seed)
-    faults = Imperfections(**{"noise": NOISE, **imperfections})  # type: ignore[arg-type]
+    faults = Imperfections(**{"noise": NOISE, **imperfections})  # type: ignore[arg-type]  # it checks them itself
     return measured_again(simulate(small_response(rows), settings), faults, seed)
 
 
@@ -120,7 +120,7 @@ def mean_mse(data: LabelledData) -> float:
 
 def trained(kind: Kind, data: LabelledData, hidden: int = HIDDEN, **training: object) -> tuple[Decoupler, float]:
     """A net for fz, and its mean squared error on the samples, of forces scaled to [-1, 1]."""
-    config = TrainingConfig(**{"trainer": kind.trainer, **training})  # type: ignore[arg-type]
+    config = TrainingConfig(**{"trainer": kind.trainer, **training})  # type: ignore[arg-type]  # it checks them itself
     model, history = train(data, "fz", NetworkConfig(hidden=hidden, net=kind.net), config)
     return model, history.mse
 

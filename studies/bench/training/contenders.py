@@ -58,7 +58,7 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Callable[[Problem, Trace], t
 
 
 VARPRO, LM = "VarPro", "structured LM"  #: what the others are compared with
-KNOWN = "VarPro from the known response"
+KNOWN = "VarPro, skip net from the response"
 CONTENDERS = [
     Contender(name=KNOWN, train=by_ours("varpro", known=True), ours=True),
     Contender(name=VARPRO, train=by_ours("varpro"), ours=True),
