@@ -57,7 +57,7 @@ class TrainingConfig:
     max_iterations: int = 0  #: stop at the latest then; 0: the trainer's own
     patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
     least_gain: float = 0.02  #: share of the error; 0 never gives up
-    held_out: float = 0.1  #: share of samples that only judge the hidden layer; variable projection only
+    held_out: float = 0.1  #: share of samples that only judge the hidden layer; of skip nets, by variable projection
     seed: int = 0  #: of the random start
     learning_rate: float = 1.0  #: α of eq. 15, momentum rule only
     momentum: float = 0.5  #: η of eq. 15, momentum rule only

@@ -26,7 +26,7 @@ from decoupler.ridge import best_ridge
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import Uncertainty
-from decoupler.varpro import RIDGE, train_varpro
+from decoupler.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def train(
     if known:
         torch.nn.init.zeros_(model.output)  # what is known is the start
     with _one_torch_thread():
-        ridge = best_ridge(samples.linear.numpy(), targets) if known else RIDGE * len(inputs)
+        ridge = best_ridge(samples.linear.numpy(), targets) if known else _ridge(network, len(inputs))
         point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
     output_weights = point.output.numpy().copy()
     if known:
@@ -117,6 +117,12 @@ def train(
         },
     )
     return decoupler, History(**asdict(outcome), seconds=time.perf_counter() - started)
+
+
+def _ridge(network: NetworkConfig, n_samples: int) -> float:
+    """λ on the output weights of a net that knows no response: stronger where it could meet any forces whatever."""
+    scarce = network.net == "plain" and n_samples <= network.hidden + 1
+    return (SCARCE_RIDGE if scarce else RIDGE) * n_samples
 
 
 def _untrained(
@@ -176,7 +182,8 @@ def _varpro(
     mixed = samples[
         torch.from_numpy(np.random.default_rng(training.seed).permutation(n))
     ]  # files may be sorted by load
-    return train_varpro(mixed, model.hidden.detach(), ridge, int(training.held_out * n), training, progress)
+    held_out = int(training.held_out * n) if model.skip else 0  # a plain net has no linear map to fall back on
+    return train_varpro(mixed, model.hidden.detach(), ridge, held_out, training, progress)
 
 
 @torch.no_grad()

@@ -10,6 +10,7 @@ from decoupler.gauss_newton import Samples
 from decoupler.settings import TrainingConfig
 
 RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
+SCARCE_RIDGE = 1e-4  #: of plain nets with no more samples than output weights; halves their error on new samples
 CLOSE_ENOUGH = 0.1  #: share of the gradient that a step may leave; 0.3 stalls sooner, 0.03 costs more than it gains
 MOST_PRODUCTS = 40  #: with the matrix in a step
 
