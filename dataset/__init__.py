@@ -8,13 +8,14 @@ and resistances of any number of samples, in memory (`SimulatedData`) and as a N
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.labelled import LabelledData, SimulatedData, read_labelled, write_dataset
-from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
-from dataset.resistance import pillar_lengths, pillar_resistances
+from dataset.measurement import Readout, counts_from_resistance, measured, resistance_from_counts
+from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
 
 __all__ = [
     "OPEN_OHM",
     "Imperfections",
     "LabelledData",
+    "Readout",
     "SimulatedData",
     "counts_from_resistance",
     "measured",
@@ -22,5 +23,6 @@ __all__ = [
     "pillar_resistances",
     "read_labelled",
     "resistance_from_counts",
+    "rest_resistances",
     "write_dataset",
 ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import SENSE_OHM, measured
+from dataset.measurement import SENSE_OHM, Readout, measured
 from geometry.design import quantity, require_numbers
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
@@ -105,7 +105,9 @@ class Imperfections:
         on_dead_wire = np.isin(row_wire, self.dead_rows) | np.isin(column_wire, self.dead_cols)
         return dead | pillars_from_crossings(on_dead_wire, rows, cols)
 
-    def apply(self, exact_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+    def apply(
+        self, exact_ohm: FloatArray, generator: np.random.Generator, readout: Readout | None = None
+    ) -> FloatArray:
         """Resistances as this specimen shows them and its electronics read them.
 
         Parameters
@@ -114,6 +116,8 @@ class Imperfections:
             Resistance of the z, x and y pillars as designed [Ω].
         generator : numpy Generator
             Of the noise; one number a resistance is drawn from it whatever the settings.
+        readout : Readout, optional
+            Electronics in place of a converter that reads each pillar alone; a dead pillar is open to them.
 
         Returns
         -------
@@ -123,9 +127,11 @@ class Imperfections:
         Raises
         ------
         DesignError
-            If the array has no such pillar or wire, an offset outweighs a resistance, or the converter cannot tell
-            one. Dead pillars are exempt from the last two.
+            If the array has no such pillar or wire, an offset outweighs a resistance, the converter cannot tell
+            one, or `bits` are not those of the readout. Dead pillars are exempt from the second and third.
         """
+        if readout is not None and readout.bits != self.bits:
+            raise DesignError(f"bits={self.bits}, but the readout's converter has {readout.bits}: give both the same.")
         _, rows, cols, _ = exact_ohm.shape
         gain, offset = self.gain_and_offset(rows, cols)
         dead = self.dead_mask(rows, cols)
@@ -136,7 +142,12 @@ class Imperfections:
                 f"offset_ohm={self.offset_ohm:g} takes a pillar's resistance to {ohms.min():.4g} Ω: lower it, or "
                 "choose another specimen."
             )
-        ohms = measured(ohms, self.noise, self.bits, generator)
+        if readout is None:
+            ohms = measured(ohms, self.noise, self.bits, generator)
+        else:
+            ohms = measured(ohms, self.noise, None, generator)
+            ohms[:, dead] = OPEN_OHM
+            ohms = readout.measured(ohms, generator)
         ohms[:, dead] = OPEN_OHM
         return ohms
 

@@ -4,6 +4,8 @@ The converter sees a voltage divider: the pillar between the supply and the inpu
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,20 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
+
+
+class Readout(Protocol):
+    """Electronics with an error of their own in place of `measured`'s; `hardware.crossbar.CrossbarReadout` is one.
+
+    A frozen dataclass of plain values, so that what it made can carry the hash of it.
+    """
+
+    @property
+    def bits(self) -> int | None:
+        """Of its converter; None reads exactly."""
+
+    def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """What it finds of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
 
 
 def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from geometry.design import Unit
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, rest_lengths
+from geometry.design import SensorDesign, Unit
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes, rest_lengths
 
 
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -82,3 +82,12 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
     if not np.all(length_mm > 0):
         raise ValueError(f"length_mm has a value of {np.min(length_mm):g}, must be above 0: lower the load.")
     return resistivity_ohm_mm / volume_mm3 * length_mm**2
+
+
+def rest_resistances(design: SensorDesign) -> FloatArray:
+    """Resistance of the z, x and y pillars of any unit with nothing on the sensor, shape (3,) [Ω].
+
+    >>> rest_resistances(SensorDesign()).round(1).tolist()
+    [10000.0, 14142.1, 14142.1]
+    """
+    return pillar_resistances(rest_lengths(design.unit), pillar_volumes(design.unit), design.resistivity_ohm_mm)

@@ -4,16 +4,19 @@ Samples are drawn in blocks, each with random generators of its own. So a sample
 number alone, not on how many are made with it, and a dataset can be extended without changing what it holds.
 """
 
+import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from dataset.imperfections import Imperfections
 from dataset.labelled import LabelledData, SimulatedData
+from dataset.measurement import Readout
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
 from fem.response import ArrayResponse
@@ -52,13 +55,17 @@ class DatasetSettings(Imperfections):
             raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
 
 
-def dataset_recipe(response: ArrayResponse, settings: DatasetSettings) -> str:
+def dataset_recipe(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
     """Hash of all that a dataset depends on."""
-    return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings)
+    through = [] if readout is None else [readout]
+    return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
 
 
 def simulate(
-    response: ArrayResponse, settings: DatasetSettings, progress: Callable[[int], None] = lambda samples: None
+    response: ArrayResponse,
+    settings: DatasetSettings,
+    progress: Callable[[int], None] = lambda samples: None,
+    readout: Readout | None = None,
 ) -> SimulatedData:
     """Simulate labelled samples.
 
@@ -70,6 +77,8 @@ def simulate(
         Protocol, number, seed, cap, and the imperfections of sensor and measurement.
     progress : function
         Called with the number of samples each block adds.
+    readout : Readout, optional
+        Electronics that resistances pass through, such as a crossbar with its crosstalk.
 
     Raises
     ------
@@ -91,7 +100,7 @@ def simulate(
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
         kept = min(BLOCK, n - start)
-        block, redrawn = _block(response, settings, start // BLOCK)
+        block, redrawn = _block(response, settings, start // BLOCK, readout)
         for name, values in block.items():
             arrays[name][start : start + kept] = values[:kept]
         return kept, int(redrawn[:kept].sum())
@@ -109,9 +118,10 @@ def simulate(
         force_n=forces(by_unit["traction_mpa"], design),
         made_from={
             **settings.as_attributes(),
+            **({} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}),
             "summary": PROTOCOLS[settings.protocol].summary,
             "redrawn": redrawn,
-            "recipe": dataset_recipe(response, settings),
+            "recipe": dataset_recipe(response, settings, readout),
             "response_hash": response.content_hash,
             "mesh_hash": response.mesh_hash,
             "residual": response.residual,
@@ -119,11 +129,13 @@ def simulate(
     )
 
 
-def measured_again(data: SimulatedData, imperfections: Imperfections, seed: int) -> LabelledData:
+def measured_again(
+    data: SimulatedData, imperfections: Imperfections, seed: int, readout: Readout | None = None
+) -> LabelledData:
     """What a sensor with these imperfections measures under the loads of `data`, however those were measured.
 
     Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
-    last bit what `simulate` gives with the same loads, imperfections and seed.
+    last bit what `simulate` gives with the same loads, imperfections, seed and readout.
 
     Raises
     ------
@@ -132,7 +144,7 @@ def measured_again(data: SimulatedData, imperfections: Imperfections, seed: int)
     """
     exact_ohm = _exact_resistances(data.length_mm, data.design)
     blocks = [
-        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK))
+        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
         for start in range(0, len(exact_ohm), BLOCK)
     ]
     resistance_ohm = np.concatenate(blocks)
@@ -164,7 +176,9 @@ def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple
     return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
 
 
-def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> tuple[dict[str, FloatArray], np.ndarray]:
+def _block(
+    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None
+) -> tuple[dict[str, FloatArray], np.ndarray]:
     """All samples of one block by the name of their variable, and how often each was redrawn.
 
     A whole block is made even when only a part of it is wanted, so that no sample depends on how many are.
@@ -194,7 +208,7 @@ def _block(response: ArrayResponse, settings: DatasetSettings, number: int) -> t
             f"(size_mm={design.pad.size_mm:g})."
         )
     by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
-    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number))
+    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
     block = {
         "traction_mpa": traction,
         "displacement_mm": displacement,

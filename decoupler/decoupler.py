@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dataset.resistance import rest_resistances
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, pillar_columns
@@ -18,7 +19,7 @@ from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig
 from decoupler.uncertainty import Uncertainty
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
+from geometry.layout import PILLARS, FloatArray
 
 CHUNK = 512  #: samples worked on together, a thread each
 
@@ -95,6 +96,20 @@ class Decoupler:
         shape = (-1, self.rows, self.cols, len(self.component.axes))
         one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
+
+    def rest_resistances(self) -> FloatArray | None:
+        """What this model's sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""
+        if self.design is None:
+            return None
+        rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
+        if self.calibration is not None:
+            pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
+            of_sensor = rest_ohm[..., pillars]
+            gain, offset = (
+                part.reshape(of_sensor.shape) for part in (self.calibration.gain, self.calibration.offset_ohm)
+            )
+            rest_ohm[..., pillars] = gain * of_sensor + offset
+        return rest_ohm
 
     def untrusted(self) -> list[tuple[int, int, str]]:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""

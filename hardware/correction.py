@@ -50,7 +50,7 @@ class Corrector:
 
     def _log_conductances(self, apparent: FloatArray) -> FloatArray:
         """Logarithms of conductances from apparent ones [S], both (n, n_crossings)."""
-        wanted = np.log(apparent)
+        wanted: FloatArray = np.log(apparent)
         if not len(wanted):
             return wanted
         if self._tangent is None:
@@ -60,10 +60,10 @@ class Corrector:
         if self.crossbar.guesses_well:
             u = np.log(self.crossbar.first_guess(apparent))
         else:
-            u = _stepped(np.broadcast_to(near.u, wanted.shape), (wanted - near.apparent) @ near.inverse.T)
+            u = _stepped(near.u[None], (wanted - near.apparent) @ near.inverse.T)
         unsettled = np.arange(len(u))
         for step in range(CHORD_STEPS):
-            missing = wanted[unsettled] - self._log_apparent(u[unsettled])
+            missing: FloatArray = wanted[unsettled] - self._log_apparent(u[unsettled])
             is_off = (np.abs(missing) > TOLERANCE).any(axis=1)
             unsettled, missing = unsettled[is_off], missing[is_off]
             if not len(unsettled):
@@ -82,7 +82,7 @@ class Corrector:
             missing = wanted - apparent
             if (np.abs(missing) <= TOLERANCE).all():
                 break
-            u = _stepped(u, np.linalg.solve(jacobian, missing[..., None])[..., 0])
+            u = _stepped(u, np.asarray(np.linalg.solve(jacobian, missing[..., None])[..., 0], dtype=np.float64))
         return u
 
     def _tangent_at(self, u: FloatArray) -> _Tangent:
@@ -91,7 +91,8 @@ class Corrector:
         return _Tangent(u[0], apparent[0], np.linalg.inv(jacobian[0]))
 
     def _log_apparent(self, u: FloatArray) -> FloatArray:
-        return np.log(self.crossbar.apparent_of(np.exp(u)))
+        apparent: FloatArray = np.log(self.crossbar.apparent_of(np.exp(u)))
+        return apparent
 
     def _jacobian(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Logarithms of apparent conductances, and their derivatives by those of conductances, (n, m, m)."""
@@ -101,6 +102,8 @@ class Corrector:
 
 
 def _stepped(u: FloatArray, step: FloatArray) -> FloatArray:
+    """One step of scans (n, n_crossings), shortened where it is long, from their state or from one for all."""
     longest = np.abs(step).max(axis=1, keepdims=True)
     step = step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, 1e-300))
-    return np.clip(u + step, np.log(LEAST_SIEMENS), np.log(MOST_SIEMENS))
+    stepped: FloatArray = np.clip(u + step, np.log(LEAST_SIEMENS), np.log(MOST_SIEMENS))
+    return stepped

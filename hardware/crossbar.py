@@ -6,18 +6,20 @@ inverts it (`hardware.correction`). Wires and the order of crossings are those o
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.imperfections import OPEN_OHM
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 from hardware.correction import Corrector
-from hardware.frames import Info, ScanMode
+from hardware.frames import ScanMode
 
 LEAST_OHM, MOST_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
-DEFAULT_SENSE_OHM = {ScanMode.DIVIDER: 10_000.0, ScanMode.GROUNDED: 10_000.0, ScanMode.ZERO_POTENTIAL: 4_700.0}
+SENSE_OHM = {ScanMode.DIVIDER: 2_200.0, ScanMode.GROUNDED: 1_000.0, ScanMode.ZERO_POTENTIAL: 4_700.0}  #: best for 10 kΩ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,18 +63,6 @@ class Crossbar:
                 raise DesignError(f"{name}={getattr(self, name):g} must be from {low:g} to {high:g}.")
         if self.bits is not None and not (isinstance(self.bits, int) and 8 <= self.bits <= 16):
             raise DesignError(f"bits={self.bits!r} must be from 8 to 16; leave it out for exact readings.")
-
-    @classmethod
-    def of(cls, info: Info, **electronics: float) -> "Crossbar":
-        """The crossbar of a board; `electronics` says what its INFO frame does not: switch_ohm, line_ohm, ..."""
-        return cls(
-            rows=info.rows,
-            cols=info.cols,
-            scan_mode=info.scan_mode,
-            sense_ohm=info.sense_ohm,
-            bits=info.bits,
-            **electronics,
-        )
 
     @property
     def full_scale(self) -> int | None:
@@ -163,9 +153,9 @@ class Crossbar:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars(np.maximum(self.sense_ohm / readings - self.sense_ohm, LEAST_OHM))
 
-    def as_pillars(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Resistances by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
-        return pillars_from_crossings(resistance_ohm, self.rows, self.cols)
+    def as_pillars(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
+        return pillars_from_crossings(values, self.rows, self.cols)
 
     # What a crossing seems to conduct, y [S], is what readings and conductances of pillars g [S] meet in; each
     # of shape (n, n_crossings). Where nothing but the pillar itself conducts, y = g.
@@ -213,8 +203,8 @@ class Crossbar:
 
         Notes
         -----
-        A pillar changes L by d dᵀ dg, d = +1 at its row, −1 at its column. So dN = Kᵀ d dᵀ K dg with K = (1 + R L)⁻¹, and
-        dP = −P d dᵀ P dg.
+        A pillar changes L by d dᵀ dg, d = +1 at its row, −1 at its column. So dN = Kᵀ d dᵀ K dg with K = (1 + R L)⁻¹,
+        and dP = −P d dᵀ P dg.
         """
         row, column = self.ends
         L = self._laplacian(conductance)
@@ -251,12 +241,14 @@ class Crossbar:
 
     def _damping(self, L: FloatArray) -> FloatArray:
         """K = (1 + R L)⁻¹."""
-        return np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L)
+        K: FloatArray = np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L)
+        return K
 
     def _floating(self, L: FloatArray) -> FloatArray:
         """L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows."""
-        tie = np.trace(L, axis1=1, axis2=2) / L.shape[1] ** 2
-        return np.linalg.inv(L + tie[:, None, None])
+        tie: FloatArray = np.einsum("nii->n", L) / L.shape[1] ** 2
+        P: FloatArray = np.linalg.inv(L + tie[:, None, None])
+        return P
 
     def _require_shape(self, resistance_ohm: FloatArray) -> None:
         if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):
@@ -268,7 +260,7 @@ class Crossbar:
 
 @dataclass(frozen=True, kw_only=True)
 class CrossbarReadout:
-    """A crossbar as data generation passes resistances through it; see `dataset.measurement.Readout`."""
+    """A crossbar as data generation passes resistances through it; a `dataset.measurement.Readout`."""
 
     crossbar: Crossbar
     corrected: bool = True  #: False leaves the crosstalk in
@@ -278,17 +270,30 @@ class CrossbarReadout:
         return self.crossbar.bits
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them."""
+        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
+
+        Raises
+        ------
+        DesignError
+            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
+        """
         crossbar = self.crossbar
         if crossbar.bits is None:
             x = crossbar.readings(resistance_ohm)
             x = x + crossbar.noise * generator.standard_normal(x.shape)
         else:
-            x, _ = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
+            x, is_bound = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
+            is_lost = crossbar.as_pillars(is_bound) & (resistance_ohm < OPEN_OHM)
+            if is_lost.any():
+                raise DesignError(
+                    f"the converter behind sense_ohm={crossbar.sense_ohm:g} cannot tell "
+                    f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
+                    "that pillars stay inside its range."
+                )
         return crossbar.correct(x) if self.corrected else crossbar.uncorrected(x)
 
 
 def _sums(values: FloatArray, wire: NDArray[np.intp]) -> FloatArray:
     """Of every crossing, the sum of values (n, n_crossings) over all crossings on its wire."""
-    same = (wire[:, None] == wire).astype(np.float64)
+    same: FloatArray = (wire[:, None] == wire).astype(np.float64)
     return values @ same

@@ -1,0 +1,95 @@
+"""From counts to forces, one scan or many: crosstalk out, calibration, tare, model."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.errors import FileFormatError
+from geometry.layout import FloatArray
+from hardware.calibration import SensorCalibration
+from hardware.correction import Corrector
+from hardware.frames import Info
+
+
+class ForceModel(Protocol):
+    """What forces need of a trained model; `decoupler.Decoupler` has it."""
+
+    @property
+    def rows(self) -> int: ...
+
+    @property
+    def cols(self) -> int: ...
+
+    def rest_resistances(self) -> FloatArray | None:
+        """What its sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if that is unknown."""
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces [N], shape (n, rows, cols, k), from pillars z, x, y [Ω], shape (n, rows, cols, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Forces:
+    """Of n scans; k components as the model gives them."""
+
+    force_n: FloatArray  #: (n, rows, cols, k)
+    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y as the model saw them
+    saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which bound a resistance, no more
+
+
+class ForceReader:
+    """Counts of one board to the forces on its sensor.
+
+    A model mixes the pillars of all units, so one that is saturated makes the forces of its whole scan an
+    extrapolation. They are given all the same, finite, and `Forces.saturated` says so. Not for several threads at once.
+
+    Parameters
+    ----------
+    info : Info
+        Of the board.
+    model : ForceModel
+        Trained for this array; its design says what the sensor shows at rest.
+    calibration : SensorCalibration, optional
+        Of this very sensor; without one it is taken to be as designed.
+    crosstalk : bool
+        Whether counts hold the crossbar's crosstalk, to be taken out. False takes each crossing as read alone.
+
+    Raises
+    ------
+    FileFormatError
+        If model or calibration are of another array, or there is a state at rest and the model states no design.
+    """
+
+    def __init__(
+        self, info: Info, model: ForceModel, calibration: SensorCalibration | None = None, crosstalk: bool = True
+    ) -> None:
+        if (model.rows, model.cols) != (info.rows, info.cols):
+            raise FileFormatError(
+                f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
+                f"take a model trained for {info.rows} × {info.cols} units."
+            )
+        self.info, self.model = info, model
+        self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols)
+        self.calibration.require_for(info)
+        self.crossbar = self.calibration.electronics.crossbar(info)
+        self._invert = Corrector(self.crossbar).correct if crosstalk else self.crossbar.uncorrected
+        rest_ohm = model.rest_resistances()
+        if self.calibration.rest_ohm is not None and rest_ohm is None:
+            raise FileFormatError(
+                "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
+                "or train on data that state their design."
+            )
+        self._rest_ohm = np.ones(3) if rest_ohm is None else rest_ohm
+
+    def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Resistances as the crossbar gives them (n, rows, cols, 3) [Ω] from counts (n, rows·cols·3), and which of them
+        are saturated."""
+        readings, saturated = self.crossbar.fractions(counts)
+        return self._invert(readings), self.crossbar.as_pillars(saturated)
+
+    def forces(self, counts: NDArray[Any]) -> Forces:
+        """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
+        measured_ohm, saturated = self.measured(counts)
+        resistance_ohm = self.calibration.modelled(measured_ohm, self._rest_ohm)
+        return Forces(force_n=self.model.forces(resistance_ohm), resistance_ohm=resistance_ohm, saturated=saturated)
