@@ -5,10 +5,8 @@ code 2. Each command imports its stage when it runs, so that help is instant and
 """
 
 import io
-import json
 import math
 import sys
-from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,25 +14,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from geometry.design import SensorDesign
-from geometry.design_file import design_to_toml, read_design, write_design
+from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError, TriPillarError
+from studies.board.commands import board
+from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say, show_json, wrote
 
 if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
     from decoupler.metrics import ForceErrors
-    from studies.progress import Bars
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
-
 
 Protocol = Literal["independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis"]
 Component = Literal["fz", "fx", "fy", "all"]
 
-DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
 UnstatedOption = Annotated[
     Path | None, typer.Option("--design", help="Design TOML where the data state none; default: the paper's sensor.")
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 FeatureOption = Annotated[
     Literal["auto", "inverse", "root", "resistance"],
     typer.Option(help="Inputs: the known response's own inverse, √R or R; auto: the first if it explains the data."),
@@ -42,7 +38,6 @@ FeatureOption = Annotated[
 GoalOption = Annotated[
     float | None, typer.Option(help="Stop at this mean squared error, scaled; default: the trainer's own.")
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
 
 
 @app.command()
@@ -417,34 +412,6 @@ def export(
 
 
 @app.command()
-def replay(
-    recording: Annotated[Path, typer.Argument(help="Recorded frames.")],
-    model: Annotated[Path, typer.Option(help="Model file.")],
-    out: Annotated[Path | None, typer.Option(help="NetCDF file for the forces of every frame.")] = None,
-    json_: JsonOption = False,
-) -> None:
-    """Turn recorded frames into forces with a trained model."""
-    from decoupler.model_file import read_model
-    from hardware import read_recording, write_forces
-    from hardware import replay as replay_frames
-
-    decoupler = read_model(model)
-    replayed = replay_frames(read_recording(recording), decoupler)
-    frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
-    if out is not None:
-        write_forces(replayed, decoupler.component.axes, out)
-    if json_:
-        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(replayed.statistics)}
-        forces = {"time_s": replayed.time_s.tolist(), "force_n": replayed.force_n.tolist()}
-        show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
-    else:
-        print(f"{frames} frames, {replayed.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
-        for name, newtons in zip(decoupler.component.forces, replayed.force_n.transpose(3, 0, 1, 2), strict=True):
-            print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
-    wrote([] if out is None else [out])
-
-
-@app.command()
 def run(
     design: DesignOption = None,
     out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("out"),
@@ -494,42 +461,18 @@ def view(
     wrote([save])
 
 
-def chosen(path: Path | None) -> SensorDesign:
-    """The design of a --design option."""
-    return SensorDesign() if path is None else read_design(path)
-
-
-def progress_bars(quiet: bool) -> "Bars":
-    from studies.progress import Bars
-
-    return Bars(quiet=quiet)
-
-
-def say(note: str) -> None:
-    """A message on stderr, if there is one."""
-    if note:
-        print(note, file=sys.stderr)
+app.add_typer(board)  # the commands of a connected sensor
 
 
 def say_untrusted(model: "Decoupler") -> None:
     """Name the forces that dead pillars leave unsure, on stderr."""
     for row, col, name in model.untrusted():
-        print(f"{name} of the unit in row {row}, col {col} cannot be trusted", file=sys.stderr)
+        say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 
 def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:
     """Errors by force as the contract's JSON has them."""
     return {name: asdict(values) for name, values in errors.items()}
-
-
-def show_json(result: dict[str, Any]) -> None:
-    print(json.dumps(result, indent=2))
-
-
-def wrote(files: Iterable[Path]) -> None:
-    """Name every file written, last of all, on stderr."""
-    for path in files:
-        print(path, file=sys.stderr)
 
 
 def main() -> None:

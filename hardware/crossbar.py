@@ -19,7 +19,7 @@ from hardware.correction import Corrector
 from hardware.frames import ScanMode
 
 LEAST_OHM, MOST_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
-SENSE_OHM = {ScanMode.DIVIDER: 2_200.0, ScanMode.GROUNDED: 1_000.0, ScanMode.ZERO_POTENTIAL: 4_700.0}  #: best for 10 kΩ
+SUITED_SENSE_OHM = {ScanMode.DIVIDER: 2_200.0, ScanMode.GROUNDED: 1_000.0, ScanMode.ZERO_POTENTIAL: 4_700.0}  #: best for 10 kΩ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,14 +241,12 @@ class Crossbar:
 
     def _damping(self, L: FloatArray) -> FloatArray:
         """K = (1 + R L)⁻¹."""
-        K: FloatArray = np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L)
-        return K
+        return np.asarray(np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L), dtype=np.float64)
 
     def _floating(self, L: FloatArray) -> FloatArray:
         """L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows."""
         tie: FloatArray = np.einsum("nii->n", L) / L.shape[1] ** 2
-        P: FloatArray = np.linalg.inv(L + tie[:, None, None])
-        return P
+        return np.asarray(np.linalg.inv(L + tie[:, None, None]), dtype=np.float64)
 
     def _require_shape(self, resistance_ohm: FloatArray) -> None:
         if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):

@@ -1,6 +1,7 @@
 """What happens to a simulated sensor over time: a scripted press-and-slide, or a scene pressed again and again."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,8 @@ from dataset.resistance import pillar_lengths, pillar_resistances
 from dataset.simulate import displacements, forces
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pillar_volumes, unit_centres
+from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pillar_volumes, unit_centres
+from geometry.netcdf import write_netcdf
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -66,13 +68,33 @@ class PressAndSlide:
 def press_and_slide(response: "ArrayResponse", script: PressAndSlide) -> Motion:
     """One period of a script, by superposing the array's response."""
     design = response.design
-    time_s = np.arange(round(script.seconds / STEP_S)) * STEP_S
+    time_s = np.arange(round(script.seconds / STEP_S), dtype=np.float64) * STEP_S
     traction = script.tractions(time_s, design)
     return Motion(
         design=design,
         resistance_ohm=_resistances(displacements(response, traction), design),
         force_n=forces(traction, design).reshape(len(time_s), design.array.rows, design.array.cols, 3),
     )
+
+
+def write_truth(motion: Motion, path: Path) -> None:
+    """Write the forces that act over one period as NetCDF, whole or not at all.
+
+    Raises
+    ------
+    DesignError
+        If they are not known pad by pad.
+    """
+    if motion.force_n is None:
+        raise DesignError("a scene may load other places than pads, so forces by pad are unknown: leave --truth out.")
+    import xarray as xr
+
+    time_s = np.arange(len(motion.force_n)) * STEP_S
+    data = xr.Dataset(
+        {"force_n": (("time_s", "row", "col", "axis"), motion.force_n, {"units": "N"})},
+        coords={"time_s": ("time_s", time_s, {"units": "s"}), "axis": list(AXES)},
+    )
+    write_netcdf(data, path)
 
 
 def scene_motion(scene: "Scene", seconds: float = 4.0) -> Motion:
@@ -100,9 +122,7 @@ def scene_motion(scene: "Scene", seconds: float = 4.0) -> Motion:
     moved = np.array([solution.probes[probe.name] for probe in probes]).reshape(design.n_units, len(ELECTRODES), 3)
     steps = np.arange(round(seconds / STEP_S))
     share = 0.5 - 0.5 * np.cos(2.0 * np.pi * steps / len(steps))
-    return Motion(
-        design=design, resistance_ohm=_resistances(share[:, None, None, None] * moved, design), force_n=None
-    )
+    return Motion(design=design, resistance_ohm=_resistances(share[:, None, None, None] * moved, design), force_n=None)
 
 
 def _resistances(displacement_mm: FloatArray, design: SensorDesign) -> FloatArray:

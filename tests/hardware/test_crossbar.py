@@ -9,7 +9,7 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
 from hardware.correction import Corrector
-from hardware.crossbar import SENSE_OHM, Crossbar, CrossbarReadout
+from hardware.crossbar import SUITED_SENSE_OHM, Crossbar, CrossbarReadout
 from hardware.frames import ScanMode
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
@@ -23,7 +23,7 @@ def pressed(n, rows=6, cols=6, seed=0):
 
 
 def crossbar_of(mode, **settings):
-    return Crossbar(**{"scan_mode": mode, "sense_ohm": SENSE_OHM[mode], "bits": 12} | settings)
+    return Crossbar(**{"scan_mode": mode, "sense_ohm": SUITED_SENSE_OHM[mode], "bits": 12} | settings)
 
 
 def kirchhoff(crossbar, resistance_ohm):

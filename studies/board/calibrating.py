@@ -1,0 +1,121 @@
+"""Gain and offset of every pillar from known loads: what the sensor shows under them, and what its design would."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from decoupler.components import component_named, force_columns, pillar_columns
+from decoupler.forward_model import ForwardModel
+from geometry.errors import FileFormatError
+from geometry.layout import FloatArray
+from hardware.calibration import Electronics, SensorCalibration
+from hardware.loads import KnownLoad, read_loads, weight
+from hardware.recording import read_recording
+from hardware.scanner import Scanner
+from studies.board.session import averaged, mean_resistances, scanner_on
+
+if TYPE_CHECKING:
+    from fem.response import ArrayResponse
+
+LEAST_NOISE = 1e-4  #: that a mean resistance is believed to have
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredLoads:
+    """Known loads and what a sensor showed under them; n of them."""
+
+    names: list[str]
+    force_n: FloatArray  #: (n, rows, cols, 3)
+    measured_ohm: FloatArray  #: (n, rows, cols, 3): as the crossbar gives them
+    noise: float  #: of one scan, relative
+    serial: int  #: of the board
+
+
+def measured_live(
+    port: str, loads: Path | None, electronics: Electronics, seconds: float, **settings: Any
+) -> MeasuredLoads:
+    """Ask for one load after another, of a table or as typed weights, and measure each for some seconds."""
+    with scanner_on(port, **settings) as scanner:
+        rows, cols = scanner.info.rows, scanner.info.cols
+        asked = _typed(rows, cols) if loads is None else iter(read_loads(loads, rows, cols))
+        calibration = SensorCalibration.as_designed(rows, cols, electronics)
+        taken = []
+        for load in asked:
+            if loads is not None:
+                _ask(f"put on load '{load.name}', then press Enter: ")
+            taken.append((load, *mean_resistances(scanner, calibration, seconds)))
+    return _collected(taken, scanner.info.serial)
+
+
+def measured_in_recording(path: Path, loads: Path, electronics: Electronics) -> MeasuredLoads:
+    """Find the loads of a table in a recording, by their times since its first frame."""
+    recording = read_recording(path)
+    info = recording.info
+    calibration = SensorCalibration.as_designed(info.rows, info.cols, electronics)
+    since_s = recording.time_s - recording.time_s[0]
+    taken = []
+    for load in read_loads(loads, info.rows, info.cols):
+        if load.from_s is None or load.to_s is None:
+            raise FileFormatError(f"{loads}: load '{load.name}' has no from_s and to_s: say when it is in {path}.")
+        within = (since_s >= load.from_s) & (since_s <= load.to_s)
+        if not within.any():
+            raise FileFormatError(
+                f"{path} lasts {since_s[-1]:.1f} s, no frame lies in load '{load.name}' from {load.from_s:g} s to "
+                f"{load.to_s:g} s: correct its times."
+            )
+        taken.append((load, *averaged(recording.counts[within], info, calibration)))
+    return _collected(taken, info.serial)
+
+
+def calibrated(
+    pairs: MeasuredLoads, response: "ArrayResponse", electronics: Electronics, noise: float | None
+) -> tuple[SensorCalibration, float]:
+    """The most probable calibration, and what it leaves: the relative root mean square of resistances it misses by."""
+    everything = component_named("all")
+    forward = ForwardModel.of(response, everything)
+    forces = force_columns(pairs.force_n, everything)
+    if forces.shape[1] != forward.n_forces:
+        raise FileFormatError(
+            f"the board has {pairs.force_n.shape[1]} × {pairs.force_n.shape[2]} units, the design "
+            f"{response.design.array.rows} × {response.design.array.cols}: give --design of this sensor."
+        )
+    columns = pillar_columns(pairs.measured_ohm, everything)
+    modelled = forward.resistances(forces).reshape(pairs.measured_ohm.shape)
+    believed = max(pairs.noise if noise is None else noise, LEAST_NOISE)
+    found = SensorCalibration.fitted(pairs.measured_ohm, modelled, believed, electronics)
+    missed = (found.gain * modelled + found.offset_ohm).reshape(columns.shape) / columns - 1.0
+    return replace(found, serial=pairs.serial), float(np.sqrt((missed**2).mean()))
+
+
+def _typed(rows: int, cols: int) -> "Any":
+    yield KnownLoad(name="nothing", force_n=_nothing(rows, cols))
+    while line := _ask("row column grams, once they lie there (nothing to end): ").strip():
+        try:
+            yield weight(line, rows, cols)
+        except FileFormatError as error:
+            print(error, file=sys.stderr)
+
+
+def _nothing(rows: int, cols: int) -> FloatArray:
+    _ask("take everything off the sensor, then press Enter: ")
+    return np.zeros((rows, cols, 3))
+
+
+def _ask(question: str) -> str:
+    """A line that was typed; nothing at the end of the input."""
+    print(question, end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline()
+
+
+def _collected(taken: list[tuple[KnownLoad, FloatArray, float]], serial: int) -> MeasuredLoads:
+    loads, ohms, noises = zip(*taken, strict=True)
+    return MeasuredLoads(
+        names=[load.name for load in loads],
+        force_n=np.stack([load.force_n for load in loads]),
+        measured_ohm=np.stack(ohms),
+        noise=float(np.median(noises)),
+        serial=serial,
+    )

@@ -1,0 +1,70 @@
+"""Forces as they come: drawn in a terminal for people, one JSON object a line for pipes."""
+
+import json
+import time
+from collections import deque
+
+from rich.console import Console
+from rich.live import Live
+
+from studies.board.session import LiveForces, Session, scans
+from studies.board.view import live_view
+
+SHOWN_S = 0.1  #: between two pictures
+RATE_OVER = 64  #: scans whose pace is the rate shown
+LEAST_FULL_SCALE_N = 10.0  #: that is drawn brightest, so that noise at rest stays dark
+
+
+def show_forces(reading: Session, seconds: float) -> None:
+    """Draw the newest forces ten times a second; scans in between are read, not drawn."""
+    scanner, axes = reading.scanner, reading.model.component.axes
+    times: deque[float] = deque(maxlen=RATE_OVER)
+    newest: LiveForces | None = None
+    full_scale, shown = LEAST_FULL_SCALE_N, 0.0
+    with Live(console=Console(), auto_refresh=False, transient=False) as screen:
+        for scan in scans(scanner, seconds):
+            if scan is not None:
+                times.append(scan.received_s)
+            if time.monotonic() - shown < SHOWN_S:
+                continue
+            shown = time.monotonic()
+            latest = scanner.latest()
+            if latest is not None:
+                newest = reading.forces(latest)
+            if newest is None:
+                continue
+            full_scale = max(full_scale, float(abs(newest.force_n).max()))
+            notes = [scanner.trouble] if scanner.trouble else []
+            if newest.n_saturated:
+                notes.append(f"{newest.n_saturated} pillars at an end of the converter's range: forces extrapolated")
+            rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
+            deviation = reading.deviations(newest.scan)
+            view = live_view(newest.force_n, deviation, axes, full_scale, rate_hz, scanner.stats, notes)
+            screen.update(view, refresh=True)
+
+
+def print_lines(reading: Session, seconds: float) -> None:
+    """One JSON object for every scan; one that names the trouble when scans fail to come, and when they do again.
+
+    Ends quietly when the pipe's other end closes.
+    """
+    trouble = None
+    try:
+        for scan in scans(reading.scanner, seconds):
+            if reading.scanner.trouble != trouble:
+                trouble = reading.scanner.trouble
+                print(json.dumps({"trouble": trouble}), flush=True)
+            if scan is None:
+                continue
+            found, deviation = reading.forces(scan), reading.deviations(scan)
+            line = {
+                "time_s": scan.time_s,
+                "sequence": scan.frame.sequence,
+                "axes": reading.model.component.axes,
+                "force_n": found.force_n.round(4).tolist(),
+                "deviation_n": None if deviation is None else deviation.round(4).tolist(),
+                "saturated": found.n_saturated,
+            }
+            print(json.dumps(line), flush=True)
+    except BrokenPipeError:
+        pass

@@ -1,0 +1,46 @@
+"""What all commands share: options, and how results and messages leave: results on stdout, the rest on stderr."""
+
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from geometry.design import SensorDesign
+from geometry.design_file import read_design
+
+if TYPE_CHECKING:
+    from studies.progress import Bars
+
+DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
+
+
+def chosen(path: Path | None) -> SensorDesign:
+    """The design of a --design option."""
+    return SensorDesign() if path is None else read_design(path)
+
+
+def progress_bars(quiet: bool) -> "Bars":
+    from studies.progress import Bars
+
+    return Bars(quiet=quiet)
+
+
+def say(note: str) -> None:
+    """A message on stderr, if there is one."""
+    if note:
+        print(note, file=sys.stderr)
+
+
+def show_json(result: dict[str, Any]) -> None:
+    print(json.dumps(result, indent=2))
+
+
+def wrote(files: Iterable[Path]) -> None:
+    """Name every file written, last of all, on stderr."""
+    for path in files:
+        print(path, file=sys.stderr)
