@@ -39,7 +39,7 @@ class ScanMode(IntEnum):
 
     DIVIDER = 0  #: plain voltage divider, idle wires left open
     GROUNDED = 1  #: voltage divider, idle wires grounded
-    ZERO_POTENTIAL = 2  #: row wires held at virtual ground by amplifiers
+    ZERO_POTENTIAL = 2  #: column wires held at virtual ground by amplifiers, idle row wires grounded
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -89,7 +89,7 @@ class Info:
     firmware: tuple[int, int, int] = (0, 0, 0)  #: version: major, minor, patch
     rate_hz: int = 150  #: nominal scans a second
     serial: int = 0  #: the board's own number, 0 if it has none
-    sense_ohm: int = 10_000  #: sense resistor of the divider [Ω]
+    sense_ohm: int = 10_000  #: sense resistor, or the amplifiers' feedback resistor [Ω]
     vref_mv: int = 5_000  #: the converter's reference [mV]
 
     def __post_init__(self) -> None:
