@@ -4,6 +4,7 @@ A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one,
 ``loop://``. What pyserial and the system raise is turned into `PortError` here and nowhere else.
 """
 
+import contextlib
 import errno
 import socket
 from dataclasses import dataclass
@@ -114,10 +115,8 @@ def write(port: Any, data: bytes) -> bool:
 
 def close(port: Any) -> None:
     """Close a port, also one that has gone and objects."""
-    try:
+    with contextlib.suppress(*PORT_FAULTS):
         port.close()
-    except PORT_FAULTS:
-        pass  # there is nothing left to close
 
 
 def _cause(fault: Exception, url: str) -> str:
@@ -137,8 +136,11 @@ def _cause(fault: Exception, url: str) -> str:
     return f"no serial port ({fault}): name a device as /dev/ttyUSB0."
 
 
-class _SocketPort(protocol_socket.Serial):  # type: ignore[misc]
+class _SocketPort(protocol_socket.Serial):
     """pyserial's socket, but one that tells how much has arrived and closes at once, whatever its state."""
+
+    is_open: bool
+    _socket: Any
 
     @property
     def in_waiting(self) -> int:

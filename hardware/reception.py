@@ -5,7 +5,7 @@ No port and no thread: bytes and their time of arrival are given. `hardware.scan
 
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from hardware.clock import DeviceClock
 from hardware.frames import Frame, FrameDecoder, Info, Statistics, missing_between
@@ -124,10 +124,10 @@ class Reception:
 
     def _belongs(self, frame: Frame) -> bool:
         """Whether a frame is the board's, as far as it can be told; where not, the board is asked."""
-        if self.info is None or not self._is_trusted:
+        if self.info is None:
             return False
         shape = frame.counts.size, frame.bits, frame.scan_mode
-        if shape != (self.info.n_crossings, self.info.bits, self.info.scan_mode):
+        if self._foreign is None and shape != (self.info.n_crossings, self.info.bits, self.info.scan_mode):
             self._foreign = (
                 f"frames of {shape[0]} counts of {shape[1]} bits in mode {shape[2].name} came, but the board has "
                 f"{self.info.n_crossings} of {self.info.bits} bits in {self.info.scan_mode.name}: connect it again."
@@ -135,7 +135,7 @@ class Reception:
         if self._foreign:
             self._counted["foreign"] += 1
             self.asks = True
-        return self._foreign is None
+        return self._is_trusted and self._foreign is None
 
 
 def _counts(statistics: Statistics) -> dict[str, int]:

@@ -1,8 +1,8 @@
-"""The scanner: a port with a board on it, as a stream of scans that survives what cables and boards do.
+"""The scanner: a port with a board on it, as a stream of scans that survives what cables and boards do::
 
-    with Scanner("/dev/ttyUSB0") as scanner:
-        for scan in scanner:
-            print(scan.time_s, scan.frame.counts)
+with Scanner("/dev/ttyUSB0") as scanner:
+    for scan in scanner:
+        print(scan.time_s, scan.frame.counts)
 """
 
 import threading
@@ -201,7 +201,7 @@ class Scanner:
         self.request(b"R%d\n" % rate_hz)
         if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first
             raise ScannerError(
-                f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for a rate it can keep."
+                f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for less."
             )
         return self.info
 
