@@ -197,6 +197,15 @@ def _unpack_info(packed: bytes) -> Info:
     )
 
 
+def missing_between(previous: Frame, frame: Frame) -> int | None:
+    """How many frames were sent between two received ones; None if the board has restarted in between."""
+    missing = (frame.sequence - previous.sequence - 1) % 2**16
+    elapsed_us = (frame.device_us - previous.device_us) % 2**32
+    if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
+        return None
+    return missing
+
+
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
     """What a decoder has met so far."""
@@ -270,9 +279,8 @@ class FrameDecoder:
     def _follow(self, frame: Frame) -> None:
         """Count what is missing between the previous frame and this one."""
         if self._previous:
-            missing = (frame.sequence - self._previous.sequence - 1) % 2**16
-            elapsed_us = (frame.device_us - self._previous.device_us) % 2**32
-            if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
+            missing = missing_between(self._previous, frame)
+            if missing is None:
                 self._counted["restarts"] += 1
             else:
                 self._counted["lost"] += missing

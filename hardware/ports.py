@@ -1,0 +1,158 @@
+"""Ports: found, opened, read and written, with every way they fail told in one line.
+
+A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one, ``socket://host:port``,
+``loop://``. What pyserial and the system raise is turned into `PortError` here and nowhere else.
+"""
+
+import contextlib
+import errno
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+import serial
+from serial.tools.list_ports import comports
+from serial.urlhandler import protocol_socket
+
+from geometry.errors import TriPillarError
+
+try:
+    from termios import error as _TerminalError  # no subclass of OSError
+except ImportError:  # Windows has none
+    _TerminalError = OSError  # type: ignore[misc,assignment]
+
+BAUD = 1_000_000  #: what the firmware sends at
+PORT_FAULTS = (
+    OSError,  # serial.SerialException among them
+    _TerminalError,
+    TypeError,  # of a port whose file descriptor has become None
+    ValueError,  # of one whose file descriptor has become -1; of a setting that the port does not know
+)  #: everything a port is known to raise, wherever it fails
+_WRITE_TIMEOUT_S = 0.05  # a board that does not listen must not hold up the reading
+
+
+class PortError(TriPillarError, OSError):
+    """A port that cannot be opened, or has gone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Port:
+    """A serial port of this computer."""
+
+    device: str  #: what to open, as /dev/ttyUSB0
+    description: str  #: by its maker
+    hardware_id: str  #: USB vendor, product and serial number
+
+
+def list_ports() -> list[Port]:
+    """The serial ports there are, sorted by name."""
+    return [
+        Port(device=port.device, description=port.description, hardware_id=port.hwid) for port in sorted(comports())
+    ]
+
+
+def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
+    """Open a port for this program alone.
+
+    Parameters
+    ----------
+    url : str
+        A device, a pseudo-terminal or a link to one, or a URL that pyserial knows.
+    baud : int
+        Bits a second; a start and a stop bit go with each byte. Means nothing to a pseudo-terminal or a socket.
+    timeout_s : float
+        How long a read waits for its bytes [s].
+
+    Returns
+    -------
+    serial.Serial or its like
+        For `read_available` and `write`; close it after use.
+
+    Raises
+    ------
+    PortError
+        If there is no such port, it is in use, it may not be opened, is none, or the kind of URL is unknown.
+    """
+    options = {"baudrate": baud, "timeout": timeout_s, "write_timeout": _WRITE_TIMEOUT_S, "exclusive": True}
+    try:
+        if url.lower().startswith("socket://"):
+            return _SocketPort(url, **options)
+        return serial.serial_for_url(url, **options)
+    except PORT_FAULTS as fault:
+        raise PortError(f"{url}: {_cause(fault, url)}") from fault
+
+
+def read_available(port: Any) -> bytes:
+    """What has arrived, or else the first bytes to arrive; empty if none does until the port's timeout.
+
+    Raises
+    ------
+    PortError
+        If the port has gone.
+    """
+    try:
+        return port.read(max(1, port.in_waiting))
+    except PORT_FAULTS as fault:
+        raise PortError(f"the port is gone ({fault}): plug it in again.") from fault
+
+
+def write(port: Any, data: bytes) -> bool:
+    """Write a few bytes; False if the port does not take them now.
+
+    Raises
+    ------
+    PortError
+        If the port has gone.
+    """
+    try:
+        port.write(data)
+    except serial.SerialTimeoutException:
+        return False
+    except PORT_FAULTS as fault:
+        raise PortError(f"the port is gone ({fault}): plug it in again.") from fault
+    return True
+
+
+def close(port: Any) -> None:
+    """Close a port, also one that has gone and objects."""
+    with contextlib.suppress(*PORT_FAULTS):
+        port.close()
+
+
+def _cause(fault: Exception, url: str) -> str:
+    """What is wrong with a port that does not open, and how to mend it."""
+    code = getattr(fault, "errno", None)
+    if code == errno.ENOENT:
+        there = ", ".join(port.device for port in list_ports()) or "none"
+        return f"no such port; there are: {there}. Plug the board in, or name another."
+    if code in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program: close that one first."
+    if code in (errno.EACCES, errno.EPERM):
+        return "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew."
+    if "not known" in str(fault) and "://" in url:
+        return "unknown kind of URL: give a device as /dev/ttyUSB0, or socket://HOST:PORT."
+    if url.lower().startswith("socket://"):
+        return f"no connection ({fault}): give socket://HOST:PORT of a running server."
+    return f"no serial port ({fault}): name a device as /dev/ttyUSB0."
+
+
+class _SocketPort(protocol_socket.Serial):
+    """pyserial's socket, but one that tells how much has arrived and closes at once, whatever its state."""
+
+    is_open: bool
+    _socket: Any
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have arrived, 4096 at most; pyserial's own says 1, which makes each byte a read of its own."""
+        try:
+            return len(self._socket.recv(4096, socket.MSG_PEEK))
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """Close without pyserial's pause of 0.3 s, and also after the other side has gone."""
+        if self.is_open:
+            self._socket.close()
+            self._socket = None
+            self.is_open = False

@@ -1,0 +1,68 @@
+"""What the tests of ports, boards and the scanner share."""
+
+import time
+from collections import deque
+
+import numpy as np
+
+from hardware import Frame, Info, encode
+
+INFO = Info(rate_hz=200, serial=3)
+COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))  # frame k has COUNTS[k % 50]
+
+
+def a_wire(sequence, *, info=INFO, **changes):
+    """A frame as `VirtualBoard(COUNTS, INFO)` sends it, on its schedule."""
+    counts = COUNTS[sequence % len(COUNTS)] if info.n_crossings == INFO.n_crossings else np.ones(info.n_crossings, int)
+    values = {
+        "sequence": sequence % 2**16,
+        "device_us": round(sequence * 1e6 / info.rate_hz) % 2**32,
+        "bits": info.bits,
+        "counts": counts,
+        "scan_mode": info.scan_mode,
+    }
+    return encode(Frame(**values | changes))
+
+
+def wait_until(is_so, within_s=5.0):
+    """Wait for what has no event to wait for."""
+    deadline = time.perf_counter() + within_s
+    while not is_so():
+        assert time.perf_counter() < deadline, "it did not come about"
+        time.sleep(0.002)
+
+
+class ScriptedPort:
+    """Gives what it was told to, piece by piece, as soon as it is asked; an exception among the pieces is raised.
+
+    The first piece comes once ``?`` was written. Behind the last one the port is finished, if `finite`, or silent.
+    """
+
+    def __init__(self, *pieces, finite=True):
+        self.pieces = deque(pieces)
+        self._finite = finite
+        self.written = b""
+        self.is_open = True
+
+    @property
+    def finished(self):
+        return self._finite and not self.pieces
+
+    @property
+    def in_waiting(self):
+        return 0
+
+    def read(self, size):
+        if not self.pieces or not self.written:
+            time.sleep(0.002)  # as a port's timeout
+            return b""
+        piece = self.pieces.popleft()
+        if isinstance(piece, BaseException):
+            raise piece
+        return piece
+
+    def write(self, data):
+        self.written += data
+
+    def close(self):
+        self.is_open = False

@@ -1,0 +1,298 @@
+"""A table of faults: each has one outcome, is counted, and scans come again within a second of its end."""
+
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware import encode
+from hardware.ports import PortError, open_port
+from hardware.scanner import Scanner, ScannerError
+from hardware.virtual_board import VirtualBoard
+from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
+
+RESUMES_S = 1.0
+TIMEOUT_S = 0.3  # of the scanners below; 2 s by default
+
+
+@pytest.fixture
+def link(tmp_path):
+    return tmp_path / "board"
+
+
+@pytest.fixture
+def board(link):
+    with VirtualBoard(COUNTS, INFO, link=link) as board:
+        yield board
+
+
+@pytest.fixture
+def scanner(board):
+    with Scanner(board.port, timeout=TIMEOUT_S) as scanner:
+        assert scanner.get(1)
+        yield scanner
+
+
+def drain(scanner):
+    while scanner.get(0):
+        pass
+
+
+def assert_resumes(scanner):
+    """Scans come that were sent from now on."""
+    drain(scanner)
+    start_s = time.perf_counter()
+    while not (scan := scanner.get(RESUMES_S)) or scan.received_s < start_s:
+        assert time.perf_counter() < start_s + RESUMES_S, scanner.trouble
+    assert scan.received_s - start_s < RESUMES_S
+    assert scanner.trouble is None
+
+
+def test_unplugged_and_replugged(board, scanner):
+    board.unplug()
+    wait_until(lambda: scanner.trouble)
+    assert scanner.trouble.startswith("disconnected, trying again: ")
+    drain(scanner)
+    assert scanner.get(0.3) is None  # some attempts that fail
+    board.replug()
+    assert_resumes(scanner)
+    assert scanner.stats.reconnects == 1
+
+
+def test_unplugged_again_and_again(board, scanner):
+    for k in range(1, 4):
+        board.unplug()
+        wait_until(lambda: scanner.trouble)
+        board.replug()
+        assert_resumes(scanner)
+        assert scanner.stats.reconnects == k
+
+
+def test_unplugged_without_reconnecting(board):
+    with Scanner(board.port, reconnect=False) as scanner:
+        assert scanner.get(1)
+        board.unplug()
+        with pytest.raises(PortError, match="the port is gone"):
+            list(scanner)
+
+
+def test_closed_while_disconnected(board, scanner):
+    board.unplug()
+    wait_until(lambda: scanner.trouble)
+    start_s = time.perf_counter()
+    scanner.close()
+    assert time.perf_counter() - start_s < 0.2
+
+
+def test_an_open_port_that_was_given_cannot_be_reopened(board):
+    port = open_port(board.port)
+    with Scanner(port) as scanner:
+        board.unplug()
+        with pytest.raises(PortError, match="the port is gone"):
+            list(scanner)
+    port.close()
+
+
+def test_killed_and_started_again(link):
+    with VirtualBoard(COUNTS, INFO, link=link) as first, Scanner(str(link), timeout=TIMEOUT_S) as scanner:
+        assert scanner.get(1)
+        first.close()
+        wait_until(lambda: scanner.trouble)
+        with VirtualBoard(COUNTS, replace(INFO, firmware=(2, 0, 0)), link=link):  # and with new firmware meanwhile
+            assert_resumes(scanner)
+            assert scanner.info.firmware == (2, 0, 0)
+            assert scanner.stats.reconnects == 1
+            assert scanner.stats.foreign == 0
+
+
+def test_restarted_in_mid_stream(board, scanner):
+    drain(scanner)
+    scanner.get(1)
+    board.restart()
+    wait_until(lambda: scanner.stats.restarts)
+    assert_resumes(scanner)
+    stats = scanner.stats
+    assert (stats.restarts, stats.reconnects) == (1, 0)
+    assert stats.lost == 0  # a step back is no loss
+    # its new clock is fitted anew: the newest scan is some milliseconds old, not seconds
+    assert time.time() - scanner.latest().time_s == pytest.approx(0, abs=0.3)
+
+
+def test_stalled(board, scanner):
+    board.stall(3 * TIMEOUT_S)
+    wait_until(lambda: scanner.trouble)
+    assert scanner.trouble == f"no frames for {TIMEOUT_S:.1f} s"
+    drain(scanner)
+    assert scanner.get(0.1) is None
+    wait_until(lambda: scanner.trouble is None)
+    assert_resumes(scanner)
+    assert (scanner.stats.stalls, scanner.stats.reconnects, scanner.stats.lost) == (1, 0, 0)
+    assert scanner.stats.overruns >= 3 * TIMEOUT_S * INFO.rate_hz - 2  # what the board missed
+
+
+def test_a_host_that_hangs_costs_what_the_buffers_do_not_hold(board):
+    """The system's buffer overflows; frames are lost and counted, the damaged one at the seam too."""
+
+    class Hanging:
+        def __init__(self, port):
+            self.port = port
+            self.hangs = False
+
+        @property
+        def in_waiting(self):
+            wait_until(lambda: not self.hangs)
+            return self.port.in_waiting
+
+        def __getattr__(self, name):
+            return getattr(self.port, name)
+
+    port = Hanging(open_port(board.port))
+    with Scanner(port) as scanner:
+        scanner.get(1)
+        port.hangs = True
+        wait_until(lambda: board.dropped_bytes > 1000)
+        port.hangs = False
+        wait_until(lambda: scanner.stats.lost)
+        assert_resumes(scanner)
+        assert scanner.stats.lost >= 1000 // 232
+    port.close()
+
+
+def test_a_reader_slower_than_the_board(board):
+    with Scanner(board.port, queue=5) as scanner:
+        wait_until(lambda: scanner.stats.dropped >= 20)
+        first = scanner.get().frame.sequence
+        assert scanner.latest().frame.sequence - first < 10  # the oldest were dropped, not the newest
+        assert_resumes(scanner)
+
+
+def test_the_port_is_in_use(board, scanner):
+    with pytest.raises(PortError, match="in use by another program"), Scanner(board.port):
+        pass
+    assert_resumes(scanner)
+
+
+def test_the_port_is_in_use_when_it_comes_back(board):
+    """Another program was quicker: the scanner waits for it to close."""
+    hindrances = []
+
+    def opener(url, **options):
+        if hindrances:
+            raise PortError(f"{url}: {hindrances[-1]}")
+        return open_port(url, **options)
+
+    with Scanner(board.port, opener=opener) as scanner:
+        hindrances.append("in use by another program")
+        board.unplug()
+        board.replug()
+        wait_until(lambda: scanner.trouble)
+        hindrances.clear()
+        assert_resumes(scanner)
+
+
+def test_no_permission(board):
+    def opener(url, **options):
+        raise PortError(f"{url}: no permission")
+
+    with pytest.raises(PortError, match="no permission"), Scanner(board.port, opener=opener):
+        pass
+
+
+def test_no_board():
+    """A port, and nothing behind it that speaks."""
+    board_end, host_end = os.openpty()
+    name = os.ttyname(host_end)
+    try:
+        with pytest.raises(ScannerError, match="nothing received within 0"), Scanner(name, timeout=TIMEOUT_S):
+            pass
+    finally:
+        os.close(host_end)
+        os.close(board_end)
+
+
+def test_a_wrong_baud_rate(board):
+    """Bits read at another pace are as good as random."""
+    board.garble(np.random.default_rng(0).bytes(100), n_frames=10_000)
+    message = r"\d+ bytes but no valid frame: wrong baud rate\? 9600 is set"
+    with pytest.raises(ScannerError, match=message), Scanner(board.port, timeout=TIMEOUT_S, baud=9600):
+        pass
+
+
+@pytest.mark.parametrize(
+    "garbage", [b"\xff" * 400, bytes(400), b"\x05ab\0", b"\x07DDDDD\0"], ids=["ones", "zeros", "cobs", "crc"]
+)
+def test_bursts_of_garbage(board, scanner, garbage):
+    board.garble(garbage, n_frames=10)
+    wait_until(lambda: scanner.stats.lost >= 10)
+    assert_resumes(scanner)
+    stats = scanner.stats
+    assert stats.lost in (10, 11)  # garbage without an end takes the next frame along
+    if any(garbage):
+        assert stats.bad_cobs + stats.bad_crc + stats.bad_form >= 1
+    assert (stats.restarts, stats.reconnects, stats.foreign) == (0, 0, 0)
+
+
+def test_random_garbage_for_longer_than_the_timeout_is_a_stall(board, scanner):
+    board.garble(np.random.default_rng(1).bytes(232), n_frames=100)
+    wait_until(lambda: scanner.trouble)
+    assert scanner.trouble.startswith("no frames for")
+    wait_until(lambda: scanner.trouble is None)
+    assert_resumes(scanner)
+    assert scanner.stats.stalls == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"serial": 7}, "another device answers, serial 7 instead of 3"),
+        ({"rows": 2, "cols": 3}, "another device answers, rows 2 instead of 6, cols 3 instead of 6"),
+        ({"bits": 12}, "another device answers, bits 12 instead of 10"),
+        ({"sense_ohm": 4700}, "another device answers, sense_ohm 4700 instead of 10000"),
+    ],
+    ids=["serial", "size", "bits", "sense_ohm"],
+)
+def test_another_device_is_plugged_in(board, scanner, change, message):
+    """None of its scans is delivered once it has said who it is; the first one's are, when that is back."""
+    board.unplug()
+    wait_until(lambda: scanner.trouble)
+    drain(scanner)
+    board.impostor(replace(INFO, **change))
+    board.replug()
+    wait_until(lambda: scanner.stats.foreign > 10)
+    assert scanner.get(0) is None
+    assert scanner.trouble.startswith(message)
+    board.impostor(None)
+    assert_resumes(scanner)
+    assert scanner.info == INFO
+    assert scanner.stats.reconnects == 1
+
+
+def test_another_device_without_unplugging(board, scanner):
+    """As behind a socket. Frames of another size tell at once, before any INFO."""
+    board.impostor(replace(INFO, rows=2, cols=3))
+    wait_until(lambda: scanner.stats.foreign > 10)
+    assert all(scan.frame.counts.size == 108 for scan in iter(lambda: scanner.get(0), None))
+    board.impostor(None)
+    assert_resumes(scanner)
+
+
+def test_frames_that_the_info_does_not_fit():
+    other = replace(INFO, rows=2, cols=3)
+    with Scanner(ScriptedPort(encode(INFO), a_wire(0), a_wire(1, info=other), a_wire(2), finite=False)) as scanner:
+        wait_until(lambda: scanner.stats.foreign == 2)  # nor is the next believed before the board was asked
+        assert scanner.trouble.startswith("frames of 18 counts of 10 bits in mode DIVIDER came, but the board has 108")
+        assert scanner.get(0).frame.sequence == 0
+        assert scanner.get(0) is None
+
+
+def test_a_mute_board_after_reconnecting_is_trouble(board):
+    """Frames without INFO may be anybody's."""
+    ports = [ScriptedPort(encode(INFO), a_wire(0), PortError("gone")), ScriptedPort(a_wire(1), a_wire(2), finite=False)]
+    with Scanner("scripted", opener=lambda url, **options: ports.pop(0)) as scanner:
+        assert scanner.get(1).frame.sequence == 0
+        wait_until(lambda: scanner.stats.ok == 3)
+        assert scanner.trouble.startswith("frames but no INFO")
+        assert scanner.get(0) is None
+        assert scanner.stats.reconnects == 1

@@ -1,0 +1,202 @@
+"""The board in Python sends what docs/frames.md says, at its pace, and fails as it is told to."""
+
+import os
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware import Frame, FrameDecoder, FrameError, Info
+from hardware.ports import close, open_port, read_available, write
+from hardware.virtual_board import VirtualBoard
+from tests.hardware.boards import COUNTS, INFO, wait_until
+
+
+class Host:
+    """An open port and the frames that came through it."""
+
+    def __init__(self, port):
+        self.port = port
+        self.decoder = FrameDecoder()
+
+    def receive(self):
+        data = read_available(self.port)
+        assert data, "nothing within 1 s"
+        return self.decoder.feed(data)
+
+    def frames(self, n):
+        """The next n data frames."""
+        frames = []
+        while len(frames) < n:
+            frames += [frame for frame in self.receive() if isinstance(frame, Frame)]
+        return frames[:n]
+
+    def ask(self, command=b"?"):
+        write(self.port, command)
+        while True:
+            for answer in self.receive():
+                if isinstance(answer, Info):
+                    return answer
+
+
+@contextmanager
+def a_host(board):
+    port = open_port(board.port, timeout_s=1.0)
+    try:
+        yield Host(port)
+    finally:
+        close(port)
+
+
+@contextmanager
+def a_board_and_host(counts=COUNTS, info=INFO, **options):
+    with VirtualBoard(counts, info, **options) as board, a_host(board) as host:
+        yield board, host
+
+
+def test_frames_carry_the_counts_in_their_order():
+    with a_board_and_host() as (_, host):
+        frames = host.frames(60)
+    first = frames[0].sequence
+    assert [frame.sequence for frame in frames] == list(range(first, first + 60))
+    assert all((frame.counts == COUNTS[frame.sequence % 50]).all() for frame in frames)
+    assert (frames[0].bits, frames[0].scan_mode, frames[0].saturated) == (10, INFO.scan_mode, False)
+
+
+def test_counts_may_be_computed_frame_by_frame():
+    with a_board_and_host(lambda number: np.full(108, number % 1024)) as (_, host):
+        frames = host.frames(5)
+    assert all((frame.counts == frame.sequence).all() for frame in frames)
+    assert [frame.saturated for frame in frames] == [frame.sequence == 0 for frame in frames]
+
+
+def test_the_schedule_does_not_drift():
+    """Frame k, overruns counted in, starts k periods after the first: up to what the system is late by."""
+    with a_board_and_host() as (_, host):
+        frames = host.frames(200)
+    late_s = [frame.device_us * 1e-6 - (frame.sequence + frame.overruns) / INFO.rate_hz for frame in frames]
+    assert min(late_s) > -1e-6  # never early, but for the rounding to µs
+    assert np.median(late_s) < 2e-3  # 200 periods are 1 s: a relative schedule would be behind by some 10 ms
+    assert max(late_s) < 1 / INFO.rate_hz + 1e-6  # what is later is an overrun
+
+
+def test_answers_and_rates():
+    with a_board_and_host() as (_, host):
+        assert host.ask() == INFO
+        assert host.ask(b"R500\n") == replace(INFO, rate_hz=500)
+        periods_us = np.diff([frame.device_us for frame in host.frames(52)[1:]])
+        assert np.median(periods_us) == pytest.approx(2000, abs=500)
+        assert host.ask(b"R0\n") == host.ask(b"R1001\n") == replace(INFO, rate_hz=500)
+        assert host.ask(b"Rx7?\nR\n?") == replace(INFO, rate_hz=500)
+        host.frames(20)
+        assert host.decoder.statistics.info == 5  # one an answer, none to nonsense
+
+
+def test_nobody_reads():
+    """The pty fills within 70 frames or so. The board goes on; who reads then, gets whole frames again."""
+    with VirtualBoard(COUNTS, replace(INFO, rate_hz=1000)) as board:
+        deadline = time.perf_counter() + 5
+        while not board.dropped_bytes:
+            assert time.perf_counter() < deadline
+            time.sleep(0.01)
+        with a_host(board) as host:
+            newest = board.sent[-1][0]
+            while host.frames(1)[0].sequence < newest:
+                pass
+            assert host.decoder.statistics.bad_form == 0
+
+
+def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
+    def counts(number):
+        if number == 10:
+            time.sleep(4.5 / INFO.rate_hz)
+        return COUNTS[0]
+
+    with a_board_and_host(counts) as (_, host):
+        frames = host.frames(30)
+    assert host.decoder.statistics.lost == 0
+    assert frames[-1].overruns >= 3  # of the four that fell due meanwhile, the last is only late
+    assert frames[0].overruns < frames[-1].overruns
+    # the clock tells of the scans that were skipped
+    elapsed_us = frames[-1].device_us - frames[0].device_us
+    n_scans = frames[-1].sequence - frames[0].sequence + frames[-1].overruns - frames[0].overruns
+    assert elapsed_us == pytest.approx(n_scans * 1e6 / INFO.rate_hz, abs=2 * 1e6 / INFO.rate_hz)
+
+
+def test_a_stall_is_silent_and_counted():
+    with a_board_and_host() as (board, host):
+        before = host.frames(1)[0]
+        board.stall(0.2)
+        after = host.frames(10)[-1]
+    assert after.device_us - before.device_us > 200_000
+    assert (after.overruns - before.overruns) % 256 >= 39  # 0.2 s of 200 scans a second, less one
+
+
+def test_the_link_follows_the_port(tmp_path):
+    link = tmp_path / "board"
+    with VirtualBoard(COUNTS, INFO, link=link) as board:
+        assert board.port == str(link)
+        with a_host(board) as host:
+            board.unplug()
+            assert not os.path.lexists(link)
+            with pytest.raises(OSError, match="the port is gone"):
+                host.frames(1000)
+        board.unplug()  # once more does nothing
+        board.replug()
+        with a_host(board) as host:
+            assert host.frames(1)[0].sequence > 0  # it ran on
+    assert not os.path.lexists(link)
+
+
+def test_a_restart_begins_at_0():
+    with a_board_and_host() as (board, host):
+        host.frames(20)
+        board.restart()
+        assert min(frame.sequence for frame in host.frames(20)) == 0
+        assert host.decoder.statistics.restarts == 1
+
+
+def test_garbage_takes_the_place_of_frames():
+    with a_board_and_host() as (board, host):
+        host.frames(3)
+        board.garble(b"\x05ab\0", n_frames=4)
+        host.frames(6)
+    assert (host.decoder.statistics.bad_cobs, host.decoder.statistics.lost) == (4, 4)
+
+
+def test_an_impostor_says_so():
+    other = replace(INFO, rows=2, cols=3, serial=7)
+    with a_board_and_host() as (board, host):
+        board.impostor(other)
+        assert host.ask() == other
+        assert host.frames(2)[-1].counts.tolist() == [512] * 18
+        board.impostor(None)
+        assert host.ask() == INFO
+        assert host.frames(2)[-1].counts.size == 108
+
+
+def test_what_was_sent_is_logged_with_its_time():
+    with a_board_and_host() as (board, host):
+        frames = host.frames(20)
+        received_s = time.perf_counter()
+        sent = dict(board.sent)
+    times = [sent[frame.sequence] for frame in frames]
+    assert times == sorted(times)
+    assert times[-1] < received_s
+
+
+def test_what_goes_wrong_in_the_boards_thread_is_not_lost():
+    board = VirtualBoard(lambda number: np.full(3, 2000), INFO)  # more than 10 bits hold
+    wait_until(lambda: not board._thread.is_alive())
+    with pytest.raises(RuntimeError, match="the board is closed"):
+        board.stall(1)
+    with pytest.raises(FrameError, match="counts run from 2000"):
+        board.close()
+    board.close()
+
+
+def test_counts_of_no_frame_are_refused():
+    with pytest.raises(FrameError, match=r"counts has shape \(2, 3, 4\), expected \(n, n_crossings\)"):
+        VirtualBoard(np.zeros((2, 3, 4)), INFO)
