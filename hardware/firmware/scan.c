@@ -19,10 +19,8 @@ _Static_assert(F_CPU == 16000000UL, "prescalers of timer and converter are for 1
 // Two scans: one is filled while the other waits to be encoded.
 static scan_t scans[2];
 static volatile bool is_finished[2];
-static volatile bool is_scanning;
-static uint8_t filling;   // of the two scans; used by interrupts only
+static uint8_t filling;   // which of the two; used by interrupts only
 static uint8_t encoding;  // likewise; used by the main program only
-static uint8_t overruns;
 
 // ---- when -------------------------------------------------------------------------------------------------
 
@@ -92,13 +90,17 @@ static void address_next(void)
 // Conversions follow one another without a pause, 52 us each, and the converter samples its input 1.5 of its
 // clocks (6 us) after each starts. So the address of the next crossing goes out as soon as the running conversion
 // has sampled, and the circuit has the rest of that conversion plus the next one's 6 us to settle: about
-// 45 us. The simulated board measures it (min_settle_us).
+// 44 us, and above 40 when the serial port's interrupts come first. The simulated board measures it (min_settle_us).
 //
-//     conversion       |s------ k ------------|s------ k+1 ----------|s--
-//     this interrupt                           read k, wait, k+2 out
-//     address on pins  ---- k+1 ------------------------|-- k+2 ---------
+//     conversion       |-s---- k -------------|-s---- k+1 -----------|-s-
+//     interrupt                                read k, wait, k+2 out
+//     address on pins  ---- k+1 ---------------------|-- k+2 ------------
 
-static uint16_t converted;  // counts read in this scan
+static volatile bool is_scanning;
+static uint8_t overruns;
+static uint8_t n_left;        // counts to come in this scan
+static uint16_t *next_count;  // where the next one goes
+static bool is_saturated;
 
 ISR(TIMER1_COMPA_vect)
 {
@@ -114,31 +116,40 @@ ISR(TIMER1_COMPA_vect)
     }
     ADCSRA = ADC_RUN;  // crossing 0 has been addressed since the last scan ended
     is_scanning = true;
-    converted = 0;
+    is_saturated = false;
+    n_left = CROSSINGS;
+    next_count = scans[filling].counts;
     scans[filling].device_us = now_us;
-    scans[filling].is_saturated = false;
     scans[filling].overruns = overruns;
     _delay_us(3 * ADC_CLOCK_US);  // up to one clock until it starts, 1.5 until it has sampled
     address_next();
 }
 
+static void finish_scan(void)
+{
+    scans[filling].is_saturated = is_saturated;
+    is_finished[filling] = true;
+    filling ^= 1;
+    is_scanning = false;
+}
+
 ISR(ADC_vect)
 {
-    scan_t *scan = &scans[filling];
     uint16_t count = ADC;
-    scan->counts[converted++] = count;
+    *next_count++ = count;
     if (count == 0 || count == FULL_SCALE)
-        scan->is_saturated = true;
-    if (converted == CROSSINGS - 1)
-        ADCSRA = ADC_OFF_AFTER_THIS;  // the last conversion is running: none is to follow
-    if (converted == CROSSINGS) {
-        is_finished[filling] = true;
-        filling ^= 1;
-        is_scanning = false;
+        is_saturated = true;
+    n_left--;
+    if (n_left == 0) {
+        finish_scan();
         return;
     }
-    _delay_us(2 * ADC_CLOCK_US);  // from here on, however long the lines above took
-    if (converted == CROSSINGS - 1)
+    if (n_left == 1)
+        ADCSRA = ADC_OFF_AFTER_THIS;  // the last conversion is running: none is to follow
+    // The running conversion samples 1.5 clocks after its start. Waiting as long from here is on the safe side:
+    // entering this interrupt has already taken 3 us.
+    _delay_us(1.5 * ADC_CLOCK_US);
+    if (n_left == 1)
         address_first();  // for the next scan
     else
         address_next();
