@@ -1,0 +1,70 @@
+#include "uart.h"
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+#include "board.h"
+#include "settings.h"
+
+#define DIVIDER ((F_CPU + 4UL * BAUD) / (8UL * BAUD))  // of the clock, rounded; double speed: 8 clocks a bit
+_Static_assert(DIVIDER >= 1 && DIVIDER <= 4096, "BAUD is out of the serial port's reach");
+_Static_assert(8UL * BAUD * DIVIDER >= F_CPU / 100 * 98 && 8UL * BAUD * DIVIDER <= F_CPU / 100 * 102,
+               "BAUD is off by more than 2 %: take 1000000, 500000, 250000 or 38400");
+
+#define RING 64  // bytes received and not yet taken; a power of 2. More than that at once is dropped.
+
+static const uint8_t *volatile next;
+static volatile uint16_t left;  // bytes still to be sent
+
+static volatile uint8_t ring[RING];
+static volatile uint8_t head;  // bytes ever received, modulo 256: written by the interrupt
+static volatile uint8_t tail;  // bytes ever taken, modulo 256: written by `uart_take`
+
+void uart_init(void)
+{
+    UCSR0A = 1 << U2X0;  // before the divider: simavr reads it when the divider is written
+    UBRR0H = (uint8_t)((DIVIDER - 1) >> 8);
+    UBRR0L = (uint8_t)(DIVIDER - 1);
+    UCSR0C = 1 << UCSZ01 | 1 << UCSZ00;
+    UCSR0B = 1 << RXCIE0 | 1 << RXEN0 | 1 << TXEN0;
+}
+
+bool uart_is_sending(void)
+{
+    return UCSR0B & 1 << UDRIE0;  // switched off with the last byte; one byte to read, so no race
+}
+
+void uart_send(const uint8_t *bytes, uint16_t size)
+{
+    next = bytes;
+    left = size;
+    UCSR0B |= 1 << UDRIE0;  // last: the interrupt takes it from here
+}
+
+ISR(UART_UDRE_vect)
+{
+    UDR0 = *next++;
+    if (--left == 0)
+        UCSR0B &= (uint8_t)~(1 << UDRIE0);
+}
+
+ISR(UART_RX_vect)
+{
+    uint8_t byte = UDR0;  // always read, or the interrupt would come again at once
+    if ((uint8_t)(head - tail) < RING) {
+        ring[head % RING] = byte;
+        head++;
+    }
+}
+
+bool uart_has_received(void)
+{
+    return head != tail;
+}
+
+uint8_t uart_take(void)
+{
+    uint8_t byte = ring[tail % RING];
+    tail++;
+    return byte;
+}

@@ -1,0 +1,161 @@
+"""The firmware's portable files, compiled for this machine: they write the frames of docs/frames.md to the byte.
+
+`test_simavr_board.py` runs the whole firmware on a simulated board.
+"""
+
+import ctypes
+import shutil
+import subprocess
+from ctypes import c_uint8, c_uint16, c_uint32
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hardware.frames import Frame, Info, encode
+from hardware.simavr_board import FIRMWARE
+from tests.hardware.test_decoder import frames, infos
+from tests.hardware.test_frames import FRAME_VECTORS, INFO_VECTORS
+
+fuzzed = settings(max_examples=300, derandomize=True, deadline=None)
+CANARY = 0xA5
+
+
+class Header(ctypes.Structure):
+    _fields_ = (
+        ("flags", c_uint8),
+        ("sequence", c_uint16),
+        ("device_us", c_uint32),
+        ("count", c_uint16),
+        ("bits", c_uint8),
+        ("overruns", c_uint8),
+    )
+
+
+class InfoFields(ctypes.Structure):
+    _fields_ = (
+        *((name, c_uint8) for name in ("rows", "cols", "bits", "scan_mode")),
+        ("firmware", c_uint8 * 3),
+        ("rate_hz", c_uint16),
+        ("serial", c_uint32),
+        ("sense_ohm", c_uint32),
+        ("vref_mv", c_uint16),
+    )
+
+
+class Commands(ctypes.Structure):
+    _fields_ = (("state", ctypes.c_int), ("digits", c_uint8), ("rate_hz", c_uint16))
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    compiler = shutil.which("cc")
+    if not compiler:
+        pytest.skip("no C compiler 'cc' on this machine: on Debian or Ubuntu, apt install gcc")
+    path = tmp_path_factory.mktemp("firmware") / "firmware.so"
+    sources = [FIRMWARE / "frame.c", FIRMWARE / "commands.c"]
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, "-o", path, *sources], check=True)
+    library = ctypes.CDLL(str(path))
+    library.frame_crc.restype = library.frame_data.restype = library.frame_info.restype = c_uint16
+    return library
+
+
+def written(write, n_packed, *values):
+    """What a function writes, checked to stay within what frame.h's FRAME_WIRE_SIZE reserves for it."""
+    n_reserved = n_packed + -(-n_packed // 254) + 1
+    wire = (c_uint8 * (n_reserved + 8))(*[CANARY] * (n_reserved + 8))
+    size = write(wire, *values)
+    assert size <= n_reserved
+    assert set(wire[size:]) == {CANARY}
+    return bytes(wire[:size])
+
+
+def wire_of(library, frame):
+    if isinstance(frame, Info):
+        names = ("rows", "cols", "bits", "scan_mode", "rate_hz", "serial", "sense_ohm", "vref_mv")
+        fields = InfoFields(firmware=frame.firmware, **{name: getattr(frame, name) for name in names})
+        return written(library.frame_info, 23, ctypes.byref(fields))
+    names = ("flags", "sequence", "device_us", "bits", "overruns")
+    header = Header(count=frame.counts.size, **{name: getattr(frame, name) for name in names})
+    counts = (c_uint16 * frame.counts.size)(*frame.counts.tolist())
+    return written(library.frame_data, 14 + 2 * frame.counts.size, ctypes.byref(header), counts)
+
+
+@pytest.mark.parametrize("vector", FRAME_VECTORS, ids=range(len(FRAME_VECTORS)))
+def test_data_frame_vectors_of_the_page(library, vector):
+    fields = vector["fields"]
+    header = Header(**{name: fields[name] for name, _ in Header._fields_})
+    counts = (c_uint16 * fields["count"])(*fields["counts"])
+    wire = written(library.frame_data, 14 + 2 * fields["count"], ctypes.byref(header), counts)
+    assert wire == bytes.fromhex(vector["wire"])
+
+
+@pytest.mark.parametrize("vector", INFO_VECTORS, ids=range(len(INFO_VECTORS)))
+def test_info_vectors_of_the_page(library, vector):
+    values = {name: vector["fields"][name] for name, _ in InfoFields._fields_} | {
+        "firmware": tuple(vector["fields"]["firmware"])
+    }
+    assert written(library.frame_info, 23, ctypes.byref(InfoFields(**values))) == bytes.fromhex(vector["wire"])
+
+
+def test_crc_check_value_of_the_page(library):
+    crc = 0xFFFF
+    for byte in b"123456789":
+        crc = library.frame_crc(c_uint16(crc), c_uint8(byte))
+    assert crc == 0x29B1
+
+
+@fuzzed
+@given(frame=frames() | infos())
+def test_firmware_and_host_write_the_same_bytes(library, frame):
+    assert wire_of(library, frame) == encode(frame)
+
+
+@pytest.mark.parametrize("n", [1, 108, 119, 120, 121, 122, 192, 247, 248, 249])
+@pytest.mark.parametrize("count", [0, 0x0101])
+def test_blocks_of_254_bytes(library, n, count):
+    """Frames without a zero byte, and with hardly anything else, on both sides of where COBS takes one more byte."""
+    frame = Frame(sequence=0x0101, device_us=0x01010101, bits=10, counts=np.full(n, count), saturated=True, overruns=1)
+    assert wire_of(library, frame) == encode(frame)
+
+
+def heard(library, sent):
+    """What the board makes of bytes: 'info', or the rate of an R command."""
+    commands = Commands()
+    heard = []
+    for byte in sent:
+        command = library.commands_take(ctypes.byref(commands), c_uint8(byte))
+        heard += {0: [], 1: ["info"], 2: [commands.rate_hz]}[command]
+    return heard
+
+
+@pytest.mark.parametrize(
+    ("sent", "expected"),
+    [
+        (b"?", ["info"]),
+        (b"??", ["info", "info"]),
+        (b"R150\n", [150]),
+        (b"R007\nR100\n?", [7, 100, "info"]),
+        (b"R0\n", [0]),
+        (b"R65534\nR65535\nR65536\nR99999999999999999999\n", [65534, 65535, 65535, 65535]),
+        (b"R" + 300 * b"0" + b"9\n", [9]),
+        (b"R150", []),
+        (b"R\n", []),
+        (b"R-5\nR1.5\nR 5\nR5 \nR5\r\nRR5\nr5\n", []),
+        (b"Rx5\nR6\n", [6]),
+        (b"hello\n\n\0\xff150\nR5\n", [5]),
+        (b"R15?0\nR20\n", ["info", 20]),
+        (b"Rx?5\nR20\n", ["info", 20]),
+    ],
+)
+def test_commands(library, sent, expected):
+    assert heard(library, sent) == expected
+
+
+@fuzzed
+@given(sent=st.binary(max_size=200) | st.text("?R19\n", max_size=50).map(str.encode))
+def test_a_question_is_always_heard(library, sent):
+    assert heard(library, sent).count("info") == sent.count(b"?")
+    assert heard(library, sent + b"\nR42\n")[-1] == 42
