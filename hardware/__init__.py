@@ -1,12 +1,14 @@
-"""From a board's bytes to forces.
+"""From a board's bytes to forces, live or recorded.
 
-In: a recording (`read_recording`), the bytes a board sent. Out: `replay` gives the forces over time that a
-trained model finds in it. Without a board, `recording_from_resistances` makes one. Open `docs/frames.md` for
-what is on the wire, then `frames.py` (the codec), `geometry.wiring` (which crossing reads which pillar),
-`recording.py` and `replay.py`.
+In: a port with a board on it (`Scanner`), or a recording of one (`read_recording`), and a trained model. Out: forces over
+time (`ForceReader`, `replay`). Open `docs/frames.md` for what is on the wire, `scanner.py` for how it is read,
+`crossbar.py` for what the array's wiring does to it, then `live.py`. `firmware/` is the board's program;
+`virtual_board.py` and `simavr_board.py` are boards that are not there.
 """
 
 from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
+from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
+from hardware.crossbar import Crossbar, CrossbarReadout
 from hardware.frames import (
     PROTOCOL,
     Frame,
@@ -17,6 +19,8 @@ from hardware.frames import (
     Statistics,
     encode,
 )
+from hardware.live import ForceModel, ForceReader, Forces
+from hardware.ports import PortError, list_ports, open_port
 from hardware.recording import (
     Recording,
     parse_recording,
@@ -24,28 +28,43 @@ from hardware.recording import (
     recording_from_resistances,
     write_recording,
 )
-from hardware.replay import ForceModel, Replay, replay, resistances, write_forces
+from hardware.replay import Replay, replay, write_forces
+from hardware.scanner import Scanner, ScannerError
+from hardware.virtual_board import VirtualBoard
 
 __all__ = [
     "PROTOCOL",
+    "Crossbar",
+    "CrossbarReadout",
+    "Electronics",
     "ForceModel",
+    "ForceReader",
+    "Forces",
     "Frame",
     "FrameDecoder",
     "FrameError",
     "Info",
+    "PortError",
     "Recording",
     "Replay",
     "ScanMode",
+    "Scanner",
+    "ScannerError",
+    "SensorCalibration",
     "Statistics",
+    "VirtualBoard",
     "crossings",
     "crossings_from_pillars",
     "encode",
+    "list_ports",
+    "open_port",
     "parse_recording",
     "pillars_from_crossings",
+    "read_calibration",
     "read_recording",
     "recording_from_resistances",
     "replay",
-    "resistances",
+    "write_calibration",
     "write_forces",
     "write_recording",
 ]

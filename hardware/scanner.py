@@ -167,6 +167,12 @@ class Scanner:
             )
 
     @property
+    def ended(self) -> bool:
+        """No scan will come any more: closed, or a finite port is finished and all its scans are taken."""
+        with self._changed:
+            return self._has_ended and not self._queue
+
+    @property
     def trouble(self) -> str | None:
         """Why no scans come, in one line; None as long as they do."""
         with self._changed:
