@@ -44,8 +44,8 @@ class Scanner:
     ----------
     port : str or port
         What `open_port` opens; or an open port, pyserial's or one with its ``read``, ``write`` and
-        ``in_waiting``. That stays open in the end, and cannot be reconnected. Its ``read`` should wait 0.1 s
-        at most. Where it has an attribute ``finished``, its end is the end of the scans.
+        ``in_waiting``. That stays open in the end, and cannot be reconnected. Its ``read`` should wait for
+        bytes, but 0.1 s at most. Where it has an attribute ``finished``, its end is the end of the scans.
     timeout : float
         How long to wait for the board's answer, and how long a silence is a stall [s].
     reconnect : bool
@@ -68,6 +68,9 @@ class Scanner:
     -----
     Scans come in their order, without those that were lost. Those of another device are not delivered; `trouble`
     says so. Whatever ends the reading thread is raised to who takes scans, never swallowed.
+
+    A board that resets when its port is opened, as an Arduino does, has until `timeout` to start. One that comes
+    back under another name is not found again: give a name that stays, as in /dev/serial/by-id.
     """
 
     def __init__(
@@ -176,6 +179,8 @@ class Scanner:
     def trouble(self) -> str | None:
         """Why no scans come, in one line; None as long as they do."""
         with self._changed:
+            if self._error:
+                return f"{type(self._error).__name__}: {self._error}"
             return self._link_trouble or self._reception.trouble
 
     def request(self, command: bytes) -> Info:
@@ -253,7 +258,7 @@ class Scanner:
                     break
                 except PortError as fault:
                     if not self._may_reconnect:
-                        raise
+                        raise PortError(f"{self._name}: {fault}") from fault
                     self._reconnect(fault)
         except BaseException as error:
             self._error = error  # raised to who takes scans

@@ -68,12 +68,12 @@ class VirtualBoard:
         self._digits: bytes | None = None  # of a rate command that has begun
         self._stalled_until_s = 0.0
         self._work: deque[tuple[Callable[[], None], threading.Event]] = deque()
-        self._wake_read, self._wake_write = os.pipe()
         self._error: BaseException | None = None
         self._running = True
         self._closed = False
         self._boot()
         self._connect()
+        self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name="virtual board", daemon=True)
         self._thread.start()
 

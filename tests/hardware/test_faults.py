@@ -14,7 +14,7 @@ from hardware.virtual_board import VirtualBoard
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
 
 RESUMES_S = 1.0
-TIMEOUT_S = 0.3  # of the scanners below; 2 s by default
+TIMEOUT_S = 0.5  # of those scanners that are to notice a stall; 2 s by default
 
 
 @pytest.fixture
@@ -30,6 +30,13 @@ def board(link):
 
 @pytest.fixture
 def scanner(board):
+    with Scanner(board.port) as scanner:
+        assert scanner.get(1)
+        yield scanner
+
+
+@pytest.fixture
+def impatient(board):
     with Scanner(board.port, timeout=TIMEOUT_S) as scanner:
         assert scanner.get(1)
         yield scanner
@@ -96,7 +103,7 @@ def test_an_open_port_that_was_given_cannot_be_reopened(board):
 
 
 def test_killed_and_started_again(link):
-    with VirtualBoard(COUNTS, INFO, link=link) as first, Scanner(str(link), timeout=TIMEOUT_S) as scanner:
+    with VirtualBoard(COUNTS, INFO, link=link) as first, Scanner(str(link)) as scanner:
         assert scanner.get(1)
         first.close()
         wait_until(lambda: scanner.trouble)
@@ -116,11 +123,21 @@ def test_restarted_in_mid_stream(board, scanner):
     stats = scanner.stats
     assert (stats.restarts, stats.reconnects) == (1, 0)
     assert stats.lost == 0  # a step back is no loss
-    # its new clock is fitted anew: the newest scan is some milliseconds old, not seconds
-    assert time.time() - scanner.latest().time_s == pytest.approx(0, abs=0.3)
 
 
-def test_stalled(board, scanner):
+def test_a_restarted_board_is_asked_again_and_its_clock_fitted_anew():
+    """After 1000 s on its own clock it starts at 0, and at another rate; its scans are of now, all the same."""
+    port = ScriptedPort(encode(INFO), a_wire(0, device_us=10**9), a_wire(0), finite=False)
+    with Scanner(port) as scanner:
+        wait_until(lambda: port.written == b"??")
+        port.pieces.append(encode(replace(INFO, rate_hz=50)))
+        wait_until(lambda: scanner.info.rate_hz == 50)
+        times = [scanner.get().time_s, scanner.get().time_s]
+    assert times == pytest.approx([time.time()] * 2, abs=60)  # no system halts for so long
+
+
+def test_stalled(board, impatient):
+    scanner = impatient
     board.stall(3 * TIMEOUT_S)
     wait_until(lambda: scanner.trouble)
     assert scanner.trouble == f"no frames for {TIMEOUT_S:.1f} s"
@@ -129,7 +146,7 @@ def test_stalled(board, scanner):
     wait_until(lambda: scanner.trouble is None)
     assert_resumes(scanner)
     assert (scanner.stats.stalls, scanner.stats.reconnects, scanner.stats.lost) == (1, 0, 0)
-    assert scanner.stats.overruns >= 3 * TIMEOUT_S * INFO.rate_hz - 2  # what the board missed
+    assert scanner.stats.overruns > 0  # what the board missed, modulo 256
 
 
 def test_a_host_that_hangs_costs_what_the_buffers_do_not_hold(board):
@@ -234,8 +251,9 @@ def test_bursts_of_garbage(board, scanner, garbage):
     assert (stats.restarts, stats.reconnects, stats.foreign) == (0, 0, 0)
 
 
-def test_random_garbage_for_longer_than_the_timeout_is_a_stall(board, scanner):
-    board.garble(np.random.default_rng(1).bytes(232), n_frames=100)
+def test_random_garbage_for_longer_than_the_timeout_is_a_stall(board, impatient):
+    scanner = impatient
+    board.garble(np.random.default_rng(1).bytes(232), n_frames=round(2 * TIMEOUT_S * INFO.rate_hz))
     wait_until(lambda: scanner.trouble)
     assert scanner.trouble.startswith("no frames for")
     wait_until(lambda: scanner.trouble is None)
