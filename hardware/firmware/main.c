@@ -86,6 +86,8 @@ int main(void)
     set_sleep_mode(SLEEP_MODE_IDLE);
     uart_init();
     scan_init(rate_hz);
+    wire[0] = 0;  // a delimiter: ends what the reset, or a boot loader, left on the line
+    uart_send(wire, 1);
     sei();
     uint8_t is_infos_turn = 0;  // data and INFO frames take turns where both wait, so that neither starves
     for (;;) {

@@ -69,7 +69,7 @@ class Listener:
         """Listen for n more frames; returns them."""
         start = len(self.frames)
         self.take(lambda self: len(self.frames) >= start + n)
-        return self.frames[start:]
+        return self.frames[start : start + n]
 
     def ask(self, command):
         """Send a command and return the INFO frame that answers it."""
@@ -84,6 +84,11 @@ def listening(board):
         yield Listener(port)
 
 
+def is_gapless(frames):
+    """Whether no frame is missing; the first ones may be, since who opens a port clears what is waiting there."""
+    return (np.diff([frame.sequence for frame in frames]) == 1).all()
+
+
 def starts_us(frames):
     return np.array([frame.device_us for frame in frames])
 
@@ -96,9 +101,9 @@ def test_a_board_reads_every_crossing_on_time(board, mcu):
         statistics = running.stop()
     frames = listener.frames
     assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in frames)
-    assert [frame.sequence for frame in frames] == list(range(len(frames)))
-    # whole microseconds of k + 1 periods, with none lost to the 1/3 µs that 150 Hz leaves
-    assert starts_us(frames).tolist() == [(k + 1) * 1_000_000 // 150 for k in range(len(frames))]
+    assert is_gapless(frames)
+    # whole microseconds of k + 1 periods, with none lost to the 2/3 µs by which a period at 150 Hz exceeds 6666
+    assert starts_us(frames).tolist() == [(frame.sequence + 1) * 1_000_000 // 150 for frame in frames]
     assert {(frame.flags, frame.bits, frame.overruns) for frame in frames} == {(2 << 1, 10, 0)}
     assert statistics["bad_addresses"] == statistics["bytes_dropped"] == 0
     assert 40 <= statistics["min_settle_us"] < 58  # what scan.c promises; 58 is a whole conversion and its sample
@@ -149,7 +154,7 @@ def test_in_real_time_nothing_is_lost_and_the_board_does_not_run_ahead(board, mc
         frames = listener.take_frames(300)
         assert frames[-1].device_us * 1e-6 <= time.monotonic() - before
         assert running.stop()["bytes_dropped"] == 0
-    assert [frame.sequence for frame in frames] == list(range(300))
+    assert is_gapless(frames)
     assert frames[-1].overruns == 0
 
 
@@ -193,7 +198,7 @@ def test_skipped_scans_are_counted_and_take_no_sequence_number(built, board, tmp
     with board(elf=tmp_path / f"tripillar-{MCUS[0]}.elf", fast=True) as running, listening(running) as listener:
         frames = listener.take_frames(800)
         assert listener.ask(b"?") == INFO  # though frames wait all the time
-    assert [frame.sequence for frame in frames] == list(range(800))
+    assert is_gapless(frames)
     skipped = np.diff(np.array([frame.overruns for frame in frames], dtype=np.uint8))  # modulo 256, as sent
     assert skipped.sum() > 256
     periods = np.rint(np.diff(starts_us(frames)) * 150e-6).astype(int)
@@ -208,10 +213,10 @@ def test_the_reset_button_starts_the_sequence_and_the_table_again(board, tmp_pat
         running.press_reset()
         listener.take(lambda self: self.decoder.statistics.restarts == 1)
         assert listener.ask(b"?") == INFO
-    again = [frame for frame in listener.frames if frame.sequence == 0]
-    assert len(again) == 2
-    assert again[1].device_us == 6666
-    assert again[1].counts[0] == 100
+    sequence = [frame.sequence for frame in listener.frames]
+    [restart] = np.flatnonzero(np.diff(sequence) != 1) + 1
+    first = listener.frames[restart]
+    assert (first.sequence, first.device_us, first.counts[0]) == (0, 6666, 100)
 
 
 def test_settings_of_a_build(built, board, tmp_path):
