@@ -2,7 +2,7 @@
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +17,7 @@ from hardware.recorded import Recording, assemble
 from hardware.recording_header import Header, read_header
 
 if TYPE_CHECKING:
+    from mcap.data_stream import ReadDataStream
     from mcap.records import Message
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -82,6 +83,12 @@ def read_mcap_recording(path: Path) -> Recording:
     )
 
 
+def _stream(body: bytes) -> "ReadDataStream":
+    from mcap.data_stream import ReadDataStream
+
+    return ReadDataStream(BytesIO(body))
+
+
 class McapContent:
     """A file's messages in the order written, as far as they are whole; the attributes are known after `messages`."""
 
@@ -96,7 +103,11 @@ class McapContent:
     def header(self) -> Header:
         for topic, message in self.messages():
             if topic == INFO:
-                return read_header(json.loads(message.data), str(self.path))
+                try:
+                    plain = json.loads(message.data)
+                except ValueError:
+                    plain = None
+                return read_header(plain if isinstance(plain, dict) else {}, str(self.path))
         raise FileFormatError(f"{self.path}: no message on {INFO}: give a file made by a recorder.")
 
     def messages(self) -> Iterator[tuple[str, "Message"]]:
@@ -115,28 +126,25 @@ class McapContent:
 
     def _records(self) -> Iterator[Any]:
         """Channels, messages and metadata up to the end of the data, those inside chunks among them."""
-        from mcap.data_stream import ReadDataStream
         from mcap.opcode import Opcode
         from mcap.records import Channel, Chunk, Message, Metadata
         from mcap.stream_reader import breakup_chunk
 
+        readers: dict[int, Callable[[bytes], list[Any]]] = {
+            Opcode.CHUNK: lambda body: breakup_chunk(Chunk.read(_stream(body)), validate_crc=True),
+            Opcode.CHANNEL: lambda body: [Channel.read(_stream(body))],
+            Opcode.MESSAGE: lambda body: [Message.read(_stream(body), len(body))],
+            Opcode.METADATA: lambda body: [Metadata.read(_stream(body))],
+        }
         for kind, body in self._bodies():
-            stream = ReadDataStream(BytesIO(body))
-            if kind == Opcode.CHUNK:
-                try:
-                    records = breakup_chunk(Chunk.read(stream), validate_crc=True)
-                except Exception:  # each of the decompressors has an error of its own
-                    self.damaged_chunks += 1
-                else:
-                    yield from records
-            elif kind == Opcode.CHANNEL:
-                yield Channel.read(stream)
-            elif kind == Opcode.MESSAGE:
-                yield Message.read(stream, len(body))
-            elif kind == Opcode.METADATA:
-                yield Metadata.read(stream)
-            elif kind == Opcode.DATA_END:
+            if kind == Opcode.DATA_END:
                 return
+            try:
+                records = readers[kind](body) if kind in readers else []
+            except Exception:  # each of the decompressors has an error of its own
+                self.damaged_chunks += 1
+            else:
+                yield from records
 
     def _bodies(self) -> Iterator[tuple[int, bytes]]:
         """Kind and body of each record that is whole."""
