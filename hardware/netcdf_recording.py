@@ -135,7 +135,10 @@ def _opened(path: Path, mode: Literal["r", "a"] = "r") -> Iterator[tuple[Any, He
                     raise FileFormatError(f"{path}: no '{name}' of type {kind}: give a file made by a recorder.")
             yield data, header
             keep = mode == "a"
-        except (OSError, RuntimeError) as error:
+        except FileFormatError:
+            raise
+        except (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError) as error:
+            # a damaged header shows as names that are no text, lengths that are none, variables that are not there
             raise FileFormatError(f"{path}: damaged or no NetCDF ({error}): give a file made by a recorder.") from None
         finally:
             if data is not None and not keep:

@@ -81,6 +81,8 @@ class FrameRecorder(ABC):
         except FileFormatError:
             raise
         except (OSError, RuntimeError) as error:
+            with suppress(OSError, RuntimeError, AttributeError):  # the last if there is nothing to close yet
+                self._abandon()
             raise RecordingError(f"{path}: {_reason(error)}: give a file on a disk that can be written.") from None
         self._is_open = True
         self._flushed_at = time.monotonic()

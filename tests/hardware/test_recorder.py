@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -290,23 +291,36 @@ def test_a_file_that_cannot_be_made_is_one_line(path):
 # disks that fail
 
 
-def test_a_full_disk_is_one_line_and_costs_only_what_did_not_fit(path):
-    """A limit on the size of files stands for the disk."""
+@contextmanager
+def room_for(size):
+    """A limit on the size of files stands for a full disk."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_full_disk_is_one_line_and_costs_only_what_did_not_fit(path):
     with recorder_for(path, INFO) as recorder:
         recorder.append(frames(100), 1.8e9)
         recorder.flush()
-        try:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 1000, limits[1]))
-            recorder.append(frames(100, 100), 1.8e9)
-            with pytest.raises(RecordingError, match=r"too large.*: recording ended, its first 100 frames") as failure:
-                recorder.flush()
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        recorder.append(frames(100, 100), 1.8e9)
+        message = r"too large.*: recording ended, its first 100 frames are kept"
+        with room_for(path.stat().st_size + 1000), pytest.raises(RecordingError, match=message) as failure:
+            recorder.flush()
     assert "\n" not in str(failure.value)
     assert str(failure.value).startswith(f"{path}: ")
     recording = read_recording(path)
     assert recording.counts[:100].tolist() == [frame.counts.tolist() for frame in frames(100)]
+    assert len(recording.counts) < 200
+
+
+def test_a_disk_without_room_for_the_header_is_one_line(path):
+    with room_for(100), pytest.raises(RecordingError, match=r"too large: give a file on a disk that can") as failure:
+        recorder_for(path, INFO)
+    assert "\n" not in str(failure.value)
 
 
 def test_a_stalled_disk_is_one_line_and_its_frames_are_there(path, monkeypatch):
