@@ -1,4 +1,7 @@
-"""What the messages of an MCAP recording hold, as JSON schemas; Foxglove shows these and plots by their names."""
+"""What the messages of an MCAP recording hold, as JSON schemas; Foxglove shows these and plots by their names.
+
+It refuses a schema with arrays of arrays, so units are a list of objects.
+"""
 
 from typing import Any
 
@@ -15,10 +18,6 @@ def _text(description: str) -> dict[str, Any]:
 
 def _list(items: dict[str, Any], description: str) -> dict[str, Any]:
     return {"type": "array", "items": items, "description": description}
-
-
-def _units(description: str) -> dict[str, Any]:
-    return _list({"type": "array", "items": {"type": "array", "items": {"type": "number"}}}, description)
 
 
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF
@@ -63,9 +62,19 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "time": {"type": "number", "description": "Unix time of arrival of the scan [s]"},
             "rows": _whole("units along y", _BYTE),
             "cols": _whole("units along x", _BYTE),
-            "axes": _list({"type": "string"}, "components, in the order of the last index"),
-            "force_n": _units("[row][col][axis], newtons to six decimals; z is positive in compression"),
-            "deviation_n": _units("standard deviations of force_n, empty if unknown"),
+            "axes": _list({"type": "string"}, "components of each force"),
+            "units": _list(
+                {
+                    "type": "object",
+                    "properties": {
+                        "row": _whole("of the unit, along y", _BYTE),
+                        "col": _whole("of the unit, along x", _BYTE),
+                        "force_n": _list({"type": "number"}, "one an axis [N], to six decimals"),
+                        "deviation_n": _list({"type": "number"}, "their standard deviations [N], empty if unknown"),
+                    },
+                },
+                "row by row",
+            ),
         },
     },
 }
