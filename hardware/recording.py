@@ -1,173 +1,66 @@
-"""A recording: the bytes a board sent, as received, an INFO frame among them; and what they say, as arrays.
+"""Recordings of every kind: what was recorded is read by its content, what is to be recorded is named by its suffix.
 
-Raw counts are what is kept. Resistances and forces are computed from them, by `hardware.replay`.
+Raw counts are what is kept. Resistances and forces are computed from them, by `hardware.replay`. `docs/recordings.md`
+compares the kinds; `recorded.py` holds what they have in common, and each has a file of its own.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dataset.measurement import counts_from_resistance
-from geometry import files
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
-from geometry.wiring import crossings_from_pillars
-from hardware.frames import PROTOCOL, Frame, FrameDecoder, Info, Statistics, encode
+from hardware.byte_stream import parse_recording, recording_bytes, recording_from_resistances, write_recording
+from hardware.frames import Info
+from hardware.mcap_reader import MAGIC as _MCAP
+from hardware.mcap_reader import read_mcap_recording
+from hardware.mcap_recorder import McapRecorder
+from hardware.netcdf_recording import Recorder, read_netcdf_recording
+from hardware.recorded import Recording
 
-_STEP = 2**20  # bytes handed to the decoder at a time, lest the pieces it cuts them into fill the memory
+__all__ = [
+    "Recording",
+    "parse_recording",
+    "read_recording",
+    "recorder_for",
+    "recording_bytes",
+    "recording_from_resistances",
+    "write_recording",
+]
 
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """The frames of a recording in the order received; n of them."""
-
-    info: Info
-    counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
-    sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
-    time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone
-    flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode
-    overruns: int  #: scans the board skipped between the first and the last frame
-    statistics: Statistics
-    truncated_bytes: int  #: of an unfinished last frame, as a killed recorder leaves it
+_CDF, _HDF5 = b"CDF", b"\x89HDF\r\n\x1a\n"
+_RECORDERS: dict[str, type[Recorder] | type[McapRecorder]] = {".nc": Recorder, ".mcap": McapRecorder}
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording; `parse_recording` says what is refused."""
+    """Read a recording, whatever its name: NetCDF, MCAP or the bytes that the board sent.
+
+    Of a recording that was killed, the last frame or half a second of them is not there.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged, or no recording.
+    """
     try:
+        with Path(path).open("rb") as file:
+            start = file.read(len(_MCAP))
+        if start.startswith(_CDF) or start == _HDF5:
+            return read_netcdf_recording(path)
+        if start == _MCAP:
+            return read_mcap_recording(path)
         stream = Path(path).read_bytes()
     except OSError as error:
         raise FileFormatError(f"{path}: {error.strerror}: give a recording.") from error
     return parse_recording(stream, source=str(path))
 
 
-def write_recording(stream: bytes, path: Path) -> None:
-    """Write a recording, whole or not at all."""
-    with files.replacing(path) as temporary:
-        temporary.write_bytes(stream)
-
-
-def parse_recording(stream: bytes, source: str = "recording") -> Recording:
-    """Decode a recorded stream of bytes.
-
-    Damaged frames are left out and counted. A truncated last frame is normal and only reported.
-
-    Raises
-    ------
-    FileFormatError
-        If `stream` is empty, holds no frame, no INFO frame or no data frame, if two INFO frames disagree, or
-        if a data frame disagrees with the INFO frame. The message names `source`.
-
-    Notes
-    -----
-    Time is unwrapped under the assumption that no pause between two frames reaches 2³² µs (71.6 min) and that
-    the board did not restart. A restart shows in ``statistics.restarts``; there, time jumps forward.
-    """
-    decoder = FrameDecoder()
-    frames: list[Frame] = []
-    infos: list[Info] = []
-    for start in range(0, len(stream), _STEP):
-        for received in decoder.feed(stream[start : start + _STEP]):
-            if isinstance(received, Info):
-                infos.append(received)
-            else:
-                frames.append(received)
-    _require_complete(stream, frames, infos, source)
-    _require_consistent(frames, infos, source)
-    device_us = np.array([frame.device_us for frame in frames], dtype=np.uint32)
-    steps_us = np.diff(device_us, prepend=device_us[:1])  # u32 differences wrap as the board's clock does
-    overruns = np.array([frame.overruns for frame in frames], dtype=np.uint8)
-    return Recording(
-        info=infos[0],
-        counts=np.stack([frame.counts for frame in frames]),
-        sequence=np.array([frame.sequence for frame in frames], dtype=np.uint16),
-        time_s=(device_us[0] + np.cumsum(steps_us, dtype=np.float64)) * 1e-6,
-        flags=np.array([frame.flags for frame in frames], dtype=np.uint8),
-        overruns=int(np.diff(overruns).sum()),  # u8 differences wrap as the board's counter does
-        statistics=decoder.statistics,
-        truncated_bytes=decoder.pending,
-    )
-
-
-def _require_complete(stream: bytes, frames: list[Frame], infos: list[Info], source: str) -> None:
-    if not stream:
-        raise FileFormatError(f"{source}: the file is empty: record again.")
-    if not frames and not infos:
-        raise FileFormatError(
-            f"{source}: no valid frame in {len(stream)} bytes: give a recording, made at the right baud rate."
-        )
-    if not infos:
-        raise FileFormatError(
-            f"{source}: {len(frames)} data frames but no INFO frame of protocol {PROTOCOL}, which says what "
-            "the counts mean: record again, with the answer to '?' first."
-        )
-    if not frames:
-        raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")
-
-
-def _require_consistent(frames: list[Frame], infos: list[Info], source: str) -> None:
-    info = infos[0]
-    for other in infos:
-        if other != info:
-            raise FileFormatError(
-                f"{source}: two INFO frames that differ, {info} and {other}: "
-                "keep one board with one setting to a recording."
-            )
-    for k, frame in enumerate(frames):
-        if frame.counts.size != info.n_crossings:
-            raise FileFormatError(
-                f"{source}: data frame {k} has {frame.counts.size} counts, but the INFO frame's "
-                f"{info.rows} × {info.cols} units make {info.n_crossings}: keep one board to a recording."
-            )
-        if (frame.bits, frame.scan_mode) != (info.bits, info.scan_mode):
-            raise FileFormatError(
-                f"{source}: data frame {k} has {frame.bits} bits in scan mode {frame.scan_mode.name}, the "
-                f"INFO frame {info.bits} bits in {info.scan_mode.name}: keep one setting to a recording."
-            )
-
-
-def recording_from_resistances(
-    resistance_ohm: FloatArray, info: Info, first_sequence: int = 0, first_us: int = 0
-) -> bytes:
-    """The recording that an ideal board, one without crosstalk or noise, would make of known resistances.
-
-    Parameters
-    ----------
-    resistance_ohm : array, shape (n, rows, cols, 3)
-        Pillars z, x, y [Ω] of n scans, `info.rate_hz` a second.
-    info : Info
-        The board: its converter's bits and sense resistor set the counts.
-    first_sequence, first_us : int
-        Sequence number and device time [µs] of the first frame.
-
-    Returns
-    -------
-    bytes
-        An INFO frame and n data frames.
-
-    Examples
-    --------
-    >>> info = Info(rows=1, cols=2, bits=12)
-    >>> parse_recording(recording_from_resistances(np.full((5, 1, 2, 3), 10e3), info)).counts.shape
-    (5, 6)
-    """
-    if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (info.rows, info.cols, 3):
-        raise ValueError(
-            f"resistance_ohm has shape {resistance_ohm.shape}, expected (n, {info.rows}, {info.cols}, 3): "
-            "give info the array's rows and cols."
-        )
-    counts = counts_from_resistance(crossings_from_pillars(resistance_ohm), info.bits, info.sense_ohm)
-    saturated = (counts % (2**info.bits - 1) == 0).any(axis=1)  # 0 or full scale
-    frames = [
-        Frame(
-            sequence=(first_sequence + k) % 2**16,
-            device_us=(first_us + round(k * 1e6 / info.rate_hz)) % 2**32,
-            bits=info.bits,
-            counts=counts[k],
-            saturated=bool(saturated[k]),
-            scan_mode=info.scan_mode,
-        )
-        for k in range(len(counts))
-    ]
-    return encode(info) + b"".join(encode(frame) for frame in frames)
+def recorder_for(
+    path: Path,
+    info: Info,
+    calibration: str = "",
+    made_from: dict[str, str] | None = None,
+    append: bool = False,
+) -> Recorder | McapRecorder:
+    """The recorder for a file's suffix, ``.nc`` or ``.mcap``; `FrameRecorder` says the rest."""
+    kind = _RECORDERS.get(Path(path).suffix.lower())
+    if kind is None:
+        raise FileFormatError(f"{path}: no kind of recording: end the name in {' or '.join(_RECORDERS)}.")
+    return kind(path, info, calibration, made_from, append)

@@ -1,0 +1,340 @@
+"""Recorders of both kinds: nothing is lost, not even by a kill, and what is refused is refused in one line."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import psutil
+import pytest
+
+from geometry.errors import FileFormatError
+from hardware.frames import FrameDecoder, Info, Statistics, encode
+from hardware.recorder import RecordingError
+from hardware.recording import parse_recording, read_recording, recorder_for, recording_bytes
+from tests.hardware.recorded_frames import CALIBRATION, INFO, MADE_FROM, arrivals, assert_same, frames, without_info
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(
+    params=[".nc", pytest.param(".mcap", marks=pytest.mark.skipif(not find_spec("mcap"), reason="needs mcap"))]
+)
+def path(request, tmp_path):
+    return tmp_path / f"press{request.param}"
+
+
+def record(path, n=10, start=0, statistics=None, **options):
+    """Record n frames and give them back with their times."""
+    sent, received_s = frames(n, start), arrivals(n, start)
+    with recorder_for(path, INFO, **options) as recorder:
+        recorder.append(sent, received_s)
+        recorder.close(statistics)
+    return sent, received_s
+
+
+def test_what_was_recorded_is_read_to_the_last_bit(path):
+    sent, received_s = record(path, 100, calibration=CALIBRATION, made_from=MADE_FROM)
+    recording = read_recording(path)
+    assert_same(recording, sent, received_s)
+    assert (recording.info, recording.calibration, recording.made_from) == (INFO, CALIBRATION, MADE_FROM)
+    assert np.diff(recording.time_s) == pytest.approx(np.full(99, 0.005), abs=1e-9)  # through the clock's rollover
+    assert (recording.overruns, recording.truncated_bytes) == (99, 0)  # through the counter's
+    assert recording.statistics == Statistics(ok=100, info=1)
+
+
+def test_the_extreme_counts_are_counts(path):
+    """0 and 65535 are what some writers mean by 'missing'."""
+    sent = frames(2, counts=np.array([0, 65_535] * 9))
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(sent, 1.8e9)
+    assert_same(read_recording(path), sent, [1.8e9, 1.8e9])
+
+
+def test_a_recording_gives_back_the_bytes_of_its_board(path):
+    sent, _ = record(path, 20)
+    stream = recording_bytes(read_recording(path))
+    assert stream == encode(INFO) + b"".join(encode(frame) for frame in sent)
+    assert recording_bytes(parse_recording(stream)) == stream
+
+
+def test_frames_lost_and_restarts_are_counted_as_the_decoder_does(path):
+    sent = frames(5) + frames(5, 8) + frames(5, 2) + frames(5, 7, device_us=12)
+    decoder = FrameDecoder()
+    decoder.feed(b"".join(encode(frame) for frame in sent))
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(sent, 1.8e9)
+    statistics = read_recording(path).statistics
+    assert without_info(statistics) == without_info(decoder.statistics)
+    assert (statistics.lost, statistics.restarts) == (3, 2)
+
+
+def test_frames_come_one_by_one_or_several_at_once(path):
+    sent, received_s = frames(6), arrivals(6)
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(sent[0], received_s[0])
+        recorder.append([], 0.0)
+        recorder.append(sent[1:3], received_s[1:3])
+        recorder.append(iter(sent[3:]), received_s[5])
+    assert recorder.frames == 6
+    assert_same(read_recording(path), sent, received_s[:3] + received_s[5:] * 3)
+
+
+def test_damage_that_the_decoder_met_is_kept(path):
+    record(path, statistics=Statistics(ok=10, info=2, bad_crc=3, bad_cobs=1))
+    statistics = read_recording(path).statistics
+    assert (statistics.ok, statistics.bad_crc, statistics.bad_cobs, statistics.bad_form) == (10, 3, 1, 0)
+
+
+def test_the_kind_is_told_by_content_not_by_name(path, tmp_path):
+    sent, received_s = record(path)
+    renamed = path.rename(tmp_path / "press.frames")
+    assert_same(read_recording(renamed), sent, received_s)
+
+
+# when frames reach the disk
+
+
+def test_frames_are_on_disk_half_a_second_later_even_if_no_more_come(path, monkeypatch):
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr("hardware.recorder.time", SimpleNamespace(monotonic=lambda: clock.now))
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(frames(3), 1.8e9)
+        assert recorder.frames == 0
+        clock.now += 0.5
+        recorder.append([], 1.8e9)
+        assert recorder.frames == 3
+        assert len(read_recording(path).counts) == 3  # while it is being written
+
+
+RECORDER = """
+import os, sys, time
+from pathlib import Path
+from hardware.recording import recorder_for
+from tests.hardware.recorded_frames import INFO, frames
+recorder = recorder_for(Path(sys.argv[1]), INFO)
+k = 0
+while True:
+    now = time.time()
+    recorder.append(frames(5, k), now)
+    k += 5
+    os.write(1, f"{k} {now!r}\\n".encode())
+    time.sleep(0.004)
+"""
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_killed_recorder_loses_less_than_a_second(path, seed):
+    """Killed at a random moment: the frames on disk are all of the first ones, whole, and the lost ones are recent."""
+    command = [sys.executable, "-c", RECORDER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as process:
+        first = process.stdout.readline()  # it records now
+        time.sleep(np.random.default_rng(seed).uniform(0.55, 1.3))  # the moment of the kill; nothing waits for it
+        process.send_signal(signal.SIGKILL)
+        lines = first + process.stdout.read()
+    noted = [line.split() for line in lines.decode().splitlines(keepends=True) if line.endswith("\n")]
+    total, last_s = int(noted[-1][0]), float(noted[-1][1])
+    recording = read_recording(path)
+    n = len(recording.counts)
+    assert_same(recording, [frame for k in range(0, n, 5) for frame in frames(5, k)], recording.received_s)
+    assert 0 < n <= total + 5  # the kill may come between an append and its note
+    assert last_s - recording.received_s[-1] < 1.0
+    with recorder_for(path, INFO, append=True) as recorder:
+        recorder.append(frames(5, n), 1.8e9)
+    assert len(read_recording(path).counts) == n + 5
+
+
+def test_ctrl_c_waits_for_the_frames_to_be_written(path, monkeypatch):
+    sent = frames(10)
+    recorder = recorder_for(path, INFO)
+    write = recorder._write
+
+    def interrupted(*frames_and_times):
+        signal.raise_signal(signal.SIGINT)
+        write(*frames_and_times)
+
+    monkeypatch.setattr(recorder, "_write", interrupted)
+    recorder.append(sent, 1.8e9)
+    with pytest.raises(KeyboardInterrupt):
+        recorder.close()
+    assert_same(read_recording(path), sent, [1.8e9] * 10)
+    recorder.close()
+
+
+def test_memory_stays_flat_and_appending_is_cheap(path):
+    """100,000 frames are 24 MB; less than 50 µs of processor time each, so that 150 a second cost below 1 %."""
+    info = Info(bits=12)
+    some = frames(250, info=info, counts=np.random.default_rng(3).integers(0, 4096, 108))
+    process = psutil.Process()
+    with recorder_for(path, info) as recorder:
+        started = time.process_time()
+        for k in range(400):
+            recorder.append(some, 1.8e9 + k)
+            if k == 100:
+                early = process.memory_info().rss
+        took = time.process_time() - started
+        grown = process.memory_info().rss - early
+    assert recorder.frames == 100_000
+    assert grown < 6e6
+    assert took / 100_000 < 50e-6
+
+
+# going on with a file
+
+
+def test_a_recording_is_continued_where_it_ended(path):
+    first, first_s = record(path, 10, statistics=Statistics(bad_crc=2), calibration="{}", made_from=MADE_FROM)
+    more, more_s = record(
+        path, 7, 10, statistics=Statistics(bad_crc=3), calibration="{}", made_from=MADE_FROM, append=True
+    )
+    recording = read_recording(path)
+    assert_same(recording, first + more, first_s + more_s)
+    assert recording.statistics == Statistics(ok=17, info=1, bad_crc=5)
+    assert list(path.parent.glob("*press*")) == [path]
+
+
+def test_append_makes_a_file_that_is_not_there(path):
+    sent, received_s = record(path.parent / "new" / path.name, append=True)
+    assert_same(read_recording(path.parent / "new" / path.name), sent, received_s)
+
+
+def test_a_file_that_exists_is_not_overwritten(path):
+    record(path)
+    before = path.read_bytes()
+    with pytest.raises(FileFormatError, match=r"exists: give another name, or continue it with append\.$"):
+        recorder_for(path, INFO)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"info": replace(INFO, serial=7)}, "recorded with info .*serial=4294967295.*, not .*serial=7"),
+        ({"calibration": "{}"}, "recorded with calibration '', not '{}'"),
+        ({"made_from": MADE_FROM}, "recorded with made_from {}, not {'model_recipe'"),
+    ],
+    ids=["board", "calibration", "model"],
+)
+def test_another_boards_recording_is_not_continued(path, changes, message):
+    record(path)
+    before = path.read_bytes()
+    with pytest.raises(FileFormatError, match=message) as refusal:
+        recorder_for(path, **{"info": INFO} | changes, append=True)
+    assert "\n" not in str(refusal.value)
+    assert path.read_bytes() == before
+
+
+def test_what_is_no_recording_is_not_continued(path):
+    path.write_bytes(b"force_n,1.0\n" * 50)
+    with pytest.raises(FileFormatError, match=r"give a file made by a recorder\.$"):
+        recorder_for(path, INFO, append=True)
+    assert path.read_bytes() == b"force_n,1.0\n" * 50
+
+
+# what is refused
+
+
+@pytest.mark.parametrize(
+    ("info", "message"),
+    [
+        (replace(INFO, rows=3), "has 27 counts, .* 2 × 3 units make 18: keep one board"),
+        (replace(INFO, bits=12), "12 bits in scan mode GROUNDED, the INFO frame 16 bits"),
+    ],
+)
+def test_frames_of_another_board_are_refused_and_the_others_kept(path, info, message):
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(frames(3), 1.8e9)
+        with pytest.raises(FileFormatError, match=message):
+            recorder.append(frames(1) + frames(1, info=info), 1.8e9)
+    assert len(read_recording(path).counts) == 3
+
+
+@pytest.mark.parametrize("received_s", [float("nan"), -1.0, 1.8e18])
+def test_times_that_are_no_unix_times_are_refused(path, received_s):
+    with recorder_for(path, INFO) as recorder, pytest.raises(ValueError, match=r"Unix time \[s\], 0 to 1e\+10"):
+        recorder.append(frames(1), received_s)
+
+
+def test_other_origins_are_refused(path):
+    with pytest.raises(ValueError, match=r"made_from has \['model'\], allowed are \['model_recipe', 'design_hash'\]"):
+        recorder_for(path, INFO, made_from={"model": "?"})
+
+
+@pytest.mark.parametrize("name", ["press.csv", "press", "press.frames"])
+def test_other_suffixes_are_refused(tmp_path, name):
+    with pytest.raises(FileFormatError, match=rf"{name}: no kind of recording: end the name in \.nc or \.mcap\.$"):
+        recorder_for(tmp_path / name, INFO)
+
+
+def test_a_closed_recorder_takes_nothing(path):
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(frames(2), 1.8e9)
+    with pytest.raises(RecordingError, match="the recorder is closed"):
+        recorder.append(frames(1), 1.8e9)
+
+
+def test_a_file_that_cannot_be_made_is_one_line(path):
+    path.parent.joinpath("file").touch()
+    with pytest.raises(RecordingError, match=r"give a file on a disk that can be written\.$") as failure:
+        recorder_for(path.parent / "file" / path.name, INFO)
+    assert "\n" not in str(failure.value)
+
+
+# disks that fail
+
+
+@contextmanager
+def room_for(size):
+    """A limit on the size of files stands for a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_full_disk_is_one_line_and_costs_only_what_did_not_fit(path):
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(frames(100), 1.8e9)
+        recorder.flush()
+        recorder.append(frames(100, 100), 1.8e9)
+        message = r"too large.*: recording ended, its first 100 frames are kept"
+        with room_for(path.stat().st_size + 1000), pytest.raises(RecordingError, match=message) as failure:
+            recorder.flush()
+    assert "\n" not in str(failure.value)
+    assert str(failure.value).startswith(f"{path}: ")
+    recording = read_recording(path)
+    assert recording.counts[:100].tolist() == [frame.counts.tolist() for frame in frames(100)]
+    assert len(recording.counts) < 200
+
+
+def test_a_disk_without_room_for_the_header_is_one_line(path):
+    with room_for(100), pytest.raises(RecordingError, match=r"too large: give a file on a disk that can") as failure:
+        recorder_for(path, INFO)
+    assert "\n" not in str(failure.value)
+
+
+def test_a_stalled_disk_is_one_line_and_its_frames_are_there(path, monkeypatch):
+    monkeypatch.setattr("hardware.recorder.STALL_S", 0.0)
+    with recorder_for(path, INFO) as recorder:
+        recorder.append(frames(5), 1.8e9)
+        with pytest.raises(RecordingError, match=r"the disk stalled for 0 s: recording ended, its first 5 frames"):
+            recorder.flush()
+    assert len(read_recording(path).counts) == 5
+
+
+def test_no_file_is_left_open(path):
+    before = set(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else set()
+    record(path)
+    read_recording(path)
+    record(path, append=True)
+    assert (set(os.listdir("/proc/self/fd")) if before else set()) == before
