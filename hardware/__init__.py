@@ -1,7 +1,7 @@
 """From a board's bytes to forces, live or recorded.
 
-In: a port with a board on it (`Scanner`), or a recording of one (`read_recording`), and a trained model. Out: forces over
-time (`ForceReader`, `replay`). Open `docs/frames.md` for what is on the wire, `scanner.py` for how it is read,
+In: a port with a board on it (`Scanner`), or a recording of one (`read_recording`), and a trained model. Out: forces
+over time (`ForceReader`, `replay`). Open `docs/frames.md` for what is on the wire, `scanner.py` for how it is read,
 `crossbar.py` for what the array's wiring does to it, then `live.py`. `firmware/` is the board's program;
 `virtual_board.py` and `simavr_board.py` are boards that are not there.
 """

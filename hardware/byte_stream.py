@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.measurement import counts_from_resistance
 from geometry import files
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from geometry.wiring import crossings_from_pillars
+from hardware.calibration import Electronics
 from hardware.frames import PROTOCOL, Frame, FrameDecoder, Info, encode
 from hardware.recorded import Recording, frames_of, require_same_board, skipped, unwrapped_s
 
@@ -98,9 +97,13 @@ def _require_consistent(frames: list[Frame], infos: list[Info], source: str) -> 
 
 
 def recording_from_resistances(
-    resistance_ohm: FloatArray, info: Info, first_sequence: int = 0, first_us: int = 0
+    resistance_ohm: FloatArray,
+    info: Info,
+    first_sequence: int = 0,
+    first_us: int = 0,
+    electronics: Electronics | None = None,
 ) -> bytes:
-    """The recording that an ideal board, one without crosstalk or noise, would make of known resistances.
+    """The recording that a board without noise would make of known resistances, crosstalk included.
 
     Parameters
     ----------
@@ -110,6 +113,8 @@ def recording_from_resistances(
         The board: its converter's bits and sense resistor set the counts.
     first_sequence, first_us : int
         Sequence number and device time [µs] of the first frame.
+    electronics : Electronics, optional
+        Switches, wires and amplifiers; default: the usual ones.
 
     Returns
     -------
@@ -122,12 +127,7 @@ def recording_from_resistances(
     >>> parse_recording(recording_from_resistances(np.full((5, 1, 2, 3), 10e3), info)).counts.shape
     (5, 6)
     """
-    if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (info.rows, info.cols, 3):
-        raise ValueError(
-            f"resistance_ohm has shape {resistance_ohm.shape}, expected (n, {info.rows}, {info.cols}, 3): "
-            "give info the array's rows and cols."
-        )
-    counts = counts_from_resistance(crossings_from_pillars(resistance_ohm), info.bits, info.sense_ohm)
+    counts = (electronics or Electronics()).crossbar(info).counts(resistance_ohm)
     saturated = (counts % (2**info.bits - 1) == 0).any(axis=1)  # 0 or full scale
     frames = [
         Frame(

@@ -19,7 +19,11 @@ from hardware.correction import Corrector
 from hardware.frames import ScanMode
 
 LEAST_OHM, MOST_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
-SUITED_SENSE_OHM = {ScanMode.DIVIDER: 2_200.0, ScanMode.GROUNDED: 1_000.0, ScanMode.ZERO_POTENTIAL: 4_700.0}  #: best for 10 kΩ
+SUITED_SENSE_OHM = {
+    ScanMode.DIVIDER: 2_200.0,
+    ScanMode.GROUNDED: 1_000.0,
+    ScanMode.ZERO_POTENTIAL: 4_700.0,
+}  #: best for 10 kΩ
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Tables for people: rich renderings of what the studies return."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -117,3 +118,13 @@ def _error_cells(errors: ForceErrors) -> tuple[str, str, str]:
     relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
     share = "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
     return relative, f"{errors.rmse_n:.3f}", share
+
+
+def plain_table(title: str, rows: list[dict[str, Any]]) -> Table:
+    """Rows of the same keys, numbers to four digits."""
+    table = Table(title=title)
+    for header, value in rows[0].items():
+        table.add_column(header, justify="left" if isinstance(value, str) else "right")
+    for row in rows:
+        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+    return table

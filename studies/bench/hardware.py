@@ -1,7 +1,7 @@
 """How fast and how exact the way from a board to forces is: crosstalk, recorded frames, live scans.
 
-`python -m studies.bench.hardware` prints three tables; `make bench` runs it. Everything goes through the paper's sensor,
-pressed and slid over by a round indenter.
+`python -m studies.bench.hardware` prints three tables; `make bench` runs it. The sensor is the paper's, pressed and slid
+over by a round indenter.
 """
 
 import json
@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from dataset.imperfections import Imperfections
@@ -36,7 +35,7 @@ from studies.board.link import milliseconds
 from studies.board.motion import Motion, PressAndSlide, press_and_slide
 from studies.pipeline import respond
 from studies.progress import Bars
-from studies.report import show
+from studies.report import plain_table, show
 
 BOARD_BITS = 10  #: of the ATmega's converter
 PERIODS = 5  #: of the motion in the recording
@@ -178,12 +177,7 @@ def bench(
             "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
         }
     for name, rows in found.items():
-        table = Table(title=TITLES[name])
-        for header in rows[0]:
-            table.add_column(header, justify="left" if header == "mode" else "right")
-        for row in rows:
-            table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-        show(table)
+        show(plain_table(TITLES[name], rows))
     with replacing(out) as temporary:
         temporary.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 

@@ -14,7 +14,6 @@ from geometry.layout import FloatArray
 from hardware.calibration import Electronics, SensorCalibration
 from hardware.loads import KnownLoad, read_loads, weight
 from hardware.recording import read_recording
-from hardware.scanner import Scanner
 from studies.board.session import averaged, mean_resistances, scanner_on
 
 if TYPE_CHECKING:

@@ -102,7 +102,7 @@ def record(
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Record raw counts; a killed recording loses less than a second. MCAP holds the forces too, if --model is given."""
+    """Record raw counts; a killed recording loses less than a second. MCAP holds the forces of --model, too."""
     from hardware.mcap_recorder import McapRecorder
     from hardware.recording import recorder_for
     from studies.board.session import chosen_calibration, hashes_of, scanner_on, scans, session
@@ -223,7 +223,8 @@ def calibrate(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
     loads: Annotated[
-        Path | None, typer.Option(help="CSV: load,row,col,fx_n,fy_n,fz_n; with from_s,to_s to find them in a recording.")
+        Path | None,
+        typer.Option(help="CSV: load,row,col,fx_n,fy_n,fz_n; with from_s,to_s to find them in a recording."),
     ] = None,
     weights: Annotated[bool, typer.Option("--weights", help="Type weights in grams as you put them on.")] = False,
     design: DesignOption = None,
@@ -238,7 +239,7 @@ def calibrate(
 ) -> None:
     """Find gain and offset of every pillar from known loads, by least squares; one of them should be no load at all."""
     from hardware.calibration import write_calibration
-    from studies.board.calibrating import calibrated, measured_live, measured_in_recording
+    from studies.board.calibrating import calibrated, measured_in_recording, measured_live
     from studies.pipeline import respond
 
     if (loads is None) != weights:
@@ -368,10 +369,13 @@ def bench(
     if json_:
         show_json(asdict(found))
     else:
-        from studies.report import show
-        from studies.board.view import link_table
+        from studies.report import plain_table, show
 
-        show(link_table(found))
+        link = asdict(found)
+        latency, statistics = link.pop("latency_ms") or {}, link.pop("statistics")
+        link |= {f"latency_{name}_ms": value for name, value in latency.items()}
+        show(plain_table("The board's link", [link]))
+        show(plain_table("What was met", [statistics]))
 
 
 def _electronics(known: "Electronics | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":

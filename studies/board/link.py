@@ -42,8 +42,11 @@ def measured_link(scanner: Scanner, reading: Session | None, seconds: float) -> 
         arrivals.append(scan.received_s)
         device_us.append(scan.frame.device_us)
     if len(arrivals) < 3:
-        raise ScannerError(f"{len(arrivals)} scans within {seconds:g} s are too few: {scanner.trouble or 'wait longer'}.")
-    steps_s = np.diff(np.array(device_us, dtype=np.uint32)) * 1e-6  # u32 differences wrap as the board's clock does
+        raise ScannerError(
+            f"{len(arrivals)} scans within {seconds:g} s are too few: {scanner.trouble or 'wait longer'}."
+        )
+    ticks_us = np.array(device_us, dtype=np.uint32)
+    steps_s = 1e-6 * (ticks_us[1:] - ticks_us[:-1])  # u32 differences wrap as the board's clock does
     waits_s = np.diff(arrivals)
     return Link(
         seconds=arrivals[-1] - arrivals[0],

@@ -81,7 +81,9 @@ class Session:
 
 def session(scanner: Scanner, model: Path, calibration: Path | None) -> Session:
     """Of the files of a model and of a calibration."""
-    return Session(scanner, read_model(model), None if calibration is None else chosen_calibration(calibration, scanner))
+    return Session(
+        scanner, read_model(model), None if calibration is None else chosen_calibration(calibration, scanner)
+    )
 
 
 def chosen_calibration(path: Path | None, scanner: Scanner) -> SensorCalibration:
@@ -113,9 +115,7 @@ def scans(scanner: Scanner, seconds: float) -> Iterator["Scan | None"]:
         return
 
 
-def mean_resistances(
-    scanner: Scanner, calibration: SensorCalibration, seconds: float
-) -> tuple[FloatArray, float]:
+def mean_resistances(scanner: Scanner, calibration: SensorCalibration, seconds: float) -> tuple[FloatArray, float]:
     """What the crossbar gives, (rows, cols, 3) [Ω], averaged over some seconds from now, and the readings' noise.
 
     Returns

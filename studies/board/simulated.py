@@ -55,10 +55,19 @@ def firmware_built(info: Info, folder: Path) -> tuple[Path, Path]:
         "RATE": info.rate_hz,
         "SERIAL": info.serial,
     }
-    command = ["make", "-C", str(FIRMWARE), "all", "simulator", *(f"{name}={value}" for name, value in settings.items())]
+    command = [
+        "make",
+        "-C",
+        str(FIRMWARE),
+        "all",
+        "simulator",
+        *(f"{name}={value}" for name, value in settings.items()),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        raise SimavrError(f"the firmware does not build: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}")
+        raise SimavrError(
+            f"the firmware does not build: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}"
+        )
     return folder, folder / "simavr-board"
 
 

@@ -127,5 +127,6 @@ def test_the_flag_says_which_scans_saturate():
     resistance_ohm = resistances_of(4)
     resistance_ohm[1, 0, 2, 1] = 1e9  # open
     resistance_ohm[3, 1, 0, 0] = 0.0  # short
-    recording = parse_recording(recording_from_resistances(resistance_ohm, INFO))
-    assert recording.flags.tolist() == [0, 1, 0, 1]
+    info = replace(INFO, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_000)  # a divider sees ways around what is open
+    recording = parse_recording(recording_from_resistances(resistance_ohm, info))
+    assert recording.flags.tolist() == [4, 5, 4, 5]
