@@ -62,7 +62,7 @@ class Frame:
                 f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (n,) "
                 f"with n from 1 to {_MAX_COUNT}: one count a populated crossing."
             )
-        if (counts >> self.bits).any():  # quicker than min and max, and also true for any count below 0
+        if np.bitwise_or.reduce(counts) >> self.bits:  # quicker than min and max, and also true for any count below 0
             raise FrameError(
                 f"counts run from {counts.min()} to {counts.max()}, but {self.bits} bits hold "
                 f"0 to {2**self.bits - 1}: clip the counts or raise bits."

@@ -66,7 +66,6 @@ class VirtualBoard:
         self._fds: tuple[int, int] | None = None  # of the host's end, which only stays open, and of the board's
         self._garbage: deque[bytes] = deque()
         self._digits: bytes | None = None  # of a rate command that has begun
-        self._stalled_until_s = 0.0
         self._work: deque[tuple[Callable[[], None], threading.Event]] = deque()
         self._error: BaseException | None = None
         self._running = True
@@ -106,7 +105,7 @@ class VirtualBoard:
 
     def stall(self, seconds: float) -> None:
         """Hang for some time: nothing is sent, nothing is answered, scans are missed; the clock runs on."""
-        self._do(lambda: setattr(self, "_stalled_until_s", time.perf_counter() + seconds))
+        self._do(lambda: self._hang(seconds))
 
     def unplug(self) -> None:
         """Take the port away. The board runs on, and its frames are lost."""
@@ -117,7 +116,7 @@ class VirtualBoard:
         self._do(self._connect)
 
     def restart(self) -> None:
-        """Begin again from sequence 0 and time 0, as after a reset."""
+        """Begin again from sequence 0 and time 0, as after a reset; that also ends a stall."""
         self._do(self._boot)
 
     def garble(self, garbage: bytes, n_frames: int = 1) -> None:
@@ -136,21 +135,20 @@ class VirtualBoard:
     def _run(self) -> None:
         try:
             while self._running:
-                self._listen(max(self._due_s - time.perf_counter(), 0.0))
+                self._listen()
                 now_s = time.perf_counter()
-                if now_s >= self._due_s and now_s >= self._stalled_until_s:
+                if now_s >= max(self._due_s, self._stalled_until_s):
                     self._scan(now_s)
         except BaseException as error:
             self._error = error
         finally:
             self._running = False
 
-    def _listen(self, wait_s: float) -> None:
+    def _listen(self) -> None:
         """Wait for the host, for work, or for the next scan to be due."""
-        is_stalled = time.perf_counter() < self._stalled_until_s
-        if is_stalled:
-            wait_s = self._stalled_until_s - time.perf_counter()
-        hears = [] if self._fds is None or is_stalled else [self._fds[1]]
+        now_s = time.perf_counter()
+        hears = [] if self._fds is None or now_s < self._stalled_until_s else [self._fds[1]]
+        wait_s = max(self._due_s, self._stalled_until_s) - now_s
         ready, _, _ = select.select([self._wake_read, *hears], [], [], max(wait_s, 0.0))
         if self._wake_read in ready:
             os.read(self._wake_read, 1)
@@ -222,8 +220,12 @@ class VirtualBoard:
             n_sent = 0
         self.dropped_bytes += len(wire) - n_sent
 
+    def _hang(self, seconds: float) -> None:
+        self._stalled_until_s = time.perf_counter() + seconds
+
     def _boot(self) -> None:
         self._number = self._overruns = 0
+        self._stalled_until_s = 0.0
         self._started_s = self._due_s = time.perf_counter()
 
     def _become(self, info: Info | None) -> None:
@@ -247,8 +249,8 @@ class VirtualBoard:
     def _disconnect(self) -> None:
         if self._fds is None:
             return
-        if self._link:
-            self._link.unlink(missing_ok=True)
+        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._port:  # not another board's
+            self._link.unlink()
         for fd in self._fds:
             os.close(fd)
         self._fds = None

@@ -1,8 +1,13 @@
 """A table of faults: each has one outcome, is counted, and scans come again within a second of its end."""
 
 import os
+import socket
+import subprocess
+import sys
+import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +18,7 @@ from hardware.scanner import Scanner, ScannerError
 from hardware.virtual_board import VirtualBoard
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
 
+ROOT = Path(__file__).parents[2]
 RESUMES_S = 1.0
 TIMEOUT_S = 0.5  # of those scanners that are to notice a stall; 2 s by default
 
@@ -103,15 +109,44 @@ def test_an_open_port_that_was_given_cannot_be_reopened(board):
 
 
 def test_killed_and_started_again(link):
-    with VirtualBoard(COUNTS, INFO, link=link) as first, Scanner(str(link)) as scanner:
-        assert scanner.get(1)
-        first.close()
-        wait_until(lambda: scanner.trouble)
-        with VirtualBoard(COUNTS, replace(INFO, firmware=(2, 0, 0)), link=link):  # and with new firmware meanwhile
-            assert_resumes(scanner)
-            assert scanner.info.firmware == (2, 0, 0)
+    """A board's process dies at once, leaves its link behind, and another one, of newer firmware, takes over."""
+    program = (
+        "import sys; from hardware.virtual_board import VirtualBoard; from tests.hardware.boards import COUNTS, INFO\n"
+        "VirtualBoard(COUNTS, INFO, link=sys.argv[1]); print('ready', flush=True); sys.stdin.read()"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", program, link], cwd=ROOT, **pipes) as first:
+        assert first.stdout.readline() == "ready\n"
+        with Scanner(str(link)) as scanner:
+            assert scanner.get(1)
+            first.kill()
+            wait_until(lambda: scanner.trouble)
+            with VirtualBoard(COUNTS, replace(INFO, firmware=(2, 0, 0)), link=link):
+                assert_resumes(scanner)
+                assert scanner.info.firmware == (2, 0, 0)
+                assert scanner.stats.reconnects == 1
+                assert scanner.stats.foreign == 0
+
+
+def test_a_server_that_goes_and_comes_back():
+    """As of a board on the network: two connections one after the other."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve(first):
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(1)
+                connection.sendall(encode(INFO) + a_wire(first) + a_wire(first + 1))
+                connection.recv(1)  # a request, or the scanner closes
+
+        board = threading.Thread(target=lambda: [serve(0), serve(2)])
+        board.start()
+        with Scanner(f"socket://127.0.0.1:{server.getsockname()[1]}") as scanner:
+            assert [scanner.get(1).frame.sequence for _ in range(2)] == [0, 1]
+            scanner.request(b"?")  # answered by the second connection
+            assert [scanner.get(1).frame.sequence for _ in range(2)] == [2, 3]
             assert scanner.stats.reconnects == 1
-            assert scanner.stats.foreign == 0
+        board.join()
 
 
 def test_restarted_in_mid_stream(board, scanner):
@@ -307,10 +342,12 @@ def test_frames_that_the_info_does_not_fit():
 
 def test_a_mute_board_after_reconnecting_is_trouble(board):
     """Frames without INFO may be anybody's."""
-    ports = [ScriptedPort(encode(INFO), a_wire(0), PortError("gone")), ScriptedPort(a_wire(1), a_wire(2), finite=False)]
+    first = ScriptedPort(encode(INFO), a_wire(0), PortError("gone"))
+    ports = [first, ScriptedPort(a_wire(1), a_wire(2), finite=False)]
     with Scanner("scripted", opener=lambda url, **options: ports.pop(0)) as scanner:
         assert scanner.get(1).frame.sequence == 0
         wait_until(lambda: scanner.stats.ok == 3)
+        assert not first.is_open
         assert scanner.trouble.startswith("frames but no INFO")
         assert scanner.get(0) is None
         assert scanner.stats.reconnects == 1

@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import termios
 import tty
 from contextlib import contextmanager
 
@@ -143,7 +144,13 @@ def test_a_closed_port_is_gone():
 
 
 @pytest.mark.parametrize(
-    "fault", [TypeError("fd is None"), ValueError("fd is -1"), serial.SerialException("read failed")]
+    "fault",
+    [
+        TypeError("fd is None"),
+        termios.error(5, "I/O error"),
+        ValueError("fd is -1"),
+        serial.SerialException("read failed"),
+    ],
 )
 def test_whatever_a_broken_port_raises_is_one_error(fault):
     class Broken:
