@@ -6,6 +6,7 @@ empty, the others hold one pillar each. A board sends the populated crossings ro
 rising column wire, then along row wire 1, and so on.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,8 +46,12 @@ def pillars_from_crossings(values: NDArray[Any], rows: int, cols: int) -> NDArra
             f"values has shape {values.shape}, expected (..., {n_crossings}) for {rows} × {cols} units: "
             "three crossings a unit on the last axis."
         )
-    crossing_of_pillar = np.argsort(pillar_of_crossing(rows, cols))
-    return values[..., crossing_of_pillar].reshape(*values.shape[:-1], rows, cols, len(PILLARS))
+    return values[..., _crossing_of_pillar(rows, cols)].reshape(*values.shape[:-1], rows, cols, len(PILLARS))
+
+
+@cache  # a live scan is rearranged every few milliseconds
+def _crossing_of_pillar(rows: int, cols: int) -> NDArray[np.intp]:
+    return np.argsort(pillar_of_crossing(rows, cols))
 
 
 def crossings_from_pillars(values: NDArray[Any]) -> NDArray[Any]:

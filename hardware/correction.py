@@ -15,7 +15,8 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from hardware.crossbar import Crossbar
 
-TOLERANCE = 1e-6  #: of every apparent conductance, relative; a 16-bit converter's step is 1.5e-5
+STEP_SHARE = 0.01  #: of the converter's step, to which apparent conductances are met, relative to full scale
+EXACT = 1e-9  #: the same where there is no converter
 CHORD_STEPS = 5  #: with the kept Jacobian before a scan gets its own
 STALE_STEPS = 2  #: after which the kept Jacobian is made anew
 NEWTON_STEPS = 25  #: at most; readings that no network gives, such as noise about an open circuit, end here
@@ -36,11 +37,13 @@ class _Tangent:
 class Corrector:
     """`Crossbar.correct` for one scan after another: what it keeps of one makes the next quicker, not different.
 
-    Results agree with those of `Crossbar.correct` to `TOLERANCE` and a little more. Not for several threads at once.
+    Results agree with those of `Crossbar.correct` to a few hundredths of the converter's step. Not for several threads
+    at once.
     """
 
     def __init__(self, crossbar: "Crossbar") -> None:
         self.crossbar = crossbar
+        self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
         self._tangent: _Tangent | None = None
 
     def correct(self, readings: FloatArray) -> FloatArray:
@@ -64,7 +67,7 @@ class Corrector:
         unsettled = np.arange(len(u))
         for step in range(CHORD_STEPS):
             missing: FloatArray = wanted[unsettled] - self._log_apparent(u[unsettled])
-            is_off = (np.abs(missing) > TOLERANCE).any(axis=1)
+            is_off = (np.abs(missing) > self.tolerance).any(axis=1)
             unsettled, missing = unsettled[is_off], missing[is_off]
             if not len(unsettled):
                 return u
@@ -80,7 +83,7 @@ class Corrector:
         for _ in range(NEWTON_STEPS):
             apparent, jacobian = self._jacobian(u)
             missing = wanted - apparent
-            if (np.abs(missing) <= TOLERANCE).all():
+            if (np.abs(missing) <= self.tolerance).all():
                 break
             u = _stepped(u, np.asarray(np.linalg.solve(jacobian, missing[..., None])[..., 0], dtype=np.float64))
         return u

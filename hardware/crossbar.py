@@ -80,6 +80,12 @@ class Crossbar:
         return row_wire, 2 * self.rows + column_wire
 
     @cached_property
+    def _same_wire(self) -> tuple[FloatArray, FloatArray]:
+        """Which crossings share a row wire, and which a column wire: 1 or 0, each (n_crossings, n_crossings)."""
+        row, column = ((wire[:, None] == wire).astype(np.float64) for wire in self.ends)
+        return row, column
+
+    @cached_property
     def series_ohm(self) -> FloatArray:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
@@ -132,7 +138,7 @@ class Crossbar:
         """
         if self.full_scale is None:
             raise DesignError("bits=None reads exactly and has no counts: give the converter's bits.")
-        inside = np.clip(counts, 1, self.full_scale - 1)
+        inside = np.minimum(np.maximum(counts, 1), self.full_scale - 1)
         return inside / self.full_scale, inside != counts
 
     def correct(self, readings: FloatArray) -> FloatArray:
@@ -177,18 +183,17 @@ class Crossbar:
         return self.scan_mode == ScanMode.ZERO_POTENTIAL
 
     def first_guess(self, apparent: FloatArray) -> FloatArray:
-        """g from y in closed form; exact for GROUNDED without series resistance, and for ZERO_POTENTIAL if columns
-        are held at 0 V exactly."""
+        """g from y in closed form; exact for GROUNDED without series resistance, and for ZERO_POTENTIAL if columns are
+        held at 0 V exactly."""
         if self.scan_mode == ScanMode.DIVIDER:  # as if all pillars were alike: the equal ones of the same mean
             alike = np.full((1, apparent.shape[1]), 1e-4)
             return apparent * (alike / self.apparent_of(alike))
-        row, column = self.ends
-        g = apparent
-        if self.scan_mode == ScanMode.GROUNDED:
-            share = self.sense_ohm * _sums(g, column)
-            g = g / np.maximum(1.0 - share, 1e-3)
-        share = self.series_ohm[0] * _sums(g, row)
-        return g / np.maximum(1.0 - share, 1e-3)
+        same_row, same_column = self._same_wire
+        by_row, by_column = apparent @ same_row, apparent @ same_column
+        load_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
+        lost_by_row = self.series_ohm[0] * by_row  # shares of a wire's voltage
+        lost_by_column = (self.series_ohm[-1] + load_ohm) * by_column
+        return apparent / np.maximum((1.0 - lost_by_row) * (1.0 - lost_by_column), 1e-3)
 
     def apparent_of(self, conductance: FloatArray) -> FloatArray:
         """y of pillars' conductances: the nodal analysis."""
@@ -293,9 +298,3 @@ class CrossbarReadout:
                     "that pillars stay inside its range."
                 )
         return crossbar.correct(x) if self.corrected else crossbar.uncorrected(x)
-
-
-def _sums(values: FloatArray, wire: NDArray[np.intp]) -> FloatArray:
-    """Of every crossing, the sum of values (n, n_crossings) over all crossings on its wire."""
-    same: FloatArray = (wire[:, None] == wire).astype(np.float64)
-    return values @ same

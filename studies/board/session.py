@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from decoupler.decoupler import Decoupler
 from decoupler.model_file import read_model
@@ -34,7 +35,8 @@ def scanner_on(port: str, speed: float = 1.0, **settings: Any) -> Iterator[Scann
     source: Any = port
     if Path(port).is_file():
         source = PlaybackPort(read_recording(Path(port)), speed=speed)
-    with Scanner(source, **settings) as scanner:
+    # one scan's matrices are too small for two BLAS threads to share
+    with threadpool_limits(1, "blas"), Scanner(source, **settings) as scanner:
         yield scanner
 
 
