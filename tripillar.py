@@ -184,6 +184,16 @@ def dataset(
     dead_pillar: Annotated[list[str] | None, typer.Option(help="Broken pillar as row,col,pillar; repeatable.")] = None,
     dead_row: Annotated[list[int] | None, typer.Option(help="Broken row wire: 2i U1, 2i+1 U2; repeatable.")] = None,
     dead_col: Annotated[list[int] | None, typer.Option(help="Broken column wire: 2j L1, 2j+1 L2; repeatable.")] = None,
+    crossbar: Annotated[
+        Literal["zero-potential", "grounded", "divider"] | None,
+        typer.Option(help="Read through a crossbar, as a board does; default: each pillar alone."),
+    ] = None,
+    sense_ohm: Annotated[
+        float | None, typer.Option(help="The crossbar's sense or feedback resistor [Ω]; default: suits 10 kΩ.")
+    ] = None,
+    switch_ohm: Annotated[float, typer.Option(help="Its closed switches [Ω].")] = 25.0,
+    line_ohm: Annotated[float, typer.Option(help="Its wires to the pillars [Ω].")] = 0.0,
+    correct: Annotated[bool, typer.Option(help="Take its crosstalk out again, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
@@ -210,10 +220,24 @@ def dataset(
     )
     sensor = chosen(design)
     settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
+    readout = None
+    if crossbar is not None:
+        from hardware.crossbar import Crossbar, CrossbarReadout, scan_mode_named
+
+        wired = Crossbar.suited(
+            scan_mode_named(crossbar),
+            rows=sensor.array.rows,
+            cols=sensor.array.cols,
+            sense_ohm=sense_ohm,
+            switch_ohm=switch_ohm,
+            line_ohm=line_ohm,
+            bits=bits,
+        )
+        readout = CrossbarReadout(crossbar=wired, corrected=correct)
     with progress_bars(quiet) as bars:
         _, solved = respond(sensor, bars)
         advance = bars.begin("dataset", total=samples)
-        data = simulate(solved, settings, lambda n: advance(n, ""))
+        data = simulate(solved, settings, lambda n: advance(n, ""), readout)
     write_dataset(data, out)
     redrawn = data.made_from["redrawn"]
     if json_:

@@ -26,6 +26,11 @@ SUITED_SENSE_OHM = {
 }  #: best for 10 kΩ
 
 
+def scan_mode_named(name: str) -> ScanMode:
+    """The scan mode that commands call divider, grounded or zero-potential."""
+    return ScanMode[name.upper().replace("-", "_")]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Crossbar:
     """An array of pillars between row and column wires, and the electronics that read it.
@@ -67,6 +72,13 @@ class Crossbar:
                 raise DesignError(f"{name}={getattr(self, name):g} must be from {low:g} to {high:g}.")
         if self.bits is not None and not (isinstance(self.bits, int) and 8 <= self.bits <= 16):
             raise DesignError(f"bits={self.bits!r} must be from 8 to 16; leave it out for exact readings.")
+
+    @classmethod
+    def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
+        """With the sense resistor that suits pillars of 10 kΩ, unless another is given."""
+        return cls(
+            scan_mode=scan_mode, sense_ohm=SUITED_SENSE_OHM[scan_mode] if sense_ohm is None else sense_ohm, **settings
+        )
 
     @property
     def full_scale(self) -> int | None:

@@ -1,7 +1,7 @@
 """How fast and how exact the way from a board to forces is: crosstalk, recorded frames, live scans.
 
-`python -m studies.bench.hardware` prints three tables; `make bench` runs it. The sensor is the paper's, pressed and slid
-over by a round indenter.
+`python -m studies.bench.hardware` prints three tables; `make bench` runs it. The sensor is the paper's, pressed and
+slid over by a round indenter.
 """
 
 import json
@@ -64,9 +64,7 @@ class Crosstalk:
 def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> Crosstalk:
     """Errors and times of one read-out over a motion."""
     rows, cols = motion.resistance_ohm.shape[1:3]
-    crossbar = Crossbar(
-        rows=rows, cols=cols, scan_mode=mode, sense_ohm=SUITED_SENSE_OHM[mode], switch_ohm=switch_ohm, bits=bits
-    )
+    crossbar = Crossbar.suited(mode, rows=rows, cols=cols, switch_ohm=switch_ohm, bits=bits)
     exact = motion.resistance_ohm
     readings, _ = crossbar.fractions(crossbar.counts(exact))
     start = time.perf_counter()

@@ -304,13 +304,13 @@ def simulate(
 ) -> None:
     """Be a board: the firmware on a simulated chip where simavr is installed, on a pseudo-terminal."""
     from dataset.imperfections import Imperfections
-    from hardware.crossbar import SUITED_SENSE_OHM
-    from hardware.frames import Info, ScanMode
+    from hardware.crossbar import SUITED_SENSE_OHM, scan_mode_named
+    from hardware.frames import Info
     from hardware.simavr_board import find_tools
     from studies.board.motion import PressAndSlide, press_and_slide, scene_motion, write_truth
     from studies.board.simulated import counts_over_time, simulated
 
-    scan_mode = ScanMode[mode.upper().replace("-", "_")]
+    scan_mode = scan_mode_named(mode)
     electronics = _electronics(None, switch_ohm, line_ohm)
     kind: Any = board_
     if kind == "auto":

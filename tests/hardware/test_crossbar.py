@@ -9,7 +9,7 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
 from hardware.correction import Corrector
-from hardware.crossbar import SUITED_SENSE_OHM, Crossbar, CrossbarReadout
+from hardware.crossbar import Crossbar, CrossbarReadout
 from hardware.frames import ScanMode
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
@@ -23,7 +23,7 @@ def pressed(n, rows=6, cols=6, seed=0):
 
 
 def crossbar_of(mode, **settings):
-    return Crossbar(**{"scan_mode": mode, "sense_ohm": SUITED_SENSE_OHM[mode], "bits": 12} | settings)
+    return Crossbar.suited(mode, **{"bits": 12} | settings)
 
 
 def kirchhoff(crossbar, resistance_ohm):
@@ -156,7 +156,7 @@ def test_derivatives_are_those_of_differences(mode):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_one_scan_after_another_gives_what_all_at_once_give(mode):
-    """To a hundredth of a step, 2.4e-6 of full scale, for both; a plain divider's inverse amplifies it some 20 times."""
+    """To a hundredth of a step, 2.4e-6 of full scale, for both; a plain divider's inverse amplifies it 20-fold."""
     crossbar = crossbar_of(mode)
     readings, _ = crossbar.fractions(crossbar.counts(pressed(30)))
     together, alone = crossbar.correct(readings), Corrector(crossbar)
