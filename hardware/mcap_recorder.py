@@ -81,14 +81,13 @@ class McapRecorder(FrameRecorder):
                     f"{name} has shape {values.shape}, expected finite values of shape "
                     f"{(info.rows, info.cols, len(axes))}: give one force a unit and axis."
                 )
+        unknown: list[list[list[float]]] = [[[]] * info.cols] * info.rows
+        force = force_n.round(6).tolist()
+        deviation = unknown if deviation_n is None else deviation_n.round(6).tolist()
         units = [
-            {
-                "row": i,
-                "col": j,
-                "force_n": force_n[i, j].round(6).tolist(),
-                "deviation_n": [] if deviation_n is None else deviation_n[i, j].round(6).tolist(),
-            }
-            for i, j in np.ndindex(info.rows, info.cols)
+            {"row": i, "col": j, "force_n": force[i][j], "deviation_n": deviation[i][j]}
+            for i in range(info.rows)
+            for j in range(info.cols)
         ]
         message = {"time": time_s, "rows": info.rows, "cols": info.cols, "axes": list(axes), "units": units}
         self._forces.append((_nanoseconds(time_s), message))
