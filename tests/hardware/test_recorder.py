@@ -1,4 +1,4 @@
-"""Recorders of both kinds: what was recorded is read, files are continued, and what is refused is refused in one line."""
+"""Recorders of both kinds: what was recorded is read, files are continued, the rest is refused in one line."""
 
 import time
 from dataclasses import replace
