@@ -122,7 +122,7 @@ class McapContent:
             elif isinstance(record, Message) and topics.get(record.channel_id) in SCHEMAS:
                 yield topics[record.channel_id], record
             elif isinstance(record, Metadata) and record.name == STATISTICS:
-                self.statistics = {name: int(value) for name, value in record.metadata.items()}
+                self.statistics = {name: int(value) for name, value in record.metadata.items() if value.isdigit()}
 
     def _records(self) -> Iterator[Any]:
         """Channels, messages and metadata up to the end of the data, those inside chunks among them."""

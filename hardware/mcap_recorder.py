@@ -39,7 +39,6 @@ class McapRecorder(FrameRecorder):
     def _create(self) -> None:
         require_mcap()
         self._start(self.path.open("xb"))
-        self._message(INFO, 0, 0, self.header.plain())
         self._write([], [])
 
     def _continue(self) -> None:
@@ -81,20 +80,21 @@ class McapRecorder(FrameRecorder):
                     f"{name} has shape {values.shape}, expected finite values of shape "
                     f"{(info.rows, info.cols, len(axes))}: give one force a unit and axis."
                 )
+        unknown: list[list[list[float]]] = [[[]] * info.cols] * info.rows
+        force = force_n.round(6).tolist()
+        deviation = unknown if deviation_n is None else deviation_n.round(6).tolist()
         units = [
-            {
-                "row": i,
-                "col": j,
-                "force_n": force_n[i, j].round(6).tolist(),
-                "deviation_n": [] if deviation_n is None else deviation_n[i, j].round(6).tolist(),
-            }
-            for i, j in np.ndindex(info.rows, info.cols)
+            {"row": i, "col": j, "force_n": force[i][j], "deviation_n": deviation[i][j]}
+            for i in range(info.rows)
+            for j in range(info.cols)
         ]
         message = {"time": time_s, "rows": info.rows, "cols": info.cols, "axes": list(axes), "units": units}
         self._forces.append((_nanoseconds(time_s), message))
         self._flush_if_due()
 
     def _write(self, frames: Sequence[Frame], received_s: Sequence[float]) -> None:
+        if received_s or self._forces:
+            self._add_info(_nanoseconds(received_s[0]) if received_s else self._forces[0][0])
         for frame, arrival in zip(frames, received_s, strict=True):
             scan = {
                 "sequence": frame.sequence,
@@ -109,6 +109,11 @@ class McapRecorder(FrameRecorder):
         self._forces.clear()
         self._writer.flush()
 
+    def _add_info(self, log_ns: int) -> None:
+        """The header, with the time of the first frame: viewers draw their time axis from the first message on."""
+        if INFO not in self._channels:
+            self._message(INFO, log_ns, log_ns, self.header.plain())
+
     def _message(self, topic: str, log_ns: int, publish_ns: int, content: dict[str, Any], sequence: int = 0) -> None:
         data = json.dumps(content, separators=(",", ":")).encode()
         self._writer.add_message(self._channel(topic), log_ns, data, publish_ns, sequence)
@@ -121,6 +126,7 @@ class McapRecorder(FrameRecorder):
         return self._channels[topic]
 
     def _end(self, statistics: Statistics | None) -> None:
+        self._add_info(0)  # if there was nothing to record
         counted = asdict(statistics) if statistics else {}
         total = {name: str(self._before.get(name, 0) + counted.get(name, 0)) for name in self._before | counted}
         if total:

@@ -1,11 +1,14 @@
 """Boards and the frames they send, for tests of what becomes of these."""
 
 from dataclasses import asdict
+from importlib.util import find_spec
 
 import numpy as np
+import pytest
 
 from hardware.frames import Frame, Info, ScanMode
 
+KINDS = [".nc", pytest.param(".mcap", marks=pytest.mark.skipif(not find_spec("mcap"), reason="needs mcap"))]
 INFO = Info(
     rows=2,
     cols=3,
