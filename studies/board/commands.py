@@ -103,8 +103,8 @@ def record(
     quiet: QuietOption = False,
 ) -> None:
     """Record raw counts; a killed recording loses less than a second. MCAP holds the forces of --model, too."""
-    from hardware.mcap_recorder import McapRecorder
     from hardware.recording import recorder_for
+    from hardware.recording.mcap_recorder import McapRecorder
     from studies.board.session import chosen_calibration, hashes_of, scanner_on, scans, session
 
     with scanner_on(port, baud=baud, timeout=timeout) as scanner:
@@ -173,7 +173,7 @@ def replay(
     replayed = replay_frames(recorded, decoupler, own, crosstalk)
     frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
     if out is not None and out.suffix == ".mcap":
-        from hardware.mcap_export import export_mcap
+        from hardware.recording.mcap_export import export_mcap
 
         export_mcap(recorded, replayed, out, decoupler.component.axes)
     elif out is not None:

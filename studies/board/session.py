@@ -18,8 +18,8 @@ from geometry.layout import FloatArray
 from hardware.calibration import SensorCalibration, read_calibration
 from hardware.frames import Info
 from hardware.live import ForceReader
-from hardware.playback import PlaybackPort
 from hardware.recording import read_recording
+from hardware.recording.playback import PlaybackPort
 from hardware.scanner import Scanner, ScannerError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.calibration import Electronics
 from hardware.frames import PROTOCOL, Frame, FrameDecoder, Info, encode
-from hardware.recorded import Recording, frames_of, require_same_board, skipped, unwrapped_s
+from hardware.recording.recorded import Recording, frames_of, require_same_board, skipped, unwrapped_s
 
 _STEP = 2**20  # bytes handed to the decoder at a time, lest the pieces it cuts them into fill the memory
 

@@ -14,8 +14,8 @@ from typing import Self
 from geometry.errors import FileFormatError, TriPillarError
 from geometry.files import uninterrupted
 from hardware.frames import Frame, Info, Statistics
-from hardware.recorded import require_same_board
-from hardware.recording_header import Header
+from hardware.recording.header import Header
+from hardware.recording.recorded import require_same_board
 
 FLUSH_S = 0.5  #: frames wait no longer than this for the disk, as long as `append` is called
 STALL_S = 10.0  #: a disk that takes longer for half a second of frames is given up

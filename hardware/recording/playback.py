@@ -10,7 +10,7 @@ import numpy as np
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from hardware.frames import encode
-from hardware.recorded import Recording, frames_of, is_restart
+from hardware.recording.recorded import Recording, frames_of, is_restart
 
 _CAPACITY = 4096  # bytes that wait at most, as in a serial driver; here the others wait behind them and are not lost
 

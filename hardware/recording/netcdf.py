@@ -15,9 +15,9 @@ import numpy as np
 from geometry.errors import FileFormatError
 from geometry.files import uninterrupted
 from hardware.frames import Frame, Statistics
-from hardware.recorded import Recording, assemble
-from hardware.recorder import FrameRecorder
-from hardware.recording_header import Header, read_header
+from hardware.recording.header import Header, read_header
+from hardware.recording.recorded import Recording, assemble
+from hardware.recording.recorder import FrameRecorder
 
 _COLUMNS = {  # variable: (type, attributes), on the dimension frame
     "counts": ("u2", {"long_name": "counts in the order of the wires"}),

@@ -14,9 +14,9 @@ import numpy as np
 from geometry.files import replacing
 from geometry.layout import FloatArray
 from hardware.frames import Frame, Statistics
-from hardware.mcap_reader import STATISTICS, McapContent, require_mcap
-from hardware.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
-from hardware.recorder import FrameRecorder
+from hardware.recording.mcap_reader import STATISTICS, McapContent, require_mcap
+from hardware.recording.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
+from hardware.recording.recorder import FrameRecorder
 
 
 class McapRecorder(FrameRecorder):

@@ -7,13 +7,13 @@ compares the kinds; `recorded.py` holds what they have in common, and each has a
 from pathlib import Path
 
 from geometry.errors import FileFormatError
-from hardware.byte_stream import parse_recording, recording_bytes, recording_from_resistances, write_recording
 from hardware.frames import Info
-from hardware.mcap_reader import MAGIC as _MCAP
-from hardware.mcap_reader import read_mcap_recording
-from hardware.mcap_recorder import McapRecorder
-from hardware.netcdf_recording import Recorder, read_netcdf_recording
-from hardware.recorded import Recording
+from hardware.recording.byte_stream import parse_recording, recording_bytes, recording_from_resistances, write_recording
+from hardware.recording.mcap_reader import MAGIC as _MCAP
+from hardware.recording.mcap_reader import read_mcap_recording
+from hardware.recording.mcap_recorder import McapRecorder
+from hardware.recording.netcdf import Recorder, read_netcdf_recording
+from hardware.recording.recorded import Recording
 
 __all__ = [
     "Recording",

@@ -4,8 +4,8 @@ from itertools import islice
 from pathlib import Path
 
 from geometry.files import replacing
-from hardware.mcap_recorder import McapRecorder
-from hardware.recorded import Recording, frames_of
+from hardware.recording.mcap_recorder import McapRecorder
+from hardware.recording.recorded import Recording, frames_of
 from hardware.replay import Replay
 
 _STEP = 256  # frames, then their forces: messages of one time stay together in the file

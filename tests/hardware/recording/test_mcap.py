@@ -9,14 +9,14 @@ import pytest
 
 from geometry.errors import FileFormatError
 from hardware.frames import Info, Statistics
-from hardware.mcap_export import export_mcap
-from hardware.mcap_reader import MissingMcapError
-from hardware.mcap_recorder import McapRecorder
-from hardware.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
 from hardware.recording import parse_recording, read_recording, recorder_for, recording_from_resistances
+from hardware.recording.mcap_export import export_mcap
+from hardware.recording.mcap_reader import MissingMcapError
+from hardware.recording.mcap_recorder import McapRecorder
+from hardware.recording.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
 from hardware.replay import Replay
-from tests.hardware.recorded_frames import CALIBRATION, MADE_FROM, arrivals, assert_same, frames
-from tests.hardware.recorded_frames import INFO as BOARD
+from tests.hardware.recording.recorded_frames import CALIBRATION, MADE_FROM, arrivals, assert_same, frames
+from tests.hardware.recording.recorded_frames import INFO as BOARD
 
 reader = pytest.importorskip("mcap.reader")
 

@@ -9,9 +9,18 @@ import pytest
 
 from geometry.errors import FileFormatError
 from hardware.frames import FrameDecoder, Info, Statistics, encode
-from hardware.recorder import RecordingError
 from hardware.recording import parse_recording, read_recording, recorder_for, recording_bytes
-from tests.hardware.recorded_frames import CALIBRATION, INFO, KINDS, MADE_FROM, arrivals, assert_same, frames, without_info
+from hardware.recording.recorder import RecordingError
+from tests.hardware.recording.recorded_frames import (
+    CALIBRATION,
+    INFO,
+    KINDS,
+    MADE_FROM,
+    arrivals,
+    assert_same,
+    frames,
+    without_info,
+)
 
 
 @pytest.fixture(params=KINDS)

@@ -5,9 +5,9 @@ import pytest
 
 from geometry.errors import FileFormatError
 from hardware.frames import Statistics
-from hardware.netcdf_recording import Recorder
 from hardware.recording import read_recording
-from tests.hardware.recorded_frames import CALIBRATION, INFO, MADE_FROM, arrivals, assert_same, frames
+from hardware.recording.netcdf import Recorder
+from tests.hardware.recording.recorded_frames import CALIBRATION, INFO, MADE_FROM, arrivals, assert_same, frames
 
 RECORD = 36 + 4 + 4 + 4 + 4 + 8  # bytes a frame of 18 counts: each variable takes a multiple of four
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from geometry.errors import FileFormatError, TriPillarError
 from hardware.frames import Statistics
-from hardware.mcap_schemas import INFO, SCAN, SCHEMAS
-from hardware.recorded import Recording, assemble
-from hardware.recording_header import Header, read_header
+from hardware.recording.header import Header, read_header
+from hardware.recording.mcap_schemas import INFO, SCAN, SCHEMAS
+from hardware.recording.recorded import Recording, assemble
 
 if TYPE_CHECKING:
     from mcap.data_stream import ReadDataStream

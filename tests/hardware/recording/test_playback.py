@@ -9,9 +9,9 @@ import pytest
 
 from geometry.errors import DesignError
 from hardware.frames import Frame, FrameDecoder, Info, encode
-from hardware.playback import PlaybackPort
 from hardware.recording import parse_recording, recording_bytes
-from tests.hardware.recorded_frames import frames
+from hardware.recording.playback import PlaybackPort
+from tests.hardware.recording.recorded_frames import frames
 
 INFO = Info(rows=1, cols=2, bits=10, rate_hz=100)
 SIZE = len(encode(frames(1, info=INFO)[0]))  # bytes a frame

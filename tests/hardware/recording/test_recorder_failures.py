@@ -13,11 +13,11 @@ import numpy as np
 import psutil
 import pytest
 
-from hardware.recorder import RecordingError
 from hardware.recording import read_recording, recorder_for
-from tests.hardware.recorded_frames import INFO, KINDS, assert_same, frames
+from hardware.recording.recorder import RecordingError
+from tests.hardware.recording.recorded_frames import INFO, KINDS, assert_same, frames
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(params=KINDS)
@@ -27,7 +27,7 @@ def path(request, tmp_path):
 
 def test_frames_are_on_disk_half_a_second_later_even_if_no_more_come(path, monkeypatch):
     clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr("hardware.recorder.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("hardware.recording.recorder.time", SimpleNamespace(monotonic=lambda: clock.now))
     with recorder_for(path, INFO) as recorder:
         recorder.append(frames(3), 1.8e9)
         assert recorder.frames == 0
@@ -41,7 +41,7 @@ RECORDER = """
 import os, sys, time
 from pathlib import Path
 from hardware.recording import recorder_for
-from tests.hardware.recorded_frames import INFO, frames
+from tests.hardware.recording.recorded_frames import INFO, frames
 recorder = recorder_for(Path(sys.argv[1]), INFO)
 k = 0
 while True:
@@ -124,7 +124,7 @@ def test_a_disk_without_room_for_the_header_is_one_line(path):
 
 
 def test_a_stalled_disk_is_one_line_and_its_frames_are_there(path, monkeypatch):
-    monkeypatch.setattr("hardware.recorder.STALL_S", 0.0)
+    monkeypatch.setattr("hardware.recording.recorder.STALL_S", 0.0)
     with recorder_for(path, INFO) as recorder:
         recorder.append(frames(5), 1.8e9)
         with pytest.raises(RecordingError, match=r"the disk stalled for 0 s: recording ended, its first 5 frames"):
