@@ -1,12 +1,9 @@
 """The command line as a person uses it: real processes, a small sensor, real files."""
 
-import json
-import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import netCDF4
 import numpy as np
@@ -15,41 +12,9 @@ import xarray as xr
 
 from dataset.labelled import read_labelled
 from hardware import Info, recording_from_resistances, write_recording
+from tests.house import SMALL, House
 
-SMALL = "[array]\nrows = 1\ncols = 2\n"
 POKE = ["dataset", "--protocol", "contact", "--samples", "9", "--out", "x.nc"]
-
-
-class House:
-    """A folder with a small sensor's design in which commands run."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        (folder / "small.toml").write_text(SMALL)
-        self.environment = os.environ | {"TRIPILLAR_CACHE": str(folder / "cache"), "COLUMNS": "200"}
-
-    def tripillar(self, *words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "tripillar", *words]
-        return subprocess.run(
-            command, capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False
-        )
-
-    def result(self, *words: str) -> dict:
-        """What a command that must succeed prints as JSON."""
-        done = self.tripillar(*words, "--json")
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
-
-    def refusal(self, *words: str) -> str:
-        """The one line of a command that must refuse, and leave nothing behind."""
-        before = sorted(self.folder.rglob("*"))
-        done = self.tripillar(*words)
-        assert done.returncode == 2, done.stdout + done.stderr
-        assert done.stdout == ""
-        lines = done.stderr.strip().splitlines()
-        assert len(lines) == 1, done.stderr
-        assert sorted(self.folder.rglob("*")) == before
-        return lines[0]
 
 
 @pytest.fixture(scope="module")

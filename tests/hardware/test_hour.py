@@ -1,0 +1,97 @@
+"""An hour of frames at 200 Hz, by the board's clock: nothing lost, memory flat.
+
+All of it with TRIPILLAR_FULL=1, as `make hardware-test` sets it: a minute or two. Else a twentieth.
+"""
+
+import os
+import threading
+
+import numpy as np
+import psutil
+
+from hardware.calibration import Electronics
+from hardware.frames import Frame, Info, ScanMode, encode
+from hardware.live import ForceReader
+from hardware.scanner import Scanner
+
+SECONDS = 3600 if os.environ.get("TRIPILLAR_FULL") else 180
+INFO = Info(rate_hz=200, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
+TOGETHER = 100  #: frames that the port gives at a time, and the reader works on
+START = 65_000, 2**32 - 10_000_000  #: sequence and clock, so that both wrap early
+
+
+class RestModel:
+    """A model that costs nothing and keeps nothing: the share by which each resistance is off rest."""
+
+    rows = cols = 6
+
+    def rest_resistances(self):
+        return None
+
+    def forces(self, resistance_ohm):
+        return resistance_ohm / resistance_ohm[:, :1, :1] - 1
+
+
+class FastBoard:
+    """A port that gives the next frames once the last were worked on."""
+
+    def __init__(self, n):
+        self.n, self.sent = n, 0
+        self.may_send = threading.Semaphore(1)
+        self.to_answer = False
+        base = np.array([1e4, 1.4e4, 1.4e4])
+        states = base * np.random.default_rng(0).uniform(0.6, 1.1, (TOGETHER, 6, 6, 3))
+        self.counts = Electronics().crossbar(INFO).counts(states)
+
+    in_waiting = 1
+
+    @property
+    def finished(self):
+        return self.sent == self.n
+
+    def read(self, size):
+        if self.to_answer:
+            self.to_answer = False
+            return encode(INFO)
+        if self.finished or not self.may_send.acquire(timeout=0.05):
+            return b""
+        frames = range(self.sent, self.sent + TOGETHER)
+        self.sent += TOGETHER
+        return b"".join(
+            encode(
+                Frame(
+                    sequence=(START[0] + k) % 2**16,
+                    device_us=(START[1] + k * 1_000_000 // INFO.rate_hz) % 2**32,
+                    bits=INFO.bits,
+                    counts=self.counts[k % TOGETHER],
+                    scan_mode=INFO.scan_mode,
+                )
+            )
+            for k in frames
+        )
+
+    def write(self, data):
+        self.to_answer |= b"?" in data
+
+
+def test_an_hour_of_frames_in_flat_memory():
+    """Between a tenth of the time and its end, the process grows by less than 4 MB: 5.5 bytes a frame of an hour."""
+    n = SECONDS * INFO.rate_hz
+    board, process = FastBoard(n), psutil.Process()
+    batch, n_done, memory_mb = [], 0, []
+    with Scanner(board, queue=2 * TOGETHER) as scanner:
+        reader = ForceReader(scanner.info, RestModel())
+        for scan in scanner:
+            batch.append(scan)
+            if len(batch) == TOGETHER:
+                forces = reader.forces(np.stack([one.frame.counts for one in batch]))
+                assert np.isfinite(forces.force_n).all()
+                n_done += TOGETHER
+                batch.clear()
+                board.may_send.release()
+                if n_done % (n // 10) == 0:
+                    memory_mb.append(process.memory_info().rss / 2**20)
+        statistics = scanner.stats
+    assert n_done == statistics.ok == n
+    assert statistics.lost == statistics.dropped == statistics.restarts == statistics.bad_crc == 0
+    assert max(memory_mb[1:]) - memory_mb[0] < 4

@@ -1,0 +1,198 @@
+"""A board on the command line: simulated, watched, recorded, tared, calibrated; and what is refused."""
+
+import json
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from hardware.calibration import read_calibration
+from hardware.recording import read_recording
+from hardware.simavr_board import find_tools
+from tests.house import House
+
+MODEL = "model.safetensors"
+WHOLE_SECOND = "--seconds", "1"
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """A small sensor and a joint net for it."""
+    house = House(tmp_path_factory.mktemp("board"))
+    house.result(
+        "dataset", "--protocol", "contact", "--samples", "500", "--seed", "1", "--bits", "12", "--out", "data.nc",
+        "--design", "small.toml", "-q",
+    )  # fmt: skip
+    house.result("train", "--data", "data.nc", "--component", "all", "--out", MODEL, "-q")
+    return house
+
+
+@contextmanager
+def simulating(house, *flags):
+    """A simulated board of the small sensor; its port, kept on a link."""
+    command = [sys.executable, "-m", "tripillar", "simulate", "--design", "small.toml", "-q", "--json", *flags]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=house.folder, env=house.environment
+    ) as process:
+        try:
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            yield json.loads(line)["port"]
+        finally:
+            process.send_signal(signal.SIGTERM)
+            _, said = process.communicate(timeout=20)
+    assert process.returncode == 0, said
+
+
+@pytest.fixture(scope="module")
+def port(house):
+    flags = "--board", "python", "--bits", "12", "--serial", "7", "--period", "2", "--truth", "truth.nc"
+    with simulating(house, *flags, "--link", "board") as port:
+        yield port
+
+
+def truth_of(house):
+    with xr.open_dataset(house.folder / "truth.nc") as opened:
+        return opened["force_n"].values
+
+
+def test_info_says_what_the_board_is(house, port):
+    told = house.result("info", port)
+    expected = {"rows": 1, "cols": 2, "bits": 12, "scan_mode": "ZERO_POTENTIAL", "serial": 7, "sense_ohm": 4700}
+    assert {name: told[name] for name in expected} == expected
+    assert "serial     7" in house.tripillar("info", port).stdout
+
+
+def test_ports_can_be_listed(house):
+    assert isinstance(house.result("ports")["ports"], list)
+
+
+def test_live_gives_the_forces_that_act(house, port):
+    """Over a whole period the largest and the least force of each axis are the script's."""
+    done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(lines) > 300
+    found, acts = np.array([line["force_n"] for line in lines]), truth_of(house)
+    assert found.max(axis=0) == pytest.approx(acts.max(axis=0), abs=0.02 * acts.max())  # 12 bits and the net's own error
+    assert found.min(axis=0) == pytest.approx(acts.min(axis=0), abs=0.02 * acts.max())
+    assert np.array(lines[0]["deviation_n"]).shape == (1, 2, 3)
+    assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * (len(lines) - 1)
+
+
+def test_live_draws_for_people(house, port):
+    done = house.tripillar("live", port, "--model", MODEL, *WHOLE_SECOND)
+    assert done.returncode == 0, done.stderr
+    assert "frames/s" in done.stdout
+    assert "0 lost" in done.stdout
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".mcap"])
+def test_record_and_replay(house, port, suffix):
+    if suffix == ".mcap":
+        pytest.importorskip("mcap")
+    name = f"press{suffix}"
+    told = house.result("record", port, "-o", name, "--model", MODEL, *WHOLE_SECOND, "-q")
+    recording = read_recording(house.folder / name)
+    assert told["scans"] == len(recording.sequence) > 100
+    assert set(recording.made_from) == {"model_recipe", "design_hash"}
+    replayed = house.result("replay", name, "--model", MODEL)
+    assert replayed["frames"] == told["scans"]
+    quick = house.tripillar("replay", name, "--model", MODEL, "--speed", "10", "--json").stdout.splitlines()
+    live = np.array([json.loads(line)["force_n"] for line in quick])
+    assert live == pytest.approx(np.array(replayed["force_n"]), abs=1e-2)  # printed to 1e-4; corrected scan by scan
+    assert "exists" in house.refusal("record", port, "-o", name, *WHOLE_SECOND)
+    more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *WHOLE_SECOND, "-q")
+    assert len(read_recording(house.folder / name).sequence) == told["scans"] + more["scans"]
+    assert house.tripillar("replay", name, "--model", MODEL, "--out", "forces.mcap").returncode == 0
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_a_recording_that_is_ended_is_kept(house, port, end):
+    command = [sys.executable, "-m", "tripillar", "record", port, "-o", f"ended-{end}.nc"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=house.folder) as process:
+        said = ""
+        while not said.startswith("2 s"):  # of recording
+            character = process.stderr.read(1)
+            said = "" if character == "\r" else said + character
+        process.send_signal(end)
+        process.communicate(timeout=20)
+    assert process.returncode == (0 if end == signal.SIGINT else -signal.SIGKILL)
+    assert len(read_recording(house.folder / f"ended-{end}.nc").sequence) > 150  # less than a second is lost
+
+
+def test_tare_takes_out_a_drift_of_the_rubber(house):
+    """Every pillar 10 % up in resistance: without a tare forces are far off; with it they are not."""
+    errors = {}
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        at_rest = house.result("tare", port, "-o", "tare.json", *WHOLE_SECOND)  # the script rests for 100 s
+        assert np.array(at_rest["rest_ohm"]).shape == (1, 2, 3)
+        for name, flags in {"as it is": [], "tared": ["--calibration", "tare.json"]}.items():
+            lines = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "0.2", *flags).stdout
+            errors[name] = np.abs([json.loads(line)["force_n"] for line in lines.splitlines()]).max()
+    assert errors["tared"] < 5 < errors["as it is"]  # of a pad's 432 N; nothing acts
+
+
+def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
+    """A period of the script is recorded, its forces at ten moments are told: the specimen's gains come back."""
+    flags = "--board", "python", "--bits", "16", "--period", "5", "--specimen", "3", "--gain-spread", "0.2"
+    with simulating(house, *flags, "--offset", "150", "--truth", "acting.nc") as port:
+        house.result("record", port, "-o", "known.nc", "--seconds", "5.5", "-q")
+    recording = read_recording(house.folder / "known.nc")
+    with xr.open_dataset(house.folder / "acting.nc") as opened:
+        acting, time_s = opened["force_n"].values, opened["time_s"].values
+    table = ["load,row,col,fx_n,fy_n,fz_n,from_s,to_s"]
+    for k, moment in enumerate(np.linspace(0.3, 4.8, 12)):
+        board_s = recording.time_s[0] + moment
+        force = acting[np.searchsorted(time_s, board_s % 5.0) % len(acting)]
+        for col in range(2):
+            table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
+    (house.folder / "loads.csv").write_text("\n".join(table))
+    told = house.result(
+        "calibrate", "known.nc", "--loads", "loads.csv", "--design", "small.toml", "-o", "own.json", "--noise", "0.0005",
+        "-q",
+    )  # fmt: skip
+    assert told["loads"] == 12
+    assert told["residual"] < 0.005
+    found = read_calibration(house.folder / "own.json")
+    from dataset.imperfections import Imperfections
+
+    gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=150.0, specimen=3).gain_and_offset(1, 2)
+    rest_ohm = np.array([1e4, 1.414e4, 1.414e4])
+    assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
+
+
+def test_bench_measures_the_link(house, port):
+    told = house.result("bench", port, "--model", MODEL, *WHOLE_SECOND)
+    assert told["rate_hz"] == pytest.approx(150, rel=0.2)
+    assert told["statistics"]["lost"] == 0
+    assert 0 < told["latency_ms"]["median"] <= told["latency_ms"]["p99"] <= told["latency_ms"]["worst"]
+
+
+@pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
+def test_the_firmware_is_simulated_where_it_can_be(house):
+    with simulating(house) as port:
+        assert house.result("info", port)["firmware"] == "1.0.0"
+        assert house.result("bench", port, *WHOLE_SECOND)["statistics"]["lost"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["info", "nowhere"], "nowhere"),
+        (["live", "board", "--model", "data.nc"], "no safetensors file"),
+        (["record", "board", "-o", "press.txt"], "end the name in .nc or .mcap"),
+        (["calibrate", "board", "-o", "x.json"], "give either --loads FILE or --weights"),
+        (["tare", "board", "-o", "x.json", "--calibration", "small.toml"], "small.toml is no calibration"),
+        (["replay", "small.toml", "--model", MODEL], "small.toml"),
+        (["simulate", "--mode", "divider", "--bits", "40"], "bits=40 must be"),
+        (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be above 0"),
+    ],
+    ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else None,
+)
+def test_a_mistake_is_one_line(house, port, words, says):
+    assert says in house.refusal(*words)
