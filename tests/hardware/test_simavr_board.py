@@ -1,6 +1,7 @@
 """The firmware as it is flashed, run on a simulated board and asked over its serial port."""
 
 import json
+import re
 import subprocess
 import time
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ pytestmark = pytest.mark.skipif(missing is not None, reason=str(missing))
 INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 0, 0), sense_ohm=4700)
 DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
+SETTLE_US = 30  # what scan.c promises the circuit
 PATIENCE_S = 30  # of real time, until a test calls a board silent
 
 
@@ -106,7 +108,7 @@ def test_a_board_reads_every_crossing_on_time(board, mcu):
     assert starts_us(frames).tolist() == [(frame.sequence + 1) * 1_000_000 // 150 for frame in frames]
     assert {(frame.flags, frame.bits, frame.overruns) for frame in frames} == {(2 << 1, 10, 0)}
     assert statistics["bad_addresses"] == statistics["bytes_dropped"] == 0
-    assert 40 <= statistics["min_settle_us"] < 58  # what scan.c promises; 58 is a whole conversion and its sample
+    assert SETTLE_US <= statistics["min_settle_us"] < 58  # a whole conversion, up to the next one's sample
 
 
 @pytest.mark.parametrize("mcu", MCUS)
@@ -172,8 +174,23 @@ def test_rates(board):
         assert listener.ask(b"R\nRx\nnoise\n?") == INFO
         assert len(listener.infos) == 8
         listener.take_frames(5)
+        assert running.stop()["min_settle_us"] >= SETTLE_US  # commands do not hold the converter up
     assert len(listener.infos) == 8
     assert listener.decoder.statistics.lost == listener.frames[-1].overruns == 0
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_a_talkative_host_costs_neither_counts_nor_settling(board, mcu):
+    """Commands at full speed while frames go out: the serial port's interrupts then want all of the CPU."""
+    said = (b"?", b"???", b"R150\n", b"R100\n", b"nonsense?\n", b"R176\n")
+    with board(mcu, fast=True) as running, listening(running) as listener:
+        for k in range(300):
+            listener.port.write(said[k % len(said)])
+            listener.take_frames(1)
+        assert running.stop()["min_settle_us"] >= SETTLE_US
+    assert len(listener.infos) > 100
+    assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in listener.frames)
+    assert listener.decoder.statistics.lost == listener.decoder.statistics.bad_crc == 0
 
 
 def test_one_scan_a_second(board):
@@ -322,6 +339,16 @@ def test_output_is_two_lines_of_json(built, tmp_path):
         *("seconds", "cycles", "bytes_sent", "bytes_dropped", "bytes_received", "conversions"),
         *("min_settle_us", "bad_addresses", "max_lag_ms"),
     }
+
+
+def test_the_example_of_the_page_runs(built, tmp_path, monkeypatch, capsys):
+    page = (FIRMWARE.parents[1] / "docs" / "board.md").read_text()
+    [example] = [block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "SimavrBoard" in block]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "firmware").symlink_to(built)
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    assert "firmware=(1, 0, 0)" in capsys.readouterr().out
 
 
 def test_missing_tools_are_named_with_their_packages(monkeypatch, tmp_path):
