@@ -1,8 +1,8 @@
 // TriPillar's board: scans the crossbar and sends a frame a scan; docs/frames.md says what goes over the wire.
 //
 // Interrupts do what has to be in time: the timer starts scans, the converter fills them, the serial port sends and
-// receives. The loop below does what may wait: it encodes finished scans and answers the host. While frame k is
-// encoded and sent, scan k+1 runs.
+// receives. The loop below does what may wait: it encodes finished scans and answers the host. So three frames are on
+// their way at a time: one is scanned, one encoded, one sent.
 //
 // Nothing here depends on how the board was powered up: every register used is written. A brown-out detector
 // (the boards' boot loaders set 2.7 V) resets the board cleanly; the host sees the sequence start again.
@@ -16,13 +16,16 @@
 #include "settings.h"
 #include "uart.h"
 
-static uint8_t wire[FRAME_DATA_WIRE_SIZE(CROSSINGS)];
-_Static_assert(sizeof wire >= FRAME_INFO_WIRE_SIZE, "the smallest array's frame is longer than INFO");
+// Two frames as they go over the wire: one is sent while the next is encoded.
+static uint8_t wires[2][FRAME_DATA_WIRE_SIZE(CROSSINGS)];
+_Static_assert(sizeof wires[0] >= FRAME_INFO_WIRE_SIZE, "the smallest array's frame is no shorter than INFO");
+static uint8_t encoding;    // which of the two is not being sent
+static uint16_t n_encoded;  // bytes in it; 0: it is free
 
 static uint16_t rate_hz = RATE;
 static uint8_t infos_owed;
 
-static void send_scan(const scan_t *scan)
+static void encode_scan(const scan_t *scan)
 {
     static uint16_t sequence;
     frame_header_t header = {
@@ -33,10 +36,10 @@ static void send_scan(const scan_t *scan)
         .bits = BITS,
         .overruns = scan->overruns,
     };
-    uart_send(wire, frame_data(wire, &header, scan->counts));
+    n_encoded = frame_data(wires[encoding], &header, scan->counts);
 }
 
-static void send_info(void)
+static void encode_info(void)
 {
     frame_info_t info = {
         .rows = ROWS,
@@ -49,7 +52,7 @@ static void send_info(void)
         .sense_ohm = SENSE_OHM,
         .vref_mv = VREF_MV,
     };
-    uart_send(wire, frame_info(wire, &info));
+    n_encoded = frame_info(wires[encoding], &info);
 }
 
 static void listen(void)
@@ -68,11 +71,39 @@ static void listen(void)
     }
 }
 
+// Encode the next frame, if there is one. Data and INFO take turns where both wait, so that neither starves.
+static void encode_next(void)
+{
+    static uint8_t is_infos_turn;
+    const scan_t *scan = scan_finished();
+    if (infos_owed && (is_infos_turn || !scan)) {
+        encode_info();
+        infos_owed--;
+        is_infos_turn = 0;
+    } else if (scan) {
+        encode_scan(scan);
+        scan_release();
+        is_infos_turn = 1;
+    }
+}
+
+static void send_encoded(void)
+{
+    uart_send(wires[encoding], n_encoded);
+    encoding ^= 1;
+    n_encoded = 0;
+}
+
+static uint8_t has_work(void)
+{
+    return uart_has_received() || (n_encoded ? !uart_is_sending() : infos_owed || scan_finished());
+}
+
 // Sleep until the next interrupt, unless there is something to do already.
 static void rest(void)
 {
     cli();
-    if (!uart_has_received() && (uart_is_sending() || (!scan_finished() && !infos_owed))) {
+    if (!has_work()) {
         sleep_enable();
         sei();  // takes effect after the next instruction, so no interrupt slips in between
         sleep_cpu();
@@ -86,24 +117,15 @@ int main(void)
     set_sleep_mode(SLEEP_MODE_IDLE);
     uart_init();
     scan_init(rate_hz);
-    wire[0] = 0;  // a delimiter: ends what the reset, or a boot loader, left on the line
-    uart_send(wire, 1);
+    wires[encoding][0] = 0;  // a delimiter: ends what the reset, or a boot loader, left on the line
+    n_encoded = 1;
     sei();
-    uint8_t is_infos_turn = 0;  // data and INFO frames take turns where both wait, so that neither starves
     for (;;) {
         listen();
-        if (!uart_is_sending()) {
-            const scan_t *scan = scan_finished();
-            if (infos_owed && (is_infos_turn || !scan)) {
-                send_info();
-                infos_owed--;
-                is_infos_turn = 0;
-            } else if (scan) {
-                send_scan(scan);
-                scan_release();
-                is_infos_turn = 1;
-            }
-        }
+        if (!n_encoded)
+            encode_next();
+        if (n_encoded && !uart_is_sending())
+            send_encoded();
         rest();
     }
 }

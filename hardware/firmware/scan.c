@@ -54,8 +54,10 @@ static void schedule_next(void)
 
 void scan_set_rate(uint16_t rate_hz)
 {
-    uint32_t new_period_us = 1000000UL / rate_hz;  // outside of the lock: it takes 40 us
-    uint16_t new_rest = (uint16_t)(1000000UL % rate_hz);
+    // A division takes 40 us, which the converter's interrupt cannot wait. Volatile, or the compiler moves it into the
+    // locked block.
+    volatile uint32_t new_period_us = 1000000UL / rate_hz;
+    volatile uint16_t new_rest = (uint16_t)(1000000UL % rate_hz);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         rate = rate_hz;
@@ -89,8 +91,8 @@ static void address_next(void)
 
 // Conversions follow one another without a pause, 52 us each, and the converter samples its input 1.5 of its
 // clocks (6 us) after each starts. So the address of the next crossing goes out as soon as the running conversion
-// has sampled, and the circuit has the rest of that conversion plus the next one's 6 us to settle: about
-// 44 us, and above 40 when the serial port's interrupts come first. The simulated board measures it (min_settle_us).
+// has sampled, and the circuit has the rest of that conversion plus the next one's 6 us to settle: 41 us, and no less
+// than 30 when other interrupts come first. The simulated board measures it (min_settle_us).
 //
 //     conversion       |-s---- k -------------|-s---- k+1 -----------|-s-
 //     interrupt                                read k, wait, k+2 out

@@ -13,8 +13,7 @@ _Static_assert(8UL * BAUD * DIVIDER >= F_CPU / 100 * 98 && 8UL * BAUD * DIVIDER 
 
 #define RING 64  // bytes received and not yet taken; a power of 2. More than that at once is dropped.
 
-static const uint8_t *volatile next;
-static volatile uint16_t left;  // bytes still to be sent
+static const uint8_t *next, *end;  // of the bytes being sent; the interrupt's while `uart_is_sending`
 
 static volatile uint8_t ring[RING];
 static volatile uint8_t head;  // bytes ever received, modulo 256: written by the interrupt
@@ -37,24 +36,39 @@ bool uart_is_sending(void)
 void uart_send(const uint8_t *bytes, uint16_t size)
 {
     next = bytes;
-    left = size;
-    UCSR0B |= 1 << UDRIE0;  // last: the interrupt takes it from here
+    end = bytes + size;
+    __asm__ volatile("" ::: "memory");  // the above is written before the interrupt takes it from here
+    UCSR0B |= 1 << UDRIE0;
 }
+
+// With the port busy both ways these two would take all of the CPU, and they go before the converter's interrupt, which
+// must not wait. So each switches itself off and lets the others in: bytes may wait, there is room for two in the port.
 
 ISR(UART_UDRE_vect)
 {
-    UDR0 = *next++;
-    if (--left == 0)
-        UCSR0B &= (uint8_t)~(1 << UDRIE0);
+    UCSR0B &= (uint8_t)~(1 << UDRIE0);
+    sei();
+    const uint8_t *byte = next;
+    UDR0 = *byte++;
+    next = byte;
+    bool is_last = byte == end;
+    cli();
+    if (!is_last)
+        UCSR0B |= 1 << UDRIE0;
 }
 
 ISR(UART_RX_vect)
 {
-    uint8_t byte = UDR0;  // always read, or the interrupt would come again at once
-    if ((uint8_t)(head - tail) < RING) {
-        ring[head % RING] = byte;
-        head++;
+    UCSR0B &= (uint8_t)~(1 << RXCIE0);
+    sei();
+    uint8_t byte = UDR0;
+    uint8_t place = head;
+    if ((uint8_t)(place - tail) < RING) {
+        ring[place % RING] = byte;
+        head = place + 1;
     }
+    cli();
+    UCSR0B |= 1 << RXCIE0;
 }
 
 bool uart_has_received(void)

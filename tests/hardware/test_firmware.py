@@ -1,6 +1,6 @@
 """The firmware's portable files, compiled for this machine: they write the frames of docs/frames.md to the byte.
 
-`test_simavr_board.py` runs the whole firmware on a simulated board.
+`test_firmware_run.py` runs the whole firmware on a simulated board.
 """
 
 import ctypes

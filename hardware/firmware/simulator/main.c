@@ -69,7 +69,7 @@ static void require_elf_for(const char *mcu, const char *path)
 
 static void skip_sleep(avr_t *avr, avr_cycle_count_t cycles)
 {
-    (void)avr, (void)cycles;  // the board's clock is put forward by the caller, the world's is kept up with below
+    (void)avr, (void)cycles;  // simavr puts the board's clock forward itself; the world's is waited for in `keep_pace`
 }
 
 static avr_t *board_with(const char *mcu, const char *path)

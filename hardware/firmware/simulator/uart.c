@@ -85,7 +85,8 @@ void uart_flush(bool waits, const volatile int *stop)
         n_written += port_write(from_board + n_written, n_from_board - n_written);
     }
     statistics.sent += n_written;
-    statistics.dropped += n_from_board - n_written;  // as on a real wire that nobody listens to
+    if (!waits)
+        statistics.dropped += n_from_board - n_written;  // as on a real wire that nobody listens to
     n_from_board = 0;
 }
 

@@ -17,7 +17,7 @@ void uart_connect(avr_t *avr);
 void uart_reset(void);
 
 // Hand over what the board has sent: now, as far as there is room, or, if `waits`, all of it.
-// Gives up waiting as soon as `*stop` is set.
+// As soon as `*stop` is set it waits no longer, and what is left counts as never sent.
 void uart_flush(bool waits, const volatile int *stop);
 
 // Let the board receive what the host has sent, one byte time a byte.

@@ -1,0 +1,66 @@
+"""What tests of the simulated board share: builds, readings, and an ear at its port."""
+
+import subprocess
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import serial
+
+from geometry.wiring import crossings
+from hardware.frames import FrameDecoder, Info, ScanMode
+from hardware.simavr_board import FIRMWARE
+
+INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 0, 0), sense_ohm=4700)
+DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
+ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
+PATIENCE_S = 30  # of real time, until a test calls a board silent
+
+
+def build(folder, *arguments):
+    command = ["make", "-s", "-C", str(FIRMWARE), f"OUT={folder}", *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+class Listener:
+    """What has come out of a board's port so far."""
+
+    def __init__(self, port):
+        self.port, self.decoder = port, FrameDecoder()
+        self.frames, self.infos = [], []
+
+    def take(self, enough):
+        """Listen until `enough` holds of self."""
+        end = time.monotonic() + PATIENCE_S
+        while not enough(self):
+            assert time.monotonic() < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
+            for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
+                (self.infos if isinstance(received, Info) else self.frames).append(received)
+        return self
+
+    def take_frames(self, n):
+        """Listen for n more frames; returns them."""
+        start = len(self.frames)
+        self.take(lambda self: len(self.frames) >= start + n)
+        return self.frames[start : start + n]
+
+    def ask(self, command):
+        """Send a command and return the INFO frame that answers it."""
+        n_before = len(self.infos)
+        self.port.write(command)
+        return self.take(lambda self: len(self.infos) > n_before).infos[-1]
+
+
+@contextmanager
+def listening(board):
+    with serial.Serial(board.port, 1_000_000, timeout=0.05) as port:
+        yield Listener(port)
+
+
+def is_gapless(frames):
+    """Whether no frame is missing; the first ones may be, since who opens a port clears what is waiting there."""
+    return (np.diff([frame.sequence for frame in frames]) == 1).all()
+
+
+def starts_us(frames):
+    return np.array([frame.device_us for frame in frames])
