@@ -5,10 +5,8 @@ PORT is a serial port (/dev/ttyUSB0, COM3), a pseudo-terminal, socket://host:por
 
 import json
 import math
-import signal
 import sys
 import time
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -308,15 +306,13 @@ def simulate(
     from hardware.frames import Info
     from hardware.simavr_board import find_tools
     from studies.board.motion import PressAndSlide, press_and_slide, scene_motion, write_truth
+    from studies.board.session import ended_by_signal
     from studies.board.simulated import counts_over_time, simulated
 
     scan_mode = scan_mode_named(mode)
-    electronics = _electronics(None, switch_ohm, line_ohm)
-    kind: Any = board_
-    if kind == "auto":
-        missing = find_tools() if bits == 10 else "chips have converters of 10 bits"
-        kind = "python" if missing else "atmega328p"
-        say(f"frames from Python: {missing}" if missing else "")
+    sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
+    told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
+    script = PressAndSlide(peak_mpa=pressure, seconds=period)
     with progress_bars(quiet) as bars:
         if scene is not None:
             from fem.scene_file import read_scene
@@ -325,20 +321,17 @@ def simulate(
         else:
             from studies.pipeline import respond
 
-            motion = press_and_slide(respond(chosen(design), bars)[1], PressAndSlide(peak_mpa=pressure, seconds=period))
+            motion = press_and_slide(respond(chosen(design), bars)[1], script)
     rows, cols = motion.resistance_ohm.shape[1:3]
-    told = Info(
-        rows=rows,
-        cols=cols,
-        bits=bits,
-        scan_mode=scan_mode,
-        rate_hz=rate,
-        serial=serial,
-        sense_ohm=round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm,
-    )
+    told = replace(told, rows=rows, cols=cols)
+    kind: Any = board_
+    if kind == "auto":
+        missing = find_tools() if bits == 10 else "chips have converters of 10 bits"
+        kind = "python" if missing else "atmega328p"
+        say(f"frames from Python: {missing}" if missing else "")
     if truth is not None:
         write_truth(motion, truth)
-    crossbar = replace(electronics.crossbar(told), noise=noise)
+    crossbar = replace(_electronics(None, switch_ohm, line_ohm).crossbar(told), noise=noise)
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)
     counts = counts_over_time(motion, crossbar, sensor)
     with simulated(kind, told, counts, link) as running:
@@ -347,7 +340,10 @@ def simulate(
             print(json.dumps({"port": named, "board": kind}), flush=True)
         else:
             print(f"{kind} on {named}; Ctrl-C ends it", flush=True)
-        _wait(seconds)
+        with ended_by_signal() as is_ended:
+            end_s = time.monotonic() + seconds
+            while not is_ended() and time.monotonic() < end_s:
+                time.sleep(0.1)
 
 
 @board.command()
@@ -391,12 +387,3 @@ def _follow(reading: "Session", seconds: float, json_lines: bool) -> None:
     from studies.board.follow import print_lines, show_forces
 
     (print_lines if json_lines else show_forces)(reading, seconds)
-
-
-def _wait(seconds: float) -> None:
-    """Until so many seconds are over, or Ctrl-C or a termination."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with suppress(KeyboardInterrupt):
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            time.sleep(min(1.0, end_s - time.monotonic()))

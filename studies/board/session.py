@@ -1,7 +1,9 @@
 """One board, one model: scans from a port or a recording, and the forces of each."""
 
+import math
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,17 +106,33 @@ def hashes_of(model: Decoupler) -> dict[str, str]:
     return {name: str(value) for name, value in found.items() if value}
 
 
-def scans(scanner: Scanner, seconds: float) -> Iterator["Scan | None"]:
+def scans(scanner: Scanner, seconds: float = math.inf) -> Iterator["Scan | None"]:
     """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
     end_s = time.monotonic() + seconds
-    try:
-        while time.monotonic() < end_s:
+    with ended_by_signal() as is_ended:
+        while not is_ended() and time.monotonic() < end_s:
             scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
             if scan is None and scanner.ended:
                 return
             yield scan
-    except KeyboardInterrupt:
-        return
+
+
+@contextmanager
+def ended_by_signal() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or a termination has come, so that what is at hand can be finished; a second one interrupts."""
+    came: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        if came:
+            raise KeyboardInterrupt
+        came.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def mean_resistances(scanner: Scanner, calibration: SensorCalibration, seconds: float) -> tuple[FloatArray, float]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from dataset.imperfections import Imperfections
 from hardware.calibration import read_calibration
 from hardware.recording import read_recording
 from hardware.simavr_board import find_tools
@@ -72,13 +73,13 @@ def test_ports_can_be_listed(house):
 
 
 def test_live_gives_the_forces_that_act(house, port):
-    """Over a whole period the largest and the least force of each axis are the script's."""
+    """Over a whole period the largest and the least force of each axis are the script's, but for 12 bits and the net."""
     done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(lines) > 300
     found, acts = np.array([line["force_n"] for line in lines]), truth_of(house)
-    assert found.max(axis=0) == pytest.approx(acts.max(axis=0), abs=0.02 * acts.max())  # 12 bits and the net's own error
+    assert found.max(axis=0) == pytest.approx(acts.max(axis=0), abs=0.02 * acts.max())
     assert found.min(axis=0) == pytest.approx(acts.min(axis=0), abs=0.02 * acts.max())
     assert np.array(lines[0]["deviation_n"]).shape == (1, 2, 3)
     assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * (len(lines) - 1)
@@ -118,7 +119,8 @@ def test_a_recording_that_is_ended_is_kept(house, port, end):
         said = ""
         while not said.startswith("2 s"):  # of recording
             character = process.stderr.read(1)
-            said = "" if character == "\r" else said + character
+            assert character, said
+            said = "" if character == "\n" else said + character  # a carriage return, as text
         process.send_signal(end)
         process.communicate(timeout=20)
     assert process.returncode == (0 if end == signal.SIGINT else -signal.SIGKILL)
@@ -153,14 +155,12 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
             table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
     (house.folder / "loads.csv").write_text("\n".join(table))
     told = house.result(
-        "calibrate", "known.nc", "--loads", "loads.csv", "--design", "small.toml", "-o", "own.json", "--noise", "0.0005",
-        "-q",
+        "calibrate", "known.nc", "--loads", "loads.csv", "--design", "small.toml", "-o", "own.json",
+        "--noise", "0.0005", "-q",
     )  # fmt: skip
     assert told["loads"] == 12
     assert told["residual"] < 0.005
     found = read_calibration(house.folder / "own.json")
-    from dataset.imperfections import Imperfections
-
     gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=150.0, specimen=3).gain_and_offset(1, 2)
     rest_ohm = np.array([1e4, 1.414e4, 1.414e4])
     assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
