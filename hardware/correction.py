@@ -49,19 +49,22 @@ class Corrector:
     def correct(self, readings: FloatArray) -> FloatArray:
         """As `Crossbar.correct`."""
         apparent = self.crossbar.apparent_conductances(readings)
-        return self.crossbar.as_pillars(np.exp(-self._log_conductances(apparent)))
+        return self.crossbar.as_pillars(1.0 / self._conductances(apparent))
 
-    def _log_conductances(self, apparent: FloatArray) -> FloatArray:
-        """Logarithms of conductances from apparent ones [S], both (n, n_crossings)."""
+    def _conductances(self, apparent: FloatArray) -> FloatArray:
+        """Conductances from apparent ones, both (n, n_crossings) [S]."""
+        if not len(apparent):
+            return apparent
+        guess, error = self.crossbar.first_guess(apparent)
+        if error <= self.tolerance:
+            return guess
         wanted: FloatArray = np.log(apparent)
-        if not len(wanted):
-            return wanted
         if self._tangent is None:
-            middle = apparent[len(apparent) // 2][None]
-            self._tangent = self._tangent_at(np.log(self.crossbar.first_guess(middle)))
+            middle = len(apparent) // 2
+            self._tangent = self._tangent_at(np.log(guess[middle : middle + 1]))
         near = self._tangent
         if self.crossbar.guesses_well:
-            u = np.log(self.crossbar.first_guess(apparent))
+            u = np.log(guess)
         else:
             u = _stepped(near.u[None], (wanted - near.apparent) @ near.inverse.T)
         unsettled = np.arange(len(u))
@@ -70,14 +73,14 @@ class Corrector:
             is_off = (np.abs(missing) > self.tolerance).any(axis=1)
             unsettled, missing = unsettled[is_off], missing[is_off]
             if not len(unsettled):
-                return u
+                return np.exp(u)
             if step == STALE_STEPS:
                 near = self._tangent = self._tangent_at(u[unsettled[-1:]])
             u[unsettled] = _stepped(u[unsettled], missing @ near.inverse.T)
         for start in range(0, len(unsettled), CHUNK):
             some = unsettled[start : start + CHUNK]
             u[some] = self._newton(u[some], wanted[some])
-        return u
+        return np.exp(u)
 
     def _newton(self, u: FloatArray, wanted: FloatArray) -> FloatArray:
         for _ in range(NEWTON_STEPS):

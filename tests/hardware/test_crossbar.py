@@ -128,8 +128,25 @@ def test_correct_undoes_exact_readings(mode, switch_ohm):
 def test_the_closed_form_is_exact_where_it_should_be(mode, settings):
     crossbar = crossbar_of(mode, **settings)
     state = pressed(3)
-    y = crossbar.apparent_conductances(crossbar.readings(state))
-    assert crossbar.first_guess(y) == pytest.approx(1 / crossings_from_pillars(state), rel=1e-7)
+    guess, error = crossbar.first_guess(crossbar.apparent_conductances(crossbar.readings(state)))
+    assert guess == pytest.approx(1 / crossings_from_pillars(state), rel=1e-7)
+    assert error < 1e-7
+
+
+def test_the_closed_forms_error_is_below_its_bound():
+    """Over three decades of everything; the bound is no more than 10 times too careful."""
+    generator = np.random.default_rng(0)
+    for _ in range(100):
+        crossbar = crossbar_of(
+            ScanMode.ZERO_POTENTIAL,
+            switch_ohm=10 ** generator.uniform(0, 2.5),
+            line_ohm=10 ** generator.uniform(-3, 1),
+            amplifier_gain=10 ** generator.uniform(3, 6),
+        )
+        state = 10 ** generator.uniform(3.3, 4.6, (1, 6, 6, 3))
+        guess, bound = crossbar.first_guess(crossbar.apparent_conductances(crossbar.readings(state)))
+        error = np.abs(guess * crossings_from_pillars(state) - 1).max()
+        assert 0.1 * bound < error < bound
 
 
 @pytest.mark.parametrize(("mode", "bound"), [(ScanMode.ZERO_POTENTIAL, 1e-3), (ScanMode.DIVIDER, 2e-2)])
