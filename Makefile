@@ -6,10 +6,10 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress robustness test check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness firmware hardware-test test check format clean
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, this is " + sys.version)'
@@ -35,12 +35,19 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.inference --out $(OUT)/bench/inference.json
+	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 
 stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.stress --out $(OUT)/stress
 
 robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
 	$(BIN)/python -m studies.robustness --out $(OUT)/robustness
+
+firmware:  ## the boards' firmware, and the program that simulates a board
+	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware all simulator
+
+hardware-test: $(READY)  ## every test of the board's side, in full: a million damaged frames, an hour at 200 Hz
+	TRIPILLAR_FULL=1 $(BIN)/python -m pytest -rs hardware tests/hardware tests/studies/board
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest

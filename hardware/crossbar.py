@@ -209,9 +209,9 @@ class Crossbar:
         Notes
         -----
         With a wire's series resistance r and the sum G of its pillars, a = 1/(1 + r G), Neumann's series of N gives
-        y = a_row g a_column (1 + O(ε_row ε_column)), ε the largest r G. The guess takes a from sums of y in the place of
-        g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess is
-        that of equal pillars.
+        y = a_row g a_column (1 + O(ε_row ε_column)), ε the largest r G. The guess takes a from sums of y in the place
+        of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
+        is that of equal pillars.
         """
         if self.scan_mode == ScanMode.DIVIDER:
             alike = np.full((1, apparent.shape[1]), 1e-4)

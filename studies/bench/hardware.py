@@ -28,11 +28,13 @@ from hardware.correction import Corrector
 from hardware.crossbar import SUITED_SENSE_OHM, Crossbar
 from hardware.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.live import ForceReader
+from hardware.reception import Scan
 from hardware.recording import recording_from_resistances
 from hardware.scanner import Scanner
 from hardware.virtual_board import VirtualBoard
 from studies.board.link import milliseconds
 from studies.board.motion import Motion, PressAndSlide, press_and_slide
+from studies.board.session import scans
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
@@ -43,7 +45,7 @@ WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian,
 TITLES = {
     "crosstalk": "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs",
     "offline": "A recorded frame to forces, many together",
-    "live": "A board in a process of its own: last byte written -> forces",
+    "live": "A board in a process of its own: last byte read, or sent, to forces",
 }
 
 
@@ -121,29 +123,35 @@ def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float
 
 
 def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float) -> dict[str, Any]:
-    """Latency from the last byte's writing, by a board in a process of its own, to forces; and what was lost."""
+    """Latency from a frame's last byte to forces: from when it was read, and from when another process sent it."""
     info = board_info(mode, rate_hz)
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
     context = get_context("spawn")
     here, there = context.Pipe()
     sender = context.Process(target=_send, args=(there, counts, info), daemon=True)
     sender.start()
-    done_at: dict[int, float] = {}
     with Scanner(here.recv()) as scanner:
         reader = ForceReader(scanner.info, model)
-        end_s = time.monotonic() + seconds
-        for scan in scanner:
+
+        def forces(scan: Scan) -> None:
             reader.forces(scan.frame.counts[None])
-            done_at[scan.frame.sequence] = time.perf_counter()
-            if time.monotonic() > end_s:
-                break
+
+        done_at = {}
+        for scan in scans(scanner, seconds, forces):
+            if scan is not None:
+                forces(scan)
+                done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s
         statistics = scanner.stats
     here.send("stop")
     sent_at = dict(here.recv())
     sender.join()
-    latencies = np.array([done_at[sequence] - sent_at[sequence] for sequence in done_at])[WARM_UP:]
-    return {"mode": mode.name, "rate_hz": rate_hz, "scans": len(latencies), "lost": statistics.lost} | {
-        f"{name}_ms": value for name, value in milliseconds(latencies).items()
+    done = list(done_at.items())[WARM_UP:]
+    from_read = milliseconds(np.array([done_s - received_s for _, (done_s, received_s) in done]))
+    from_sent = milliseconds(np.array([done_s - sent_at[sequence] for sequence, (done_s, _) in done]))
+    return {"mode": mode.name, "rate_hz": rate_hz, "scans": len(done), "lost": statistics.lost} | {
+        f"{name}_{value}_ms": ms
+        for name, latency in {"read": from_read, "sent": from_sent}.items()
+        for value, ms in latency.items()
     }
 
 

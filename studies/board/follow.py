@@ -50,7 +50,7 @@ def print_lines(reading: Session, seconds: float) -> None:
     """
     trouble = None
     try:
-        for scan in scans(reading.scanner, seconds):
+        for scan in scans(reading.scanner, seconds, reading.forces):
             if reading.scanner.trouble != trouble:
                 trouble = reading.scanner.trouble
                 print(json.dumps({"trouble": trouble}), flush=True)

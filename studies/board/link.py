@@ -33,7 +33,7 @@ def measured_link(scanner: Scanner, reading: Session | None, seconds: float) -> 
         If fewer than three scans come.
     """
     arrivals, device_us, latencies = [], [], []
-    for scan in scans(scanner, seconds):
+    for scan in scans(scanner, seconds, None if reading is None else reading.forces):
         if scan is None:
             continue
         if reading is not None:

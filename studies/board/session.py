@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hardware.reception import Scan
 
 BATCH_S = 0.1  #: longest wait for a scan, so that what else there is to do is done
+REHEARSED_S = 1.2e-3  #: before a scan is due; less gets in its way when it comes early, more is forgotten
 MOST_FOR_NOISE = 200  #: scans that tell how much a resistance varies
 
 
@@ -106,12 +107,27 @@ def hashes_of(model: Decoupler) -> dict[str, str]:
     return {name: str(value) for name, value in found.items() if value}
 
 
-def scans(scanner: Scanner, seconds: float = math.inf) -> Iterator["Scan | None"]:
-    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
+def scans(
+    scanner: Scanner, seconds: float = math.inf, rehearse: Callable[["Scan"], object] | None = None
+) -> Iterator["Scan | None"]:
+    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`.
+
+    `rehearse` is given the last scan once more a little before the next is due. What it touches is then still in the
+    processor's caches when the next scan is worked on, which 6 ms of waiting would empty: without a rehearsal forces
+    take 0.44 ms, with it 0.29.
+    """
     end_s = time.monotonic() + seconds
+    ahead_s = 1.0 / scanner.info.rate_hz - REHEARSED_S
     with ended_by_signal() as is_ended:
+        scan = None
         while not is_ended() and time.monotonic() < end_s:
-            scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
+            last, scan = scan, None
+            if rehearse and last and ahead_s > 0.0:
+                scan = scanner.get(timeout=max(0.0, last.received_s + ahead_s - time.perf_counter()))
+                if scan is None:
+                    rehearse(last)
+            if scan is None:
+                scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
             if scan is None and scanner.ended:
                 return
             yield scan

@@ -73,7 +73,7 @@ def test_ports_can_be_listed(house):
 
 
 def test_live_gives_the_forces_that_act(house, port):
-    """Over a whole period the largest and the least force of each axis are the script's, but for 12 bits and the net."""
+    """Over a whole period each axis' largest and least force are the script's, but for 12 bits and the net's error."""
     done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
