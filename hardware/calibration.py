@@ -14,6 +14,7 @@ import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from decoupler.calibration import LEAST_OHM, Calibration
+from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 from geometry.layout import PILLARS, FloatArray
@@ -28,9 +29,13 @@ WORKING_OHM = OPEN_OHM / 1e3  #: a pillar of more than this is broken: it has no
 class Electronics:
     """What a board's INFO frame does not say of its crossbar; see `Crossbar`."""
 
-    switch_ohm: float = 25.0
-    line_ohm: float = 0.0
-    amplifier_gain: float = 1e5
+    switch_ohm: float = quantity(25.0, "resistance of a closed switch")
+    line_ohm: float = quantity(0.0, "resistance of a wire to the pillars")
+    amplifier_gain: float = quantity(1e5, "open-loop gain of the amplifiers")
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        self.crossbar(Info())  # refuses what no crossbar has
 
     def crossbar(self, info: Info) -> Crossbar:
         """Of a board with these electronics."""
@@ -162,6 +167,8 @@ class SensorCalibration:
                 raise ValueError("a gain that is not above 0 or an offset that is not finite")
             if rest is not None and (rest.shape != gain.shape or not (rest > 0).all()):
                 raise ValueError("a resistance at rest that is missing or not above 0")
+            if not isinstance(plain["serial"], int | None):
+                raise ValueError(f"serial {plain['serial']!r}")
             return cls(
                 gain=gain,
                 offset_ohm=offset,

@@ -34,6 +34,8 @@ def weight(text: str, rows: int, cols: int) -> KnownLoad:
     try:
         row, col, grams = text.replace(",", " ").split()
         place, newtons = (int(row), int(col)), 1e-3 * float(grams) * STANDARD_GRAVITY
+        if not math.isfinite(newtons):
+            raise ValueError(grams)
     except ValueError:
         raise FileFormatError(f"{text!r} is no weight: type row, column and grams, such as 2 3 500.") from None
     return KnownLoad(name=text, force_n=_forces([(place, [0.0, 0.0, newtons])], rows, cols, f"{text!r}"))
@@ -76,7 +78,7 @@ def _load(path: Path, name: str, numbered: list[tuple[int, dict[str, str]]], row
     pads, times = [], set()
     for number, line in numbered:
         source = f"{path}, line {number}"
-        pad = int(_number(line, "row", source)), int(_number(line, "col", source))
+        pad = _whole(line, "row", source), _whole(line, "col", source)
         pads.append((pad, [_number(line, f"f{axis}_n", source, default=0.0) for axis in AXES]))
         times.add(tuple(_number(line, column, source) if line.get(column) else None for column in TIMES))
     first, *others = times
@@ -99,6 +101,14 @@ def _number(line: dict[str, str], column: str, source: str, default: float | Non
     if not math.isfinite(value):
         raise FileFormatError(f"{source}: {column} is {text!r}, must be a number.")
     return value
+
+
+def _whole(line: dict[str, str], column: str, source: str) -> int:
+    text = (line.get(column) or "").strip()
+    try:
+        return int(text)
+    except ValueError:
+        raise FileFormatError(f"{source}: {column} is {text!r}, must be a whole number.") from None
 
 
 def _forces(pads: list[tuple[tuple[int, int], list[float]]], rows: int, cols: int, source: str) -> FloatArray:

@@ -1,0 +1,131 @@
+"""Gain, offset and rest of a sensor: found from known loads, applied, written, and refused where they do not belong."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.errors import FileFormatError
+from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
+from hardware.frames import Info
+
+SHAPE = (2, 3, 3)
+REST_OHM = np.array([1e4, 1.4e4, 1.4e4])
+
+
+def a_calibration(**changes):
+    generator = np.random.default_rng(0)
+    values = {
+        "gain": generator.uniform(0.8, 1.2, SHAPE),
+        "offset_ohm": generator.normal(0.0, 200.0, SHAPE),
+        "rest_ohm": generator.uniform(9e3, 15e3, SHAPE),
+        "electronics": Electronics(switch_ohm=70.0, line_ohm=3.0),
+        "serial": 17,
+        "made_from": {"loads": 4},
+    }
+    return SensorCalibration(**values | changes)
+
+
+def test_known_loads_give_back_gain_and_offset():
+    """Without noise, and with lengths that vary enough to part the two, least squares finds both."""
+    true = a_calibration(rest_ohm=None)
+    modelled = REST_OHM * np.random.default_rng(1).uniform(0.6, 1.0, (20, *SHAPE))
+    found = SensorCalibration.fitted(true.gain * modelled + true.offset_ohm, modelled, noise=1e-4)
+    assert found.gain == pytest.approx(true.gain, rel=1e-3)
+    assert found.offset_ohm == pytest.approx(true.offset_ohm, abs=10.0)  # a thousandth of a pillar
+
+
+def test_one_load_sets_the_gain():
+    """A single pair says nothing of an offset: what it shows is met, as gains are the less sure."""
+    modelled = np.tile(REST_OHM, (1, 2, 3, 1))
+    found = SensorCalibration.fitted(1.2 * modelled, modelled, noise=1e-4)
+    assert found.gain * REST_OHM + found.offset_ohm == pytest.approx(1.2 * modelled[0], rel=1e-4)
+    assert (found.gain > 1.15).all()
+
+
+def test_modelled_undoes_what_the_sensor_does():
+    calibration = a_calibration(rest_ohm=None)
+    designed = REST_OHM * np.random.default_rng(2).uniform(0.6, 1.0, (5, *SHAPE))
+    measured = calibration.gain * designed + calibration.offset_ohm
+    assert calibration.modelled(measured, REST_OHM) == pytest.approx(designed, rel=1e-12)
+
+
+def test_a_tare_makes_what_is_there_the_rest():
+    """A rubber whose resistivity drifted by 7 % shows the design's resistances again, at rest and pressed."""
+    fresh = a_calibration(rest_ohm=None)
+    drifted = 1.07 * REST_OHM * np.ones(SHAPE)
+    tared = fresh.tared(fresh.gain * drifted + fresh.offset_ohm)
+    pressed = np.array([0.5, 0.8, 0.9])[:, None, None, None] * drifted
+    shown = tared.modelled(fresh.gain * pressed + fresh.offset_ohm, REST_OHM)
+    assert shown == pytest.approx(pressed / 1.07, rel=1e-12)
+
+
+def test_a_broken_pillar_is_not_tared():
+    calibration = SensorCalibration.as_designed(2, 3)
+    rest = np.tile(REST_OHM, (2, 3, 1))
+    rest[0, 0, 0] = 1e9
+    shown = calibration.tared(rest).modelled(rest[None], REST_OHM)
+    assert shown[0, 0, 0, 0] == 1e9
+
+
+def test_a_file_holds_all_of_it(tmp_path):
+    calibration = a_calibration()
+    write_calibration(calibration, tmp_path / "own.json")
+    found = read_calibration(tmp_path / "own.json")
+    assert found.content_hash == calibration.content_hash
+    for name in ("gain", "offset_ohm", "rest_ohm"):
+        assert np.array_equal(getattr(found, name), getattr(calibration, name))
+    assert (found.electronics, found.serial, found.made_from) == (
+        calibration.electronics, calibration.serial, calibration.made_from,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"kind": "spam"}, "kind 'spam'"),
+        ({"version": 9}, "version 9"),
+        ({"gain": [[[1.0, 1.0]]]}, "gain of shape"),
+        ({"gain": [[[0.0, 1.0, 1.0]]], "offset_ohm": [[[0.0, 0.0, 0.0]]]}, "gain that is not above 0"),
+        ({"rest_ohm": [[[1.0]]]}, "resistance at rest"),
+        ({"electronics": {"spam": 1}}, "spam"),
+        ({"electronics": {"switch_ohm": "many"}}, "switch_ohm"),
+        ({"serial": "x"}, "serial"),
+    ],
+)
+def test_what_is_no_calibration_is_refused(change, says):
+    plain = json.loads(a_calibration().to_json()) | change
+    with pytest.raises(FileFormatError, match="is no calibration") as refused:
+        SensorCalibration.from_json(json.dumps(plain))
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "17", '{"kind": "tripillar calibration", "version": 1}'])
+def test_other_texts_are_refused(text):
+    with pytest.raises(FileFormatError, match=r"is no calibration .*: give a file made by 'tripillar calibrate'"):
+        SensorCalibration.from_json(text)
+
+
+def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
+    with pytest.raises(FileFormatError, match=r"nowhere.json: No such file"):
+        read_calibration(tmp_path / "nowhere.json")
+    (tmp_path / "x").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match="not a text file"):
+        read_calibration(tmp_path / "x")
+
+
+def test_another_sensor_is_refused():
+    calibration = a_calibration()
+    calibration.require_for(Info(rows=2, cols=3, serial=17))
+    calibration.require_for(Info(rows=2, cols=3, serial=0))  # a board that has no number
+    with pytest.raises(FileFormatError, match="made with board 17, this is board 4"):
+        calibration.require_for(Info(rows=2, cols=3, serial=4))
+    with pytest.raises(FileFormatError, match="is of 2 × 3 units, the board of 6 × 6"):
+        calibration.require_for(Info())
+
+
+def test_the_hash_changes_with_what_changes_forces():
+    calibration = a_calibration()
+    other = replace(calibration, electronics=Electronics(switch_ohm=71.0))
+    assert calibration.content_hash != other.content_hash
