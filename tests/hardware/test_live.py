@@ -1,0 +1,92 @@
+"""Counts to forces: what is refused, what a tare and a calibration do on the way, one scan as many."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.errors import FileFormatError
+from hardware.calibration import Electronics, SensorCalibration
+from hardware.frames import Info, ScanMode
+from hardware.live import ForceReader
+
+INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
+REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
+
+
+class Shares:
+    """A model whose force is the share by which each pillar's resistance is off rest."""
+
+    rows, cols = 2, 3
+
+    def __init__(self, knows_rest=True):
+        self.knows_rest = knows_rest
+
+    def rest_resistances(self):
+        return REST_OHM if self.knows_rest else None
+
+    def forces(self, resistance_ohm):
+        return resistance_ohm / REST_OHM - 1
+
+
+def counts_of(shares, electronics=None, gain=1.0):
+    ohms = gain * REST_OHM * (1 + np.asarray(shares, dtype=float).reshape(-1, 1, 1, 1))
+    return (electronics or Electronics()).crossbar(INFO).counts(ohms)
+
+
+def test_forces_are_the_models_of_corrected_resistances():
+    """1e-3: the steps of 16 bits are 1e-4 of these pillars, the crosstalk left in would be 3e-2."""
+    found = ForceReader(INFO, Shares()).forces(counts_of([-0.3, 0.0, 0.1]))
+    assert found.force_n == pytest.approx(
+        np.array([-0.3, 0, 0.1]).reshape(-1, 1, 1, 1) * np.ones((3, 2, 3, 3)), abs=1e-3
+    )
+    assert not found.saturated.any()
+    raw = ForceReader(INFO, Shares(), crosstalk=False).forces(counts_of([0.0]))
+    assert np.abs(raw.force_n).mean() > 5e-3
+
+
+def test_other_switches_are_the_calibrations():
+    slow = Electronics(switch_ohm=200.0, line_ohm=20.0)
+    calibration = replace(SensorCalibration.as_designed(2, 3), electronics=slow)
+    counts = counts_of([-0.2], slow)
+    assert ForceReader(INFO, Shares(), calibration).forces(counts).force_n == pytest.approx(-0.2, abs=1e-3)
+    assert np.abs(ForceReader(INFO, Shares()).forces(counts).force_n + 0.2).max() > 0.03
+
+
+def test_gain_and_tare_come_before_the_model():
+    counts = counts_of([0.0, -0.2], gain=1.1)
+    fresh = SensorCalibration.as_designed(2, 3)
+    gained = replace(fresh, gain=np.full((2, 3, 3), 1.1))
+    tared = fresh.tared(ForceReader(INFO, Shares()).measured(counts[:1])[0][0])
+    for calibration in (gained, tared):
+        force_n = ForceReader(INFO, Shares(), calibration).forces(counts).force_n
+        assert force_n[0] == pytest.approx(0.0, abs=1e-3)
+        assert force_n[1] == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_one_scan_as_many():
+    """To a few hundredths of a converter's step, which is 1.5e-5 of full scale."""
+    counts = counts_of(np.linspace(-0.4, 0.1, 40))
+    together, alone = ForceReader(INFO, Shares()), ForceReader(INFO, Shares())
+    one_by_one = np.concatenate([alone.forces(counts[k : k + 1]).force_n for k in range(40)])
+    assert one_by_one == pytest.approx(together.forces(counts).force_n, abs=1e-5)
+
+
+def test_saturation_is_told_by_pillar():
+    counts = counts_of([0.0])
+    counts[0, 4] = 2**INFO.bits - 1
+    found = ForceReader(INFO, Shares()).forces(counts)
+    assert found.saturated.sum() == 1
+    assert np.isfinite(found.force_n).all()
+
+
+def test_what_does_not_belong_together_is_refused():
+    with pytest.raises(
+        FileFormatError, match=r"board has 6 × 6 units, the model 2 × 3: take a model trained for 6 × 6"
+    ):
+        ForceReader(Info(), Shares())
+    with pytest.raises(FileFormatError, match="made with board 9, this is board 3"):
+        ForceReader(INFO, Shares(), replace(SensorCalibration.as_designed(2, 3), serial=9))
+    tared = SensorCalibration.as_designed(2, 3).tared(REST_OHM)
+    with pytest.raises(FileFormatError, match=r"model states no design, .*: leave the tare out"):
+        ForceReader(INFO, Shares(knows_rest=False), tared)
