@@ -2,7 +2,7 @@
 
 Newton's method in logarithms, which keeps every conductance above 0 and does not care for units. A scan starts from the
 closed form where that is nearly exact, else from the tangent at a scan before, since a sensor moves little between two.
-One Jacobian serves as long as it settles them; scans that it does not settle get their own.
+One Jacobian serves as long as it settles them; then one of their own number; what that does not settle gets its own.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,11 @@ if TYPE_CHECKING:
 
 STEP_SHARE = 0.01  #: of the converter's step, to which apparent conductances are met, relative to full scale
 EXACT = 1e-9  #: the same where there is no converter
-CHORD_STEPS = 5  #: with the kept Jacobian before a scan gets its own
-STALE_STEPS = 2  #: after which the kept Jacobian is made anew
+CHORD_STEPS = 3  #: with a kept Jacobian before it is made anew, and again before each scan gets its own
 NEWTON_STEPS = 25  #: at most; readings that no network gives, such as noise about an open circuit, end here
 LONGEST_STEP = 1.0  #: in the logarithm of a conductance
 LEAST_SIEMENS, MOST_SIEMENS = 1e-9, 1e3  #: conductances are kept within these
-CHUNK = 64  #: scans whose Jacobians are in memory together
+CHUNK = 32  #: scans that share a Jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,29 +57,29 @@ class Corrector:
         guess, error = self.crossbar.first_guess(apparent)
         if error <= self.tolerance:
             return guess
-        wanted: FloatArray = np.log(apparent)
-        if self._tangent is None:
-            middle = len(apparent) // 2
-            self._tangent = self._tangent_at(np.log(guess[middle : middle + 1]))
-        near = self._tangent
-        if self.crossbar.guesses_well:
-            u = np.log(guess)
-        else:
-            u = _stepped(near.u[None], (wanted - near.apparent) @ near.inverse.T)
+        parts = [slice(k, k + CHUNK) for k in range(0, len(apparent), CHUNK)]
+        return np.exp(np.concatenate([self._solved(np.log(apparent[part]), np.log(guess[part])) for part in parts]))
+
+    def _solved(self, wanted: FloatArray, guess: FloatArray) -> FloatArray:
+        """Conductances of a few scans from apparent ones and a first guess, each (n, n_crossings), in logarithms."""
+        u = guess.copy()
         unsettled = np.arange(len(u))
-        for step in range(CHORD_STEPS):
-            missing: FloatArray = wanted[unsettled] - self._log_apparent(u[unsettled])
-            is_off = (np.abs(missing) > self.tolerance).any(axis=1)
-            unsettled, missing = unsettled[is_off], missing[is_off]
-            if not len(unsettled):
-                return np.exp(u)
-            if step == STALE_STEPS:
-                near = self._tangent = self._tangent_at(u[unsettled[-1:]])
-            u[unsettled] = _stepped(u[unsettled], missing @ near.inverse.T)
-        for start in range(0, len(unsettled), CHUNK):
-            some = unsettled[start : start + CHUNK]
-            u[some] = self._newton(u[some], wanted[some])
-        return np.exp(u)
+        for is_fresh in (False, True):
+            if is_fresh or self._tangent is None:
+                middle = unsettled[len(unsettled) // 2][None]
+                self._tangent = self._tangent_at(self._newton(u[middle], wanted[middle]))
+            near = self._tangent
+            if not self.crossbar.guesses_well:
+                u[unsettled] = _stepped(near.u[None], (wanted[unsettled] - near.apparent) @ near.inverse.T)
+            for _ in range(CHORD_STEPS):
+                missing: FloatArray = wanted[unsettled] - self._log_apparent(u[unsettled])
+                is_off = (np.abs(missing) > self.tolerance).any(axis=1)
+                unsettled, missing = unsettled[is_off], missing[is_off]
+                if not len(unsettled):
+                    return u
+                u[unsettled] = _stepped(u[unsettled], missing @ near.inverse.T)
+        u[unsettled] = self._newton(u[unsettled], wanted[unsettled])
+        return u
 
     def _newton(self, u: FloatArray, wanted: FloatArray) -> FloatArray:
         for _ in range(NEWTON_STEPS):
@@ -88,7 +87,10 @@ class Corrector:
             missing = wanted - apparent
             if (np.abs(missing) <= self.tolerance).all():
                 break
-            u = _stepped(u, np.asarray(np.linalg.solve(jacobian, missing[..., None])[..., 0], dtype=np.float64))
+            before, step = u, np.linalg.solve(jacobian, missing[..., None])[..., 0]
+            u = _stepped(u, np.asarray(step, dtype=np.float64))
+            if (np.abs(u - before) <= self.tolerance).all():  # what is still missing lies beyond an open circuit
+                break
         return u
 
     def _tangent_at(self, u: FloatArray) -> _Tangent:
@@ -109,7 +111,6 @@ class Corrector:
 
 def _stepped(u: FloatArray, step: FloatArray) -> FloatArray:
     """One step of scans (n, n_crossings), shortened where it is long, from their state or from one for all."""
-    longest = np.abs(step).max(axis=1, keepdims=True)
-    step = step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, 1e-300))
+    step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)  # each by itself: one on its way to open holds up no other
     stepped: FloatArray = np.clip(u + step, np.log(LEAST_SIEMENS), np.log(MOST_SIEMENS))
     return stepped
