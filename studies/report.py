@@ -121,10 +121,10 @@ def _error_cells(errors: ForceErrors) -> tuple[str, str, str]:
 
 
 def plain_table(title: str, rows: list[dict[str, Any]]) -> Table:
-    """Rows of the same keys, numbers to four digits."""
+    """Rows of the same keys, numbers to three digits."""
     table = Table(title=title)
     for header, value in rows[0].items():
         table.add_column(header, justify="left" if isinstance(value, str) else "right")
     for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+        table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
     return table
