@@ -25,8 +25,9 @@ train: $(READY)  ## design -> CAD -> FEM -> dataset -> networks -> table
 dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
-picture: $(READY)  ## draw the deformed array again, for the README
+picture: $(READY)  ## draw the README's pictures again
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
+	$(BIN)/python -m studies.board.picture docs/live.svg
 
 paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
 	$(BIN)/python -m studies.paper --out $(OUT)/paper

@@ -31,7 +31,7 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
     arrow = ARROWS[round(math.atan2(fy, fx) / (math.pi / 4)) % 8] if shear > LEAST_SHEAR * full_scale_n else " "
     number = fz if "z" in force else shear
     red, green, blue = _colour(abs(number) / full_scale_n)
-    ink = "black" if red + green + blue > 380 else "white"
+    ink = "rgb(0,0,0)" if red + green + blue > 380 else "rgb(255,255,255)"
     return Text(f" {number:6.1f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
 
 

@@ -1,0 +1,47 @@
+"""What `tripillar live` shows, as a picture for the README: `python -m studies.board.picture docs/live.svg`."""
+
+import io
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from geometry.design import SensorDesign
+from geometry.files import replacing
+from hardware.calibration import Electronics
+from hardware.crossbar import SUITED_SENSE_OHM
+from hardware.frames import Info, ScanMode
+from hardware.live import ForceReader
+from hardware.scanner import ScannerStatistics
+from studies.bench.hardware import BOARD_BITS, trained
+from studies.board.motion import PressAndSlide, press_and_slide
+from studies.board.view import live_view
+from studies.pipeline import respond
+from studies.progress import Bars
+
+SHARE = 0.55  #: of the script's period: the indenter slides
+
+
+def draw(out: Path) -> None:
+    """Draw one scan of the simulated sensor, read by a zero-potential board."""
+    with Bars(quiet=False) as bars:
+        _, response = respond(SensorDesign(), bars)
+    motion, model = press_and_slide(response, PressAndSlide()), trained(response, BOARD_BITS)
+    mode = ScanMode.ZERO_POTENTIAL
+    info = Info(bits=BOARD_BITS, scan_mode=mode, sense_ohm=round(SUITED_SENSE_OHM[mode]))
+    counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
+    k = round(SHARE * len(counts))
+    found = ForceReader(info, model).forces(counts[k : k + 1])
+    deviation_n, _ = model.deviations(found.resistance_ohm)
+    view = live_view(
+        found.force_n[0], deviation_n[0], model.component.axes, float(found.force_n.max()), info.rate_hz,
+        ScannerStatistics(ok=k), [],
+    )  # fmt: skip
+    console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
+    console.print(view)
+    with replacing(out) as temporary:
+        temporary.write_text(console.export_svg(title="tripillar live"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(draw)
