@@ -38,7 +38,7 @@ def show_forces(reading: Session, seconds: float) -> None:
             if newest.n_saturated:
                 notes.append(f"{newest.n_saturated} pillars at an end of the converter's range: forces extrapolated")
             rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
-            deviation = reading.deviations(newest.scan)
+            deviation = reading.deviations(newest)
             view = live_view(newest.force_n, deviation, axes, full_scale, rate_hz, scanner.stats, notes)
             screen.update(view, refresh=True)
 
@@ -56,7 +56,8 @@ def print_lines(reading: Session, seconds: float) -> None:
                 print(json.dumps({"trouble": trouble}), flush=True)
             if scan is None:
                 continue
-            found, deviation = reading.forces(scan), reading.deviations(scan)
+            found = reading.forces(scan)
+            deviation = reading.deviations(found)
             line = {
                 "time_s": scan.time_s,
                 "sequence": scan.frame.sequence,

@@ -47,8 +47,8 @@ def scanner_on(port: str, speed: float = 1.0, **settings: Any) -> Iterator[Scann
 class LiveForces:
     """Forces of one scan; k components as the model gives them."""
 
-    scan: "Scan"
     force_n: FloatArray  #: (rows, cols, k)
+    resistance_ohm: FloatArray  #: (1, rows, cols, 3): as the model saw them
     n_saturated: int  #: pillars whose counts are at an end of the converter's range
 
 
@@ -75,13 +75,13 @@ class Session:
     def forces(self, scan: "Scan") -> LiveForces:
         """Of one scan."""
         found = self.reader.forces(scan.frame.counts[None])
-        return LiveForces(scan=scan, force_n=found.force_n[0], n_saturated=int(found.saturated.sum()))
+        return LiveForces(
+            force_n=found.force_n[0], resistance_ohm=found.resistance_ohm, n_saturated=int(found.saturated.sum())
+        )
 
-    def deviations(self, scan: "Scan") -> FloatArray | None:
+    def deviations(self, found: LiveForces) -> FloatArray | None:
         """Half-widths that hold 68 % of errors, (rows, cols, k) [N]; None if the model knows no uncertainty."""
-        if self.model.uncertainty is None:
-            return None
-        return self.model.deviations(self.reader.forces(scan.frame.counts[None]).resistance_ohm)[0][0]
+        return None if self.model.uncertainty is None else self.model.deviations(found.resistance_ohm)[0][0]
 
 
 def session(scanner: Scanner, model: Path, calibration: Path | None) -> Session:
