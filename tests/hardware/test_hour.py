@@ -1,9 +1,5 @@
-"""An hour of frames at 200 Hz, by the board's clock: nothing lost, memory flat.
+"""An hour of frames at 200 Hz, by the board's clock: nothing lost, memory flat."""
 
-All of it with TRIPILLAR_FULL=1, as `make hardware-test` sets it: a minute or two. Else a twentieth.
-"""
-
-import os
 import threading
 
 import numpy as np
@@ -14,7 +10,7 @@ from hardware.frames import Frame, Info, ScanMode, encode
 from hardware.live import ForceReader
 from hardware.scanner import Scanner
 
-SECONDS = 3600 if os.environ.get("TRIPILLAR_FULL") else 180
+SECONDS = 3600
 INFO = Info(rate_hz=200, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
 TOGETHER = 100  #: frames that the port gives at a time, and the reader works on
 START = 65_000, 2**32 - 10_000_000  #: sequence and clock, so that both wrap early
