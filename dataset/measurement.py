@@ -16,7 +16,7 @@ SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts 
 
 
 class Readout(Protocol):
-    """Electronics with an error of their own in place of `measured`'s; `hardware.crossbar.CrossbarReadout` is one.
+    """Electronics with errors of their own in place of `measured`'s.
 
     A frozen dataclass of plain values, so that what it made can carry the hash of it.
     """

@@ -67,7 +67,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block is done, then raise it.
+    """Hold Ctrl-C back until the block is done, then let it come.
 
     For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds.
     The mesher replaces the handler, so that Ctrl-C kills while it runs; afterwards the old one is back. Does nothing
@@ -82,8 +82,8 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if caught and before is not signal.SIG_IGN:
-        raise KeyboardInterrupt
+    if caught:
+        signal.raise_signal(signal.SIGINT)  # to the handler of before
 
 
 def cache_folder() -> Path:

@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from dataset.imperfections import OPEN_OHM
 from decoupler.calibration import LEAST_OHM, Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
-from geometry.files import digest, replacing
+from geometry.files import replacing
 from geometry.layout import PILLARS, FloatArray
 from hardware.crossbar import Crossbar
 from hardware.frames import Info
 
 KIND, VERSION = "tripillar calibration", 1
-WORKING_OHM = OPEN_OHM / 1e3  #: a pillar of more than this is broken: it has no state at rest
+BROKEN_TIMES = 20.0  #: as much as designed, and a pillar is broken: it has no state at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,15 +71,18 @@ class SensorCalibration:
     ) -> "SensorCalibration":
         """The most probable gain and offset of each pillar, by least squares with the priors of `Calibration.fitted`.
 
+        A pillar of which nothing is measured, NaN, keeps gain 1 and offset 0.
+
         Parameters
         ----------
         measured_ohm, modelled_ohm : array, shape (n_loads, rows, cols, 3)
             What the crossbar gives, and what the design does, under the same known loads [Ω].
         noise : float
-            Relative standard deviation of a measured resistance.
+            Relative standard deviation of a measured resistance, converter's steps included.
         """
         n, *shape = measured_ohm.shape
-        found = Calibration.fitted(measured_ohm.reshape(n, -1), modelled_ohm.reshape(n, -1), noise)
+        known_ohm = np.where(np.isnan(measured_ohm), modelled_ohm, measured_ohm)
+        found = Calibration.fitted(known_ohm.reshape(n, -1), modelled_ohm.reshape(n, -1), noise)
         return cls(
             gain=found.gain.reshape(shape),
             offset_ohm=found.offset_ohm.reshape(shape),
@@ -109,16 +111,12 @@ class SensorCalibration:
         """
         ohms = self._calibrated(measured_ohm)
         if self.rest_ohm is not None:
-            ohms *= np.where(self.rest_ohm < WORKING_OHM, rest_as_designed_ohm / self.rest_ohm, 1.0)
+            is_whole = self.rest_ohm < BROKEN_TIMES * rest_as_designed_ohm
+            ohms *= np.where(is_whole, rest_as_designed_ohm / self.rest_ohm, 1.0)
         return ohms
 
     def _calibrated(self, measured_ohm: FloatArray) -> FloatArray:
         return np.maximum((measured_ohm - self.offset_ohm) / self.gain, LEAST_OHM)
-
-    @property
-    def content_hash(self) -> str:
-        """Hash of all that changes a force."""
-        return digest(self.to_json())
 
     def require_for(self, info: Info, source: str = "the calibration") -> None:
         """Refuse a board that this was not made with."""

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 STEP_SHARE = 0.01  #: of the converter's step, to which apparent conductances are met, relative to full scale
 EXACT = 1e-9  #: the same where there is no converter
 CHORD_STEPS = 3  #: with a kept Jacobian before it is made anew, and again before each scan gets its own
-NEWTON_STEPS = 25  #: at most; readings that no network gives, such as noise about an open circuit, end here
-LONGEST_STEP = 1.0  #: in the logarithm of a conductance
+NEWTON_STEPS = 15  #: at most; readings that no array gives, such as those of a loose wire, end here
+LONGEST_STEP = 2.0  #: in the logarithm of a conductance
 LEAST_SIEMENS, MOST_SIEMENS = 1e-9, 1e3  #: conductances are kept within these
 CHUNK = 32  #: scans that share a Jacobian
 
@@ -55,10 +55,11 @@ class Corrector:
         if not len(apparent):
             return apparent
         guess, error = self.crossbar.first_guess(apparent)
-        if error <= self.tolerance:
-            return guess
-        parts = [slice(k, k + CHUNK) for k in range(0, len(apparent), CHUNK)]
-        return np.exp(np.concatenate([self._solved(np.log(apparent[part]), np.log(guess[part])) for part in parts]))
+        rest = np.flatnonzero(error > self.tolerance)
+        for start in range(0, len(rest), CHUNK):
+            some = rest[start : start + CHUNK]
+            guess[some] = np.exp(self._solved(np.log(apparent[some]), np.log(guess[some])))
+        return guess
 
     def _solved(self, wanted: FloatArray, guess: FloatArray) -> FloatArray:
         """Conductances of a few scans from apparent ones and a first guess, each (n, n_crossings), in logarithms."""

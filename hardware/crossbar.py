@@ -184,6 +184,23 @@ class Crossbar:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars(np.maximum(self.sense_ohm / readings - self.sense_ohm, LEAST_OHM))
 
+    def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
+        """What the converter's steps leave of corrected resistances: relative standard deviation, (rows, cols, 3).
+
+        Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, 1/√12 of its width; the inverse of the
+        Jacobian mixes and amplifies them.
+        """
+        if self.full_scale is None:
+            return np.zeros(resistance_ohm.shape[1:])
+        x = self.readings(resistance_ohm)[0]
+        by_reading = 1.0 / x  # d log y / dx
+        if self.scan_mode == ScanMode.DIVIDER:
+            by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
+        g = 1.0 / np.clip(crossings_from_pillars(resistance_ohm), LEAST_OHM, MOST_OHM)
+        y, derivatives = self.apparent_and_derivatives(g)
+        inverse = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
+
     def as_pillars(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
         return pillars_from_crossings(values, self.rows, self.cols)
@@ -203,8 +220,8 @@ class Crossbar:
         """Whether `first_guess` errs by less than pillars change from one scan to the next."""
         return self.scan_mode == ScanMode.ZERO_POTENTIAL
 
-    def first_guess(self, apparent: FloatArray) -> tuple[FloatArray, float]:
-        """g from y in closed form, and a bound of its error relative to the largest; infinite where none is known.
+    def first_guess(self, apparent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """g from y in closed form, and a bound of its error as a share of each scan's largest g; infinite if unknown.
 
         Notes
         -----
@@ -215,15 +232,15 @@ class Crossbar:
         """
         if self.scan_mode == ScanMode.DIVIDER:
             alike = np.full((1, apparent.shape[1]), 1e-4)
-            return apparent * (alike / self.apparent_of(alike)), math.inf
+            return apparent * (alike / self.apparent_of(alike)), np.full(len(apparent), math.inf)
         row, column = self.ends
         left = np.maximum(1.0 - (apparent @ self._on_wire) * self._loaded_ohm, 1e-3)  # a, of every wire
         guess = apparent / (left[:, row] * left[:, column])
         if self.scan_mode == ScanMode.GROUNDED:
-            return guess, 0.0 if self.series_ohm[0] == 0.0 else math.inf
+            return guess, np.full(len(apparent), 0.0 if self.series_ohm[0] == 0.0 else math.inf)
         n_rows = 2 * self.rows
-        lost_by_row, lost_by_column = 1.0 / left[:, :n_rows].min() - 1.0, 1.0 / left[:, n_rows:].min() - 1.0
-        return guess, NEUMANN * lost_by_row * lost_by_column
+        by_row, by_column = (1.0 / wires.min(axis=1) - 1.0 for wires in (left[:, :n_rows], left[:, n_rows:]))
+        return guess, NEUMANN * by_row * by_column
 
     def apparent_of(self, conductance: FloatArray) -> FloatArray:
         """y of pillars' conductances: the nodal analysis."""

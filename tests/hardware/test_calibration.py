@@ -1,7 +1,6 @@
 """Gain, offset and rest of a sensor: found from known loads, applied, written, and refused where they do not belong."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,19 +60,28 @@ def test_a_tare_makes_what_is_there_the_rest():
     assert shown == pytest.approx(pressed / 1.07, rel=1e-12)
 
 
-def test_a_broken_pillar_is_not_tared():
+@pytest.mark.parametrize("open_ohm", [4.2e5, 1e9])  # 10 bits tell an open pillar of a divider from no more than this
+def test_a_broken_pillar_is_not_tared(open_ohm):
     calibration = SensorCalibration.as_designed(2, 3)
     rest = np.tile(REST_OHM, (2, 3, 1))
-    rest[0, 0, 0] = 1e9
+    rest[0, 0, 1] = open_ohm
     shown = calibration.tared(rest).modelled(rest[None], REST_OHM)
-    assert shown[0, 0, 0, 0] == 1e9
+    assert shown[0, 0, 0, 1] == open_ohm
+
+
+def test_a_pillar_of_which_nothing_is_known_stays_as_designed():
+    modelled = REST_OHM * np.random.default_rng(1).uniform(0.6, 1.0, (5, *SHAPE))
+    measured = 1.1 * modelled
+    measured[:, 1, 2, 0] = np.nan
+    found = SensorCalibration.fitted(measured, modelled, noise=1e-3)
+    assert (found.gain[1, 2, 0], found.offset_ohm[1, 2, 0]) == (1.0, 0.0)
+    assert found.gain[0, 0, 0] > 1.05
 
 
 def test_a_file_holds_all_of_it(tmp_path):
     calibration = a_calibration()
     write_calibration(calibration, tmp_path / "own.json")
     found = read_calibration(tmp_path / "own.json")
-    assert found.content_hash == calibration.content_hash
     for name in ("gain", "offset_ohm", "rest_ohm"):
         assert np.array_equal(getattr(found, name), getattr(calibration, name))
     assert (found.electronics, found.serial, found.made_from) == (
@@ -123,9 +131,3 @@ def test_another_sensor_is_refused():
         calibration.require_for(Info(rows=2, cols=3, serial=4))
     with pytest.raises(FileFormatError, match="is of 2 × 3 units, the board of 6 × 6"):
         calibration.require_for(Info())
-
-
-def test_the_hash_changes_with_what_changes_forces():
-    calibration = a_calibration()
-    other = replace(calibration, electronics=Electronics(switch_ohm=71.0))
-    assert calibration.content_hash != other.content_hash
