@@ -191,8 +191,8 @@ def dataset(
     sense_ohm: Annotated[
         float | None, typer.Option(help="The crossbar's sense or feedback resistor [Ω]; default: suits 10 kΩ.")
     ] = None,
-    switch_ohm: Annotated[float, typer.Option(help="Its closed switches [Ω].")] = 25.0,
-    line_ohm: Annotated[float, typer.Option(help="Its wires to the pillars [Ω].")] = 0.0,
+    switch_ohm: Annotated[float | None, typer.Option(help="Its closed switches [Ω]; default: 25.")] = None,
+    line_ohm: Annotated[float | None, typer.Option(help="Its wires to the pillars [Ω]; default: 0.")] = None,
     correct: Annotated[bool, typer.Option(help="Take its crosstalk out again, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
@@ -221,6 +221,10 @@ def dataset(
     sensor = chosen(design)
     settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
     readout = None
+    wires = {"sense_ohm": sense_ohm, "switch_ohm": switch_ohm, "line_ohm": line_ohm}
+    given = {name: ohms for name, ohms in wires.items() if ohms is not None}
+    if crossbar is None and (given or not correct):
+        raise DesignError("--sense-ohm, --switch-ohm, --line-ohm and --no-correct belong to --crossbar: give it, too.")
     if crossbar is not None:
         from hardware.crossbar import Crossbar, CrossbarReadout, scan_mode_named
 
@@ -228,10 +232,8 @@ def dataset(
             scan_mode_named(crossbar),
             rows=sensor.array.rows,
             cols=sensor.array.cols,
-            sense_ohm=sense_ohm,
-            switch_ohm=switch_ohm,
-            line_ohm=line_ohm,
             bits=bits,
+            **given,
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)
     with progress_bars(quiet) as bars:

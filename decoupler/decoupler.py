@@ -19,6 +19,7 @@ from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig
 from decoupler.uncertainty import Uncertainty
 from geometry.design import SensorDesign
+from geometry.files import digest
 from geometry.layout import PILLARS, FloatArray
 
 CHUNK = 512  #: samples worked on together, a thread each
@@ -96,6 +97,21 @@ class Decoupler:
         shape = (-1, self.rows, self.cols, len(self.component.axes))
         one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
+
+    @property
+    def is_fine_tuned(self) -> bool:
+        """It knows gain and offset of one sensor's pillars."""
+        return self.calibration is not None
+
+    @property
+    def knows_uncertainty(self) -> bool:
+        """`deviations` can be asked for."""
+        return self.uncertainty is not None
+
+    @property
+    def design_hash(self) -> str | None:
+        """Of the sensor it was made for; None if that is unknown."""
+        return None if self.design is None else digest(self.design)
 
     def rest_resistances(self) -> FloatArray | None:
         """What this model's sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dataset.imperfections import OPEN_OHM
 from decoupler.calibration import LEAST_OHM, Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
@@ -90,9 +91,14 @@ class SensorCalibration:
             made_from={"loads": n, "noise": noise},
         )
 
+    @property
+    def is_tare_only(self) -> bool:
+        """Every gain is 1 and every offset 0."""
+        return bool((self.gain == 1.0).all() and (self.offset_ohm == 0.0).all())
+
     def tared(self, measured_ohm: FloatArray) -> "SensorCalibration":
-        """The same with another state at rest: resistances (rows, cols, 3) [Ω] as the crossbar gives them."""
-        return replace(self, rest_ohm=self._calibrated(measured_ohm))
+        """The same with another state at rest: resistances (rows, cols, 3) [Ω] of the crossbar, NaN where open."""
+        return replace(self, rest_ohm=self._calibrated(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
 
     def modelled(self, measured_ohm: FloatArray, rest_as_designed_ohm: FloatArray) -> FloatArray:
         """What the sensor as designed would show.

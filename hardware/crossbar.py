@@ -187,8 +187,8 @@ class Crossbar:
     def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """What the converter's steps leave of corrected resistances: relative standard deviation, (rows, cols, 3).
 
-        Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, 1/√12 of its width; the inverse of the
-        Jacobian mixes and amplifies them.
+        Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, deviation 1/√12 of its width; the
+        inverse of the Jacobian mixes and amplifies them.
         """
         if self.full_scale is None:
             return np.zeros(resistance_ohm.shape[1:])

@@ -22,11 +22,25 @@ class ForceModel(Protocol):
     @property
     def cols(self) -> int: ...
 
+    @property
+    def design_hash(self) -> str | None:
+        """Of the sensor it was made for; None if unknown."""
+
+    @property
+    def is_fine_tuned(self) -> bool:
+        """It knows gain and offset of one sensor's pillars by itself."""
+
+    @property
+    def knows_uncertainty(self) -> bool: ...
+
     def rest_resistances(self) -> FloatArray | None:
         """What its sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if that is unknown."""
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces [N], shape (n, rows, cols, k), from pillars z, x, y [Ω], shape (n, rows, cols, 3)."""
+
+    def deviations(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the forces' errors, of their shape [N]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +72,8 @@ class ForceReader:
     Raises
     ------
     FileFormatError
-        If model or calibration are of another array, or there is a state at rest and the model states no design.
+        If model or calibration are of another array or design, if both know gains, or if there is a state at rest and
+        the model states no design.
     """
 
     def __init__(
@@ -74,6 +89,7 @@ class ForceReader:
         self.calibration.require_for(info)
         self.crossbar = self.calibration.electronics.crossbar(info)
         self._invert = Corrector(self.crossbar).correct if crosstalk else self.crossbar.uncorrected
+        self._require_fit()
         rest_ohm = model.rest_resistances()
         if self.calibration.rest_ohm is not None and rest_ohm is None:
             raise FileFormatError(
@@ -81,6 +97,20 @@ class ForceReader:
                 "or train on data that state their design."
             )
         self._rest_ohm = np.ones(3) if rest_ohm is None else rest_ohm
+
+    def _require_fit(self) -> None:
+        calibration, model = self.calibration, self.model
+        made_for = calibration.made_from.get("design_hash")
+        if made_for and model.design_hash and made_for != model.design_hash:
+            raise FileFormatError(
+                f"the calibration is for a sensor of design {made_for}, the model for one of {model.design_hash}: "
+                "take a model of that design, or calibrate by the model's."
+            )
+        if model.is_fine_tuned and not calibration.is_tare_only:
+            raise FileFormatError(
+                "the model is fine-tuned to its sensor's pillars, and the calibration knows their gains too: give a "
+                "calibration that only holds a tare, or the model before fine-tuning."
+            )
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances as the crossbar gives them (n, rows, cols, 3) [Ω] from counts (n, rows·cols·3), and which of them
@@ -93,3 +123,7 @@ class ForceReader:
         measured_ohm, saturated = self.measured(counts)
         resistance_ohm = self.calibration.modelled(measured_ohm, self._rest_ohm)
         return Forces(force_n=self.model.forces(resistance_ohm), resistance_ohm=resistance_ohm, saturated=saturated)
+
+    def deviations(self, found: Forces) -> FloatArray | None:
+        """Half-widths that hold 68 % of the errors of forces, of their shape [N]; None if the model knows none."""
+        return self.model.deviations(found.resistance_ohm)[0] if self.model.knows_uncertainty else None

@@ -2,16 +2,19 @@
 
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geometry.files import replacing
 from hardware.recording.mcap_recorder import McapRecorder
 from hardware.recording.recorded import Recording, frames_of
-from hardware.replay import Replay
+
+if TYPE_CHECKING:
+    from hardware.replay import Replay
 
 _STEP = 256  # frames, then their forces: messages of one time stay together in the file
 
 
-def export_mcap(recording: Recording, forces: Replay | None, path: Path, axes: tuple[str, ...] = ()) -> None:
+def export_mcap(recording: Recording, forces: "Replay | None", path: Path, axes: tuple[str, ...] = ()) -> None:
     """Write a recording as MCAP, whole or not at all.
 
     Parameters
@@ -40,6 +43,7 @@ def export_mcap(recording: Recording, forces: Replay | None, path: Path, axes: t
                 some = slice(start, start + _STEP)
                 recorder.append(islice(frames, _STEP), times[some])
                 if forces is not None:
-                    for time_s, force_n in zip(times[some], forces.force_n[some], strict=True):
-                        recorder.append_forces(time_s, force_n, axes)
+                    for k, time_s in enumerate(times[some], start=start):
+                        deviation_n = None if forces.deviation_n is None else forces.deviation_n[k]
+                        recorder.append_forces(time_s, forces.force_n[k], axes, deviation_n)
             recorder.close(recording.statistics)

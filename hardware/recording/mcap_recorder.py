@@ -67,7 +67,7 @@ class McapRecorder(FrameRecorder):
         axes : k names
             The components.
         deviation_n : array, shape (rows, cols, k)
-            Their standard deviations [N], if known.
+            Half-widths that hold 68 % of their errors [N], if known.
         """
         self._require_open()
         self._require_time(time_s)

@@ -70,7 +70,9 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                         "row": _whole("of the unit, along y", _BYTE),
                         "col": _whole("of the unit, along x", _BYTE),
                         "force_n": _list({"type": "number"}, "one an axis [N], to six decimals"),
-                        "deviation_n": _list({"type": "number"}, "their standard deviations [N], empty if unknown"),
+                        "deviation_n": _list(
+                            {"type": "number"}, "what holds 68 % of their errors [N], empty if unknown"
+                        ),
                     },
                 },
                 "row by row",

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from decoupler.components import component_named, force_columns, pillar_columns
+from decoupler.components import component_named, force_columns
 from decoupler.forward_model import ForwardModel
 from geometry.errors import FileFormatError
+from geometry.files import digest
 from geometry.layout import FloatArray
 from hardware.calibration import Electronics, SensorCalibration
 from hardware.loads import KnownLoad, read_loads, weight
 from hardware.recording import read_recording
-from studies.board.session import averaged, mean_resistances, scanner_on
+from studies.board.session import averaged, board_on, mean_resistances
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
-
-LEAST_NOISE = 1e-4  #: that a mean resistance is believed to have
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,8 +27,8 @@ class MeasuredLoads:
 
     names: list[str]
     force_n: FloatArray  #: (n, rows, cols, 3)
-    measured_ohm: FloatArray  #: (n, rows, cols, 3): as the crossbar gives them
-    noise: float  #: of one scan, relative
+    measured_ohm: FloatArray  #: (n, rows, cols, 3): as the crossbar gives them; NaN where open
+    noise: float  #: of a mean resistance, relative
     serial: int  #: of the board
 
 
@@ -37,15 +36,14 @@ def measured_live(
     port: str, loads: Path | None, electronics: Electronics, seconds: float, **settings: Any
 ) -> MeasuredLoads:
     """Ask for one load after another, of a table or as typed weights, and measure each for some seconds."""
-    with scanner_on(port, **settings) as scanner:
+    with board_on(port, **settings) as (scanner, _):
         rows, cols = scanner.info.rows, scanner.info.cols
         asked = _typed(rows, cols) if loads is None else iter(read_loads(loads, rows, cols))
-        calibration = SensorCalibration.as_designed(rows, cols, electronics)
         taken = []
         for load in asked:
             if loads is not None:
                 _ask(f"put on load '{load.name}', then press Enter: ")
-            taken.append((load, *mean_resistances(scanner, calibration, seconds)))
+            taken.append((load, *mean_resistances(scanner, electronics, seconds)))
     return _collected(taken, scanner.info.serial)
 
 
@@ -53,7 +51,7 @@ def measured_in_recording(path: Path, loads: Path, electronics: Electronics) -> 
     """Find the loads of a table in a recording, by their times since its first frame."""
     recording = read_recording(path)
     info = recording.info
-    calibration = SensorCalibration.as_designed(info.rows, info.cols, electronics)
+    crossbar = electronics.crossbar(info)
     since_s = recording.time_s - recording.time_s[0]
     taken = []
     for load in read_loads(loads, info.rows, info.cols):
@@ -65,7 +63,7 @@ def measured_in_recording(path: Path, loads: Path, electronics: Electronics) -> 
                 f"{path} lasts {since_s[-1]:.1f} s, no frame lies in load '{load.name}' from {load.from_s:g} s to "
                 f"{load.to_s:g} s: correct its times."
             )
-        taken.append((load, *averaged(recording.counts[within], info, calibration)))
+        taken.append((load, *averaged(recording.counts[within], crossbar)))
     return _collected(taken, info.serial)
 
 
@@ -81,12 +79,11 @@ def calibrated(
             f"the board has {pairs.force_n.shape[1]} × {pairs.force_n.shape[2]} units, the design "
             f"{response.design.array.rows} × {response.design.array.cols}: give --design of this sensor."
         )
-    columns = pillar_columns(pairs.measured_ohm, everything)
     modelled = forward.resistances(forces).reshape(pairs.measured_ohm.shape)
-    believed = max(pairs.noise if noise is None else noise, LEAST_NOISE)
-    found = SensorCalibration.fitted(pairs.measured_ohm, modelled, believed, electronics)
-    missed = (found.gain * modelled + found.offset_ohm).reshape(columns.shape) / columns - 1.0
-    return replace(found, serial=pairs.serial), float(np.sqrt((missed**2).mean()))
+    found = SensorCalibration.fitted(pairs.measured_ohm, modelled, pairs.noise if noise is None else noise, electronics)
+    missed = (found.gain * modelled + found.offset_ohm) / pairs.measured_ohm - 1.0
+    story = found.made_from | {"design_hash": digest(response.design)}
+    return replace(found, serial=pairs.serial, made_from=story), float(np.sqrt(np.nanmean(missed**2)))
 
 
 def _typed(rows: int, cols: int) -> "Any":

@@ -4,10 +4,10 @@ import json
 import time
 from collections import deque
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 
-from studies.board.session import LiveForces, Session, scans
+from studies.board.session import Session, scans
 from studies.board.view import live_view
 
 SHOWN_S = 0.1  #: between two pictures
@@ -19,27 +19,26 @@ def show_forces(reading: Session, seconds: float) -> None:
     """Draw the newest forces ten times a second; scans in between are read, not drawn."""
     scanner, axes = reading.scanner, reading.model.component.axes
     times: deque[float] = deque(maxlen=RATE_OVER)
-    newest: LiveForces | None = None
     full_scale, shown = LEAST_FULL_SCALE_N, 0.0
-    with Live(console=Console(), auto_refresh=False, transient=False) as screen:
+    with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans(scanner, seconds):
             if scan is not None:
                 times.append(scan.received_s)
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
-            latest = scanner.latest()
-            if latest is not None:
-                newest = reading.forces(latest)
-            if newest is None:
-                continue
-            full_scale = max(full_scale, float(abs(newest.force_n).max()))
             notes = [scanner.trouble] if scanner.trouble else []
-            if newest.n_saturated:
-                notes.append(f"{newest.n_saturated} pillars at an end of the converter's range: forces extrapolated")
+            latest = scanner.latest()
+            if latest is None:
+                screen.update(Group("waiting for scans", *notes), refresh=True)
+                continue
+            found = reading.forces(latest)
+            if n_saturated := int(found.saturated.sum()):
+                notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
+            full_scale = max(full_scale, float(abs(found.force_n).max()))
             rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
-            deviation = reading.deviations(newest)
-            view = live_view(newest.force_n, deviation, axes, full_scale, rate_hz, scanner.stats, notes)
+            deviation = reading.deviations(found)
+            view = live_view(found.force_n[0], deviation, axes, full_scale, rate_hz, scanner.stats, notes)
             screen.update(view, refresh=True)
 
 
@@ -62,9 +61,9 @@ def print_lines(reading: Session, seconds: float) -> None:
                 "time_s": scan.time_s,
                 "sequence": scan.frame.sequence,
                 "axes": reading.model.component.axes,
-                "force_n": found.force_n.round(4).tolist(),
+                "force_n": found.force_n[0].round(4).tolist(),
                 "deviation_n": None if deviation is None else deviation.round(4).tolist(),
-                "saturated": found.n_saturated,
+                "saturated": int(found.saturated.sum()),
             }
             print(json.dumps(line), flush=True)
     except BrokenPipeError:

@@ -24,8 +24,8 @@ class Link:
     statistics: dict[str, Any]
 
 
-def measured_link(scanner: Scanner, reading: Session | None, seconds: float) -> Link:
-    """Read a board for some seconds, with forces of every scan if there is a session.
+def measured_link(scanner: Scanner, reading: Session | None, seconds: float, rehearsal: bool = True) -> Link:
+    """Read a board for some seconds, with forces of every scan if there is a session; `scans` says what a rehearsal is.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def measured_link(scanner: Scanner, reading: Session | None, seconds: float) -> 
         If fewer than three scans come.
     """
     arrivals, device_us, latencies = [], [], []
-    for scan in scans(scanner, seconds, None if reading is None else reading.forces):
+    for scan in scans(scanner, seconds, reading.forces if reading and rehearsal else None):
         if scan is None:
             continue
         if reading is not None:

@@ -5,7 +5,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +13,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from decoupler.decoupler import Decoupler
-from decoupler.model_file import read_model
-from geometry.files import digest
-from geometry.layout import FloatArray
-from hardware.calibration import SensorCalibration, read_calibration
-from hardware.frames import Info
-from hardware.live import ForceReader
+from geometry.errors import FileFormatError
+from geometry.layout import PILLARS, FloatArray
+from hardware.calibration import Electronics, SensorCalibration, read_calibration
+from hardware.crossbar import Crossbar
+from hardware.live import ForceReader, Forces
 from hardware.recording import read_recording
 from hardware.recording.playback import PlaybackPort
 from hardware.scanner import Scanner, ScannerError
@@ -33,34 +31,35 @@ MOST_FOR_NOISE = 200  #: scans that tell how much a resistance varies
 
 
 @contextmanager
-def scanner_on(port: str, speed: float = 1.0, **settings: Any) -> Iterator[Scanner]:
-    """A scanner on what `open_port` opens, or on a recording, played at `speed` times its pace."""
+def board_on(
+    port: str, calibration: Path | None = None, speed: float = 1.0, **settings: Any
+) -> Iterator[tuple[Scanner, SensorCalibration]]:
+    """A scanner on what `open_port` opens, or on a recording played at `speed` times its pace; and what is known of it.
+
+    That is the calibration of a file, else the one that a recording holds, else that of a sensor as designed.
+
+    Raises
+    ------
+    FileFormatError
+        If the calibration is of another board.
+    """
     source: Any = port
+    known = None if calibration is None else read_calibration(calibration)
     if Path(port).is_file():
-        source = PlaybackPort(read_recording(Path(port)), speed=speed)
+        recording = read_recording(Path(port))
+        source = PlaybackPort(recording, speed=speed)
+        if known is None and recording.calibration:
+            known = SensorCalibration.from_json(recording.calibration, f"the calibration in {port}")
     # one scan's matrices are too small for two BLAS threads to share
     with threadpool_limits(1, "blas"), Scanner(source, **settings) as scanner:
-        yield scanner
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LiveForces:
-    """Forces of one scan; k components as the model gives them."""
-
-    force_n: FloatArray  #: (rows, cols, k)
-    resistance_ohm: FloatArray  #: (1, rows, cols, 3): as the model saw them
-    n_saturated: int  #: pillars whose counts are at an end of the converter's range
+        info = scanner.info
+        known = known or SensorCalibration.as_designed(info.rows, info.cols)
+        known.require_for(info, str(calibration or port))
+        yield scanner, known
 
 
 class Session:
     """A model's forces of a board's scans.
-
-    Parameters
-    ----------
-    scanner : Scanner
-        Entered.
-    model : Decoupler
-    calibration : SensorCalibration, optional
 
     Raises
     ------
@@ -68,42 +67,23 @@ class Session:
         If board, model and calibration do not belong together.
     """
 
-    def __init__(self, scanner: Scanner, model: Decoupler, calibration: SensorCalibration | None = None) -> None:
+    def __init__(self, scanner: Scanner, model: Decoupler, calibration: SensorCalibration) -> None:
         self.scanner, self.model = scanner, model
         self.reader = ForceReader(scanner.info, model, calibration)
 
-    def forces(self, scan: "Scan") -> LiveForces:
-        """Of one scan."""
-        found = self.reader.forces(scan.frame.counts[None])
-        return LiveForces(
-            force_n=found.force_n[0], resistance_ohm=found.resistance_ohm, n_saturated=int(found.saturated.sum())
-        )
+    def forces(self, scan: "Scan") -> Forces:
+        """Of one scan: arrays of length 1."""
+        return self.reader.forces(scan.frame.counts[None])
 
-    def deviations(self, found: LiveForces) -> FloatArray | None:
+    def deviations(self, found: Forces) -> FloatArray | None:
         """Half-widths that hold 68 % of errors, (rows, cols, k) [N]; None if the model knows no uncertainty."""
-        return None if self.model.uncertainty is None else self.model.deviations(found.resistance_ohm)[0][0]
-
-
-def session(scanner: Scanner, model: Path, calibration: Path | None) -> Session:
-    """Of the files of a model and of a calibration."""
-    return Session(
-        scanner, read_model(model), None if calibration is None else chosen_calibration(calibration, scanner)
-    )
-
-
-def chosen_calibration(path: Path | None, scanner: Scanner) -> SensorCalibration:
-    """The calibration of a file; as designed without one."""
-    info = scanner.info
-    if path is None:
-        return SensorCalibration.as_designed(info.rows, info.cols)
-    calibration = read_calibration(path)
-    calibration.require_for(info, str(path))
-    return calibration
+        deviation_n = self.reader.deviations(found)
+        return None if deviation_n is None else deviation_n[0]
 
 
 def hashes_of(model: Decoupler) -> dict[str, str]:
     """What a recording keeps of the model that it is meant for."""
-    found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design and digest(model.design)}
+    found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
     return {name: str(value) for name, value in found.items() if value}
 
 
@@ -113,18 +93,17 @@ def scans(
     """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`.
 
     `rehearse` is given the last scan once more a little before the next is due. What it touches is then still in the
-    processor's caches when the next scan is worked on, which 6 ms of waiting would empty: without a rehearsal forces
-    take 0.44 ms, with it 0.29.
+    processor's caches when the next scan is worked on, which 6 ms of waiting would empty; `tripillar bench` shows both.
     """
     end_s = time.monotonic() + seconds
-    ahead_s = 1.0 / scanner.info.rate_hz - REHEARSED_S
     with ended_by_signal() as is_ended:
         scan = None
         while not is_ended() and time.monotonic() < end_s:
             last, scan = scan, None
-            if rehearse and last and ahead_s > 0.0:
-                scan = scanner.get(timeout=max(0.0, last.received_s + ahead_s - time.perf_counter()))
-                if scan is None:
+            if rehearse and last:
+                ahead_s = last.received_s + 1.0 / scanner.info.rate_hz - REHEARSED_S - time.perf_counter()
+                scan = scanner.get(timeout=max(0.0, ahead_s))
+                if scan is None and ahead_s > 0.0:
                     rehearse(last)
             if scan is None:
                 scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
@@ -151,32 +130,54 @@ def ended_by_signal() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def mean_resistances(scanner: Scanner, calibration: SensorCalibration, seconds: float) -> tuple[FloatArray, float]:
-    """What the crossbar gives, (rows, cols, 3) [Ω], averaged over some seconds from now, and the readings' noise.
-
-    Returns
-    -------
-    resistance_ohm : array, shape (rows, cols, 3)
-    noise : float
-        Relative standard deviation of a resistance from one scan to the next: the median over pillars.
+def mean_resistances(scanner: Scanner, electronics: Electronics, seconds: float) -> tuple[FloatArray, float]:
+    """`averaged` of the scans of some seconds from now.
 
     Raises
     ------
     ScannerError
         If no scan comes.
+    FileFormatError
+        As `averaged` does.
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
-    taken = [scan.frame.counts for scan in scans(scanner, seconds) if scan is not None]
+    taken, end_s = [], time.monotonic() + seconds
+    while (left_s := end_s - time.monotonic()) > 0.0 and not scanner.ended:
+        scan = scanner.get(timeout=min(BATCH_S, left_s))
+        if scan is not None:
+            taken.append(scan.frame.counts)
     if not taken:
         raise ScannerError(f"no scan within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
-    return averaged(np.array(taken), scanner.info, calibration)
+    return averaged(np.array(taken), electronics.crossbar(scanner.info))
 
 
-def averaged(counts: NDArray[Any], info: Info, calibration: SensorCalibration) -> tuple[FloatArray, float]:
-    """Mean resistances (rows, cols, 3) [Ω] of counts (n, n_crossings) and their noise, as `mean_resistances` gives."""
-    crossbar = calibration.electronics.crossbar(info)
-    readings, _ = crossbar.fractions(counts.mean(axis=0, keepdims=True))
-    mean_ohm = crossbar.correct(readings)[0]
-    some = crossbar.correct(crossbar.fractions(counts[-MOST_FOR_NOISE:])[0])
-    return mean_ohm, float(np.median(some.std(axis=0) / mean_ohm))
+def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:
+    """Mean resistances of counts (n, n_crossings), and how far to trust them.
+
+    Returns
+    -------
+    resistance_ohm : array, shape (rows, cols, 3)
+        As the crossbar gives them [Ω]; NaN where a count is 0, open.
+    noise : float
+        Relative standard deviation of these: the median over pillars of scatter and converter's steps together.
+
+    Raises
+    ------
+    FileFormatError
+        If a pillar reads full scale: it lies below what the converter can tell.
+    """
+    readings, is_bound = crossbar.fractions(counts)
+    is_open = crossbar.as_pillars(np.any(counts == 0, axis=0, keepdims=True))[0]
+    is_short = crossbar.as_pillars(np.any(is_bound, axis=0, keepdims=True))[0] & ~is_open
+    if is_short.any():
+        row, col, pillar = np.argwhere(is_short)[0]
+        raise FileFormatError(
+            f"pillar {PILLARS[pillar]} of row {row}, col {col} reads full scale, so its resistance is unknown: "
+            f"choose a smaller sense resistor than {crossbar.sense_ohm:g} Ω, or mend a short."
+        )
+    mean_ohm = crossbar.correct(readings.mean(axis=0, keepdims=True))
+    some = crossbar.correct(readings[-MOST_FOR_NOISE:])
+    scatter = some.std(axis=0) / mean_ohm[0] / math.sqrt(len(some))
+    noise = np.hypot(scatter, crossbar.step_deviation(mean_ohm))
+    return np.where(is_open, np.nan, mean_ohm[0]), float(np.median(noise[~is_open]))

@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
+from geometry.files import cache_folder, digest
 from geometry.wiring import crossings
 from hardware.crossbar import Crossbar
 from hardware.frames import Info
-from hardware.simavr_board import SimavrBoard, SimavrError, find_tools, write_table
+from hardware.simavr_board import FIRMWARE, SimavrBoard, SimavrError, find_tools, write_table
 from hardware.virtual_board import VirtualBoard
 from studies.board.motion import STEP_S, Motion
 
-FIRMWARE = Path(__file__).parents[2] / "hardware" / "firmware"
 Kind = Literal["atmega328p", "atmega2560", "python"]
+CHIP_BITS = 10  #: of the ATmegas' converter
 
 
 def counts_over_time(motion: Motion, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
@@ -35,19 +36,29 @@ def counts_over_time(motion: Motion, crossbar: Crossbar, sensor: Imperfections) 
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 
-def firmware_built(info: Info, folder: Path) -> tuple[Path, Path]:
-    """Folder of the firmware for a board that says `info`, and the simulator's program; made if need be.
+def suited_kind(info: Info) -> tuple[Kind, str]:
+    """The chip, where it can be simulated and can be such a board; else Python, and why."""
+    if info.bits != CHIP_BITS:
+        return "python", f"frames from Python: chips have converters of {CHIP_BITS} bits, not {info.bits}"
+    try:
+        firmware_built(info)
+    except SimavrError as error:
+        return "python", f"frames from Python: {error}"
+    return "atmega328p", ""
+
+
+def firmware_built(info: Info) -> Path:
+    """Folder with the firmware for a board that says `info`, and the simulator's program; made if need be.
 
     Raises
     ------
     SimavrError
-        If a tool is missing or the build fails; says which.
+        If a tool is missing or the build fails; says which, and why.
     """
     missing = find_tools()
     if missing:
         raise SimavrError(missing)
     settings = {
-        "OUT": str(folder.absolute()),
         "ROWS": info.rows,
         "COLS": info.cols,
         "SCAN_MODE": int(info.scan_mode),
@@ -55,20 +66,16 @@ def firmware_built(info: Info, folder: Path) -> tuple[Path, Path]:
         "RATE": info.rate_hz,
         "SERIAL": info.serial,
     }
-    command = [
-        "make",
-        "-C",
-        str(FIRMWARE),
-        "all",
-        "simulator",
-        *(f"{name}={value}" for name, value in settings.items()),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True)
+    folder = (cache_folder() / f"firmware-{digest(str(FIRMWARE), settings)}").absolute()
+    command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}"]
+    done = subprocess.run(
+        [*command, *(f"{name}={value}" for name, value in settings.items())], capture_output=True, text=True
+    )
     if done.returncode:
-        raise SimavrError(
-            f"the firmware does not build: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}"
-        )
-    return folder, folder / "simavr-board"
+        said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
+        causes = [line.split("error:", 1)[1].strip() for line in said if "error:" in line]
+        raise SimavrError(f"the firmware does not build: {(causes or said)[0]}")
+    return folder
 
 
 @contextmanager
@@ -89,15 +96,15 @@ def simulated(
         with VirtualBoard(lambda k: counts[int(k * steps_per_frame) % len(counts)], info, link=link) as board:
             yield board
         return
-    if info.bits != 10:
-        raise DesignError(f"bits={info.bits}, but the chip's converter has 10: simulate with --board python.")
+    if info.bits != CHIP_BITS:
+        raise DesignError(f"bits={info.bits}, but the chip's converter has {CHIP_BITS}: simulate with --board python.")
+    built = firmware_built(info)
     with tempfile.TemporaryDirectory(prefix="tripillar-") as folder:
-        built, program = firmware_built(info, Path(folder))
         table = Path(folder) / "table"
         row, column = crossings(info.rows, info.cols).T
         by_wire = np.zeros((len(counts), 2 * info.rows, 2 * info.cols), dtype=np.uint16)
         by_wire[:, row, column] = counts
         write_table(table, by_wire, step_us=round(STEP_S * 1e6))
-        elf = built / f"tripillar-{kind}.elf"
+        elf, program = built / f"tripillar-{kind}.elf", built / "simavr-board"
         with SimavrBoard(elf, kind, table, link=link, fast=fast, program=program) as chip:
             yield chip

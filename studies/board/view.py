@@ -54,8 +54,9 @@ def live_view(
     """All that the terminal shows: the table, sums over the array, the link, and what is wrong, if anything."""
     sums = "   ".join(f"ΣF{axis} {force_n[..., k].sum():8.1f} N" for k, axis in enumerate(axes))
     unsure = "" if deviation_n is None else f"   ± {float(deviation_n.mean()):.1f} N each (68 %)"
+    damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
-        f"{rate_hz:5.1f} frames/s   {stats.ok} ok   {stats.lost} lost   {stats.bad_crc + stats.bad_cobs} damaged   "
+        f"{rate_hz:5.1f} frames/s   {stats.ok} ok   {stats.lost} lost   {damaged} damaged   "
         f"{stats.overruns} overruns   {stats.dropped} dropped   {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"

@@ -21,6 +21,9 @@ class RestModel:
 
     rows = cols = 6
 
+    design_hash = None
+    is_fine_tuned = knows_uncertainty = False
+
     def rest_resistances(self):
         return None
 

@@ -19,6 +19,9 @@ class Shares:
 
     rows, cols = 2, 3
 
+    design_hash = None
+    is_fine_tuned = knows_uncertainty = False
+
     def __init__(self, knows_rest=True):
         self.knows_rest = knows_rest
 

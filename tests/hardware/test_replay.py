@@ -20,6 +20,9 @@ INFO = Info(rows=2, cols=3, bits=10, scan_mode=ScanMode.ZERO_POTENTIAL, sense_oh
 class RootModel:
     """A model whose forces are known: √R of each pillar [N], so that each can be told from all others."""
 
+    design_hash = None
+    is_fine_tuned = knows_uncertainty = False
+
     def __init__(self, rows=2, cols=3):
         self.rows, self.cols = rows, cols
 

@@ -242,6 +242,8 @@ def replayed(recording):
     return Replay(
         time_s=recording.time_s,
         force_n=force_n,
+        deviation_n=None,
+        calibration="",
         saturated=np.zeros((n, 2, 3, 3), dtype=bool),
         statistics=recording.statistics,
     )

@@ -1,0 +1,123 @@
+"""Fit what is known of one sensor: gain and offset of its pillars, its state at rest."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from studies.board.commands.options import (
+    BAUD,
+    TIMEOUT_S,
+    BaudOption,
+    CalibrationOption,
+    LineOption,
+    PortArgument,
+    SwitchOption,
+    TimeoutOption,
+    electronics_of,
+    require_positive,
+    require_unused,
+)
+from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, show_json, wrote
+
+commands = typer.Typer()
+
+
+@commands.command()
+def tare(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
+    calibration: CalibrationOption = None,
+    switch_ohm: SwitchOption = None,
+    line_ohm: LineOption = None,
+    seconds: Annotated[float, typer.Option(help="Average over so long.")] = 2.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+) -> None:
+    """Take what the sensor shows now, with nothing on it, for its state at rest."""
+    import numpy as np
+
+    from hardware.calibration import write_calibration
+    from studies.board.session import board_on, mean_resistances
+
+    require_positive(seconds=seconds, timeout=timeout)
+    require_unused(out, calibration)
+    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        electronics = electronics_of(known.electronics, switch_ohm, line_ohm)
+        measured_ohm, noise = mean_resistances(scanner, electronics, seconds)
+        tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
+    write_calibration(tared, out)
+    if json_:
+        rest = [
+            [[None if math.isnan(ohms) else ohms for ohms in unit] for unit in row] for row in measured_ohm.tolist()
+        ]
+        show_json({"file": str(out), "noise": noise, "rest_ohm": rest})
+    else:
+        least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
+        print(f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %")
+    wrote([out])
+
+
+@commands.command()
+def calibrate(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
+    loads: Annotated[
+        Path | None,
+        typer.Option(help="CSV: load,row,col,fx_n,fy_n,fz_n; with from_s,to_s to find them in a recording."),
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Take switches and wires from this one; its gains and tare are made anew.")
+    ] = None,
+    weights: Annotated[bool, typer.Option("--weights", help="Type weights in grams as you put them on.")] = False,
+    design: DesignOption = None,
+    switch_ohm: SwitchOption = None,
+    line_ohm: LineOption = None,
+    noise: Annotated[float | None, typer.Option(help="Of a resistance, relative; default: as measured.")] = None,
+    seconds: Annotated[float, typer.Option(help="Average over so long under each load.")] = 1.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find gain and offset of every pillar from known loads, by least squares; one of them should be no load at all."""
+    from hardware.calibration import read_calibration, write_calibration
+    from studies.board.calibrating import calibrated, measured_in_recording, measured_live
+    from studies.pipeline import respond
+
+    require_positive(seconds=seconds, timeout=timeout)
+    require_unused(out, calibration)
+    if (loads is None) != weights:
+        raise DesignError("give either --loads FILE or --weights.")
+    sensor = chosen(design)
+    known = None if calibration is None else read_calibration(calibration).electronics
+    electronics = electronics_of(known, switch_ohm, line_ohm)
+    if not Path(port).is_file():
+        pairs = measured_live(port, loads, electronics, seconds, baud=baud, timeout=timeout)
+    elif loads is not None:
+        pairs = measured_in_recording(Path(port), loads, electronics)
+    else:
+        raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
+    with progress_bars(quiet) as bars:
+        _, solved = respond(sensor, bars)
+    found, residual = calibrated(pairs, solved, electronics, noise)
+    write_calibration(found, out)
+    figures = {
+        "loads": len(pairs.names),
+        "noise": found.made_from["noise"],
+        "gain": [float(found.gain.min()), float(found.gain.max())],
+        "offset_ohm": [float(found.offset_ohm.min()), float(found.offset_ohm.max())],
+        "residual": residual,
+    }
+    if json_:
+        show_json({"file": str(out), **figures})
+    else:
+        print(
+            f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
+            f"{found.offset_ohm.min():.0f} to {found.offset_ohm.max():.0f} Ω; what is left: {100 * residual:.2f} %"
+        )
+    wrote([out])

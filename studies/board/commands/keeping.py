@@ -1,0 +1,129 @@
+"""Record what a board says, and play it again."""
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from studies.board.commands.options import (
+    BAUD,
+    TIMEOUT_S,
+    BaudOption,
+    CalibrationOption,
+    ModelOption,
+    PortArgument,
+    SecondsOption,
+    TimeoutOption,
+    require_positive,
+)
+from studies.console import JsonOption, QuietOption, say, show_json, wrote
+
+commands = typer.Typer()
+
+
+@commands.command()
+def record(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .nc, or .mcap for Foxglove and ROS.")],
+    model: Annotated[Path | None, typer.Option(help="Model the recording is meant for: its hash goes along.")] = None,
+    calibration: CalibrationOption = None,
+    seconds: SecondsOption = math.inf,
+    append: Annotated[bool, typer.Option("--append", help="Continue a recording of the same board.")] = False,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Record raw counts; a killed recording loses less than a second. MCAP holds the forces of --model, too."""
+    from decoupler.model_file import read_model
+    from studies.board.keep import record_scans
+    from studies.board.session import Session, board_on
+
+    require_positive(seconds=seconds, timeout=timeout)
+    decoupler = None if model is None else read_model(model)
+    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        reading = None if decoupler is None else Session(scanner, decoupler, known)
+        advance = None if quiet else progress
+        recorded = record_scans(scanner, out, seconds, known if calibration else None, reading, append, advance)
+    if not quiet:
+        print("\r\033[K", end="", file=sys.stderr)
+    if json_:
+        show_json({"file": str(out), "scans": recorded.scans, "statistics": asdict(recorded.statistics)})
+    else:
+        print(f"{recorded.scans} scans, {recorded.statistics.lost} lost, {recorded.statistics.overruns} overruns")
+    wrote([out])
+
+
+def progress(seconds: float, scans: int, trouble: str | None) -> None:
+    """How far a recording is, on one line of stderr."""
+    print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
+
+
+@commands.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(help="Recording: NetCDF, MCAP, or the bytes that a board sent.")],
+    model: ModelOption,
+    calibration: Annotated[
+        Path | None, typer.Option(help="In place of the one that the recording holds, if any.")
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Show it as 'live' does, at so many times its pace; default: all at once.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File for the forces of every frame: .nc, or .mcap with the counts beside.")
+    ] = None,
+    crosstalk: Annotated[bool, typer.Option(help="Take the crossbar's crosstalk out of the counts.")] = True,
+    json_: JsonOption = False,
+) -> None:
+    """Turn recorded frames into forces with a trained model."""
+    from decoupler.model_file import read_model
+    from hardware import read_calibration, read_recording, write_forces
+    from hardware import replay as replay_frames
+    from studies.board.session import Session, board_on, hashes_of
+
+    decoupler = read_model(model)
+    if speed is not None:
+        if not speed > 0:
+            raise DesignError(f"--speed {speed:g} must be above 0; 1 is as recorded.")
+        if out is not None or not crosstalk:
+            raise DesignError("--speed only shows forces: leave --out and --no-crosstalk out, or leave out --speed.")
+        from studies.board.follow import print_lines, show_forces
+
+        read_recording(recording)  # refuses what is none before it is taken for a port
+        with board_on(str(recording), calibration, speed) as (scanner, known):
+            (print_lines if json_ else show_forces)(Session(scanner, decoupler, known), math.inf)
+        return
+    recorded = read_recording(recording)
+    own = None if calibration is None else read_calibration(calibration)
+    hashes = hashes_of(decoupler)
+    if other_design(recorded.made_from, hashes):
+        say("warning: recorded for a model of another design: its forces are those of the design of --model")
+    replayed = replay_frames(recorded, decoupler, own, crosstalk, uncertainty=out is not None)
+    frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
+    if out is not None and out.suffix == ".mcap":
+        from hardware.recording.mcap_export import export_mcap
+
+        used = replace(recorded, calibration=replayed.calibration, made_from=hashes)
+        export_mcap(used, replayed, out, decoupler.component.axes)
+    elif out is not None:
+        write_forces(replayed, decoupler.component.axes, out, hashes)
+    if json_:
+        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(replayed.statistics)}
+        forces = {"time_s": replayed.time_s.tolist(), "force_n": replayed.force_n.tolist()}
+        show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
+    else:
+        print(f"{frames} frames, {replayed.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
+        for name, newtons in zip(decoupler.component.forces, replayed.force_n.transpose(3, 0, 1, 2), strict=True):
+            print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
+    wrote([] if out is None else [out])
+
+
+def other_design(recorded: Mapping[str, str], used: Mapping[str, str]) -> bool:
+    """Whether both name their design, and not the same."""
+    hashes = {made_from.get("design_hash") for made_from in (recorded, used)}
+    return len(hashes - {None, ""}) == 2

@@ -1,0 +1,50 @@
+"""Options that several commands of a board share."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geometry.errors import DesignError, FileFormatError
+
+if TYPE_CHECKING:
+    from hardware.calibration import Electronics
+
+PortArgument = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, socket://host:port, or a recording.")]
+ModelOption = Annotated[Path, typer.Option("--model", help="Model file.")]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", help="Of this sensor; default: as designed, switches of 25 Ω.")
+]
+SecondsOption = Annotated[float, typer.Option("--seconds", help="Stop after so long; default: on Ctrl-C.")]
+BaudOption = Annotated[int, typer.Option("--baud", help="Bits a second.")]
+TimeoutOption = Annotated[float, typer.Option("--timeout", help="Wait so long for the board's answer [s].")]
+LinesOption = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout, for pipes.")]
+SwitchOption = Annotated[float | None, typer.Option("--switch-ohm", help="Of a closed switch [Ω]; default: 25.")]
+LineOption = Annotated[float | None, typer.Option("--line-ohm", help="Of a wire to the pillars [Ω]; default: 0.")]
+BAUD, TIMEOUT_S = (
+    1_000_000,
+    4.0,
+)  # as in `hardware`, which takes too long to load for a help text
+
+
+def electronics_of(known: "Electronics | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":
+    """What is known of a board's electronics, with what options say in its place."""
+    from dataclasses import replace
+
+    from hardware.calibration import Electronics
+
+    given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
+    return replace(known or Electronics(), **{name: ohms for name, ohms in given.items() if ohms is not None})
+
+
+def require_positive(**values: float) -> None:
+    """Refuse times that are not above 0; without limit is fine."""
+    for name, value in values.items():
+        if not value > 0:
+            raise DesignError(f"--{name} {value:g} must be above 0.")
+
+
+def require_unused(out: Path, read: Path | None) -> None:
+    """Refuse to lose a file that the command did not read."""
+    if out.exists() and (read is None or out.resolve() != read.resolve()):
+        raise FileFormatError(f"{out}: the file exists: build on it by --calibration {out}, or give another name.")

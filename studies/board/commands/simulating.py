@@ -1,0 +1,98 @@
+"""Be a board."""
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from geometry.errors import DesignError
+from studies.board.commands.options import (
+    LineOption,
+    SecondsOption,
+    SwitchOption,
+    electronics_of,
+    require_positive,
+)
+from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say
+
+commands = typer.Typer()
+
+
+@commands.command()
+def simulate(
+    board_: Annotated[
+        Literal["auto", "atmega328p", "atmega2560", "python"],
+        typer.Option("--board", help="The firmware on a simulated chip, or the same frames from Python."),
+    ] = "auto",
+    link: Annotated[Path | None, typer.Option(help="Keep a link of this name on the port.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Scene TOML of an array, pressed again and again.")] = None,
+    pressure: Annotated[
+        float | None, typer.Option(help="Of the scripted press-and-slide, under its middle [MPa]; default: 3.")
+    ] = None,
+    period: Annotated[float, typer.Option(help="Of the script or the scene [s].")] = 6.0,
+    mode: Annotated[
+        Literal["zero-potential", "grounded", "divider"], typer.Option(help="How the crossbar is read.")
+    ] = "zero-potential",
+    rate: Annotated[int, typer.Option(help="Scans a second.")] = 150,
+    sense_ohm: Annotated[int | None, typer.Option(help="Sense or feedback resistor [Ω]; default: suits 10 kΩ.")] = None,
+    switch_ohm: SwitchOption = None,
+    line_ohm: LineOption = None,
+    noise: Annotated[float, typer.Option(help="Of a reading, as a share of full scale.")] = 0.0,
+    bits: Annotated[int, typer.Option(help="Of the converter; chips have 10.")] = 10,
+    gain_spread: Annotated[float, typer.Option(help="Each pillar's factor is uniform in 1 ± this.")] = 0.0,
+    offset: Annotated[float, typer.Option(help="Standard deviation of each pillar's offset [Ω].")] = 0.0,
+    specimen: Annotated[int, typer.Option(help="Seed of factors and offsets.")] = 0,
+    serial: Annotated[int, typer.Option(help="The board's own number.")] = 0,
+    seconds: SecondsOption = math.inf,
+    truth: Annotated[Path | None, typer.Option(help="NetCDF file for one period of the forces that act.")] = None,
+    design: DesignOption = None,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Be a board: the firmware on a simulated chip where simavr is installed, on a pseudo-terminal."""
+    from dataset.imperfections import Imperfections
+    from hardware.crossbar import SUITED_SENSE_OHM, scan_mode_named
+    from hardware.frames import Info
+    from studies.board.motion import PressAndSlide, press_and_slide, scene_motion, write_truth
+    from studies.board.session import ended_by_signal
+    from studies.board.simulated import counts_over_time, simulated, suited_kind
+
+    require_positive(seconds=seconds, period=period)
+    scan_mode = scan_mode_named(mode)
+    sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
+    told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
+    electronics = electronics_of(None, switch_ohm, line_ohm)
+    sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)
+    script = PressAndSlide(peak_mpa=3.0 if pressure is None else pressure, seconds=period)
+    with progress_bars(quiet) as bars:
+        if scene is not None:
+            from fem.scene_file import read_scene
+
+            if design is not None or pressure is not None:
+                raise DesignError("a scene has its own design and loads: leave --design and --pressure out.")
+            motion = scene_motion(read_scene(scene), period)
+        else:
+            from studies.pipeline import respond
+
+            motion = press_and_slide(respond(chosen(design), bars)[1], script)
+    rows, cols = motion.resistance_ohm.shape[1:3]
+    told = replace(told, rows=rows, cols=cols)
+    kind, why = suited_kind(told) if board_ == "auto" else (board_, "")
+    say(why)
+    if truth is not None:
+        write_truth(motion, truth)
+    counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), sensor)
+    with simulated(kind, told, counts, link) as running:
+        named = str(link or running.port)
+        if json_:
+            print(json.dumps({"port": named, "board": kind}), flush=True)
+        else:
+            print(f"{kind} on {named}; Ctrl-C ends it", flush=True)
+        with ended_by_signal() as is_ended:
+            end_s = time.monotonic() + seconds
+            while not is_ended() and time.monotonic() < end_s:
+                time.sleep(0.1)

@@ -1,0 +1,115 @@
+"""Find a board, ask it, watch its forces, measure its link."""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from studies.board.commands.options import (
+    BAUD,
+    TIMEOUT_S,
+    BaudOption,
+    CalibrationOption,
+    LinesOption,
+    ModelOption,
+    PortArgument,
+    SecondsOption,
+    TimeoutOption,
+    require_positive,
+)
+from studies.console import JsonOption, say, show_json
+
+commands = typer.Typer()
+
+
+@commands.command()
+def ports(json_: JsonOption = False) -> None:
+    """List the serial ports of this machine."""
+    from hardware.ports import list_ports
+
+    found = list_ports()
+    if json_:
+        show_json({"ports": [asdict(port) for port in found]})
+    else:
+        for port in found:
+            print(f"{port.device}  {port.description}  {port.hardware_id}")
+        say("" if found else "no serial port: plug the board in, or run 'tripillar simulate'")
+
+
+@commands.command()
+def info(
+    port: PortArgument, baud: BaudOption = BAUD, timeout: TimeoutOption = TIMEOUT_S, json_: JsonOption = False
+) -> None:
+    """Ask a board what it is."""
+    from studies.board.session import board_on
+
+    with board_on(port, baud=baud, timeout=timeout) as (scanner, _):
+        told = scanner.info
+    plain = asdict(told) | {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
+    if json_:
+        show_json(plain)
+    else:
+        for name, value in plain.items():
+            print(f"{name:10} {value}")
+
+
+@commands.command()
+def live(
+    port: PortArgument,
+    model: ModelOption,
+    calibration: CalibrationOption = None,
+    seconds: SecondsOption = math.inf,
+    rate: Annotated[int | None, typer.Option(help="Ask the board for so many scans a second.")] = None,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: LinesOption = False,
+) -> None:
+    """Show the forces on the sensor as they come: heat map, shear, rate and losses."""
+    from decoupler.model_file import read_model
+    from studies.board.follow import print_lines, show_forces
+    from studies.board.session import Session, board_on
+
+    require_positive(seconds=seconds, timeout=timeout)
+    decoupler = read_model(model)
+    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        reading = Session(scanner, decoupler, known)
+        if rate is not None:
+            scanner.set_rate(rate)
+        (print_lines if json_ else show_forces)(reading, seconds)
+
+
+@commands.command()
+def bench(
+    port: PortArgument,
+    model: Annotated[Path | None, typer.Option(help="Model file; without one frames are only read.")] = None,
+    calibration: CalibrationOption = None,
+    seconds: Annotated[float, typer.Option(help="Measure for so long.")] = 10.0,
+    rehearsal: Annotated[
+        bool, typer.Option(help="Work on the scan before shortly before the next, as 'live' does: caches stay warm.")
+    ] = True,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+) -> None:
+    """Measure a board's link: rate, losses, jitter, and how long a scan takes from its last byte to forces."""
+    from decoupler.model_file import read_model
+    from studies.board.link import measured_link
+    from studies.board.session import Session, board_on
+
+    require_positive(seconds=seconds, timeout=timeout)
+    decoupler = None if model is None else read_model(model)
+    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        reading = None if decoupler is None else Session(scanner, decoupler, known)
+        found = measured_link(scanner, reading, seconds, rehearsal)
+    if json_:
+        show_json(asdict(found))
+    else:
+        from studies.report import plain_table, show
+
+        link = asdict(found)
+        latency, statistics = link.pop("latency_ms") or {}, link.pop("statistics")
+        link |= {f"latency_{name}_ms": value for name, value in latency.items()}
+        show(plain_table("The board's link", [link]))
+        show(plain_table("What was met", [statistics]))
