@@ -6,7 +6,7 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress robustness firmware hardware-test test check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -44,8 +44,11 @@ stress: $(READY)  ## scenes and trainings at the edge of what can be solved: eac
 robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
 	$(BIN)/python -m studies.robustness --out $(OUT)/robustness
 
-firmware:  ## the boards' firmware, and the program that simulates a board
-	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware all simulator
+firmware:  ## the boards' firmware, ready to flash
+	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware all
+
+simulator: firmware  ## the program that runs that firmware on a simulated chip
+	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware simulator
 
 hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
 	$(BIN)/python -m pytest -rs hardware tests/hardware tests/studies/board

@@ -16,16 +16,12 @@ import typer
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from dataset.imperfections import Imperfections
-from dataset.simulate import DatasetSettings, measured_again, simulate
 from decoupler.decoupler import Decoupler
-from decoupler.settings import NetworkConfig, TrainingConfig
-from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.files import replacing
 from hardware.calibration import Electronics
 from hardware.correction import Corrector
-from hardware.crossbar import SUITED_SENSE_OHM, Crossbar
+from hardware.crossbar import Crossbar
 from hardware.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.live import ForceReader
 from hardware.reception import Scan
@@ -34,18 +30,20 @@ from hardware.scanner import Scanner
 from hardware.virtual_board import VirtualBoard
 from studies.board.link import milliseconds
 from studies.board.motion import Motion, PressAndSlide, press_and_slide
+from studies.board.paper_sensor import BITS, board_info, joint_net
 from studies.board.session import scans
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
 
-BOARD_BITS = 10  #: of the ATmega's converter
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
 TITLES = {
     "crosstalk": "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs",
+    "forces": f"What it costs in forces, {BITS} bits, switches of 25 Ω: root mean square errors",
+    "mistaken": "Switches of 30 Ω taken for 25 Ω: what is left of a resistance's error, exact readings",
     "offline": "A recorded frame to forces, many together",
-    "live": "A board in a process of its own: last byte read, or sent, to forces",
+    "live": "A board in a process of its own: last byte read, or sent, to forces [ms]",
 }
 
 
@@ -90,24 +88,31 @@ def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> C
     )
 
 
-def trained(response: ArrayResponse, bits: int) -> Decoupler:
-    """The joint net that forces are found with."""
-    from decoupler.training import train
+def forces_by(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, Any]:
+    """What a read-out's errors cost in forces: root mean square along each axis, beside exact resistances'."""
+    info = board_info(mode)
+    found = ForceReader(info, model).forces(Electronics().crossbar(info).counts(motion.resistance_ohm))
+    exact_n = model.forces(motion.resistance_ohm)
+    acting_n = np.zeros_like(exact_n) if motion.force_n is None else motion.force_n
+    named = {"through the board": found.force_n, "exact resistances": exact_n}
+    return {"mode": mode.name} | {
+        f"{name}, F{axis} [N]": float(np.sqrt(((force_n - acting_n)[..., k] ** 2).mean()))
+        for name, force_n in named.items()
+        for k, axis in enumerate(model.component.axes)
+    }
 
-    loads = simulate(response, DatasetSettings(protocol="contact", samples=2000, seed=1))
-    data = measured_again(loads, Imperfections(bits=bits), seed=1)
-    model, _ = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
-    return model
 
-
-def board_info(mode: ScanMode, rate_hz: int) -> Info:
-    """Of an ATmega board with a read-out that suits the paper's sensor."""
-    return Info(bits=BOARD_BITS, scan_mode=mode, sense_ohm=round(SUITED_SENSE_OHM[mode]), rate_hz=rate_hz)
+def mistaken(motion: Motion, mode: ScanMode) -> dict[str, Any]:
+    """What is left if switches of 30 Ω are taken for 25 Ω: mean and worst error of a resistance, in percent."""
+    true, taken = (Crossbar.suited(mode, switch_ohm=switch_ohm, bits=None) for switch_ohm in (30.0, 25.0))
+    states = motion.resistance_ohm[::10]
+    error = 100.0 * np.abs(taken.correct(true.readings(states)) / states - 1.0)
+    return {"mode": mode.name, "mean_pct": float(error.mean()), "worst_pct": float(error.max())}
 
 
 def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float]:
     """Microseconds that a recorded frame takes to decode, to correct, and to become forces, many together."""
-    info = board_info(mode, 150)
+    info = board_info(mode)
     stream = recording_from_resistances(np.tile(motion.resistance_ohm, (PERIODS, 1, 1, 1)), info)
     n = PERIODS * len(motion.resistance_ohm)
     start = time.perf_counter()
@@ -122,7 +127,9 @@ def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float
     return {name: 1e6 * seconds / n for name, seconds in parts.items()} | {"frames_per_s": n / (done - start)}
 
 
-def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float) -> dict[str, Any]:
+def live(
+    motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float, rehearsal: bool
+) -> dict[str, Any]:
     """Latency from a frame's last byte to forces: from when it was read, and from when another process sent it."""
     info = board_info(mode, rate_hz)
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
@@ -137,7 +144,7 @@ def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds
             reader.forces(scan.frame.counts[None])
 
         done_at = {}
-        for scan in scans(scanner, seconds, forces):
+        for scan in scans(scanner, seconds, forces if rehearsal else None):
             if scan is not None:
                 forces(scan)
                 done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s
@@ -148,11 +155,13 @@ def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds
     done = list(done_at.items())[WARM_UP:]
     from_read = milliseconds(np.array([done_s - received_s for _, (done_s, received_s) in done]))
     from_sent = milliseconds(np.array([done_s - sent_at[sequence] for sequence, (done_s, _) in done]))
-    return {"mode": mode.name, "rate_hz": rate_hz, "scans": len(done), "lost": statistics.lost} | {
-        f"{name}_{value}_ms": ms
+    return {
+        "mode": mode.name, "Hz": rate_hz, "rehearsal": str(rehearsal), "scans": len(done), "lost": statistics.lost,
+    } | {
+        f"{name} {value}": ms
         for name, latency in {"read": from_read, "sent": from_sent}.items()
         for value, ms in latency.items()
-    }
+    }  # fmt: skip
 
 
 def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
@@ -171,7 +180,7 @@ def bench(
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):
         _, response = respond(SensorDesign(), bars)
         motion = press_and_slide(response, PressAndSlide())
-        model = trained(response, BOARD_BITS)
+        model = joint_net(response)
         found = {
             "crosstalk": [
                 asdict(crosstalk(motion, mode, switch_ohm, bits))
@@ -179,8 +188,14 @@ def bench(
                 for switch_ohm in (25.0, 100.0)
                 for bits in (10, 12, 16)
             ],
+            "forces": [forces_by(motion, model, mode) for mode in ScanMode],
+            "mistaken": [mistaken(motion, mode) for mode in ScanMode],
             "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in ScanMode],
-            "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
+            "live": [
+                live(motion, model, mode, rate_hz, seconds, rehearsal)
+                for mode in ScanMode
+                for rate_hz, rehearsal in ((150, True), (150, False), (500, True))
+            ],
         }
     for name, rows in found.items():
         show(plain_table(TITLES[name], rows))

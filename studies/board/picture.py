@@ -9,16 +9,16 @@ from rich.console import Console
 from geometry.design import SensorDesign
 from geometry.files import replacing
 from hardware.calibration import Electronics
-from hardware.crossbar import SUITED_SENSE_OHM
-from hardware.frames import Info, ScanMode
+from hardware.frames import ScanMode
 from hardware.live import ForceReader
 from hardware.scanner import ScannerStatistics
-from studies.bench.hardware import BOARD_BITS, trained
 from studies.board.motion import PressAndSlide, press_and_slide
+from studies.board.paper_sensor import board_info, joint_net
 from studies.board.view import live_view
 from studies.pipeline import respond
 from studies.progress import Bars
 
+MODE = ScanMode.ZERO_POTENTIAL
 SHARE = 0.55  #: of the script's period: the indenter slides
 
 
@@ -26,9 +26,7 @@ def draw(out: Path) -> None:
     """Draw one scan of the simulated sensor, read by a zero-potential board."""
     with Bars(quiet=False) as bars:
         _, response = respond(SensorDesign(), bars)
-    motion, model = press_and_slide(response, PressAndSlide()), trained(response, BOARD_BITS)
-    mode = ScanMode.ZERO_POTENTIAL
-    info = Info(bits=BOARD_BITS, scan_mode=mode, sense_ohm=round(SUITED_SENSE_OHM[mode]))
+    motion, model, info = press_and_slide(response, PressAndSlide()), joint_net(response), board_info(MODE)
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
     k = round(SHARE * len(counts))
     found = ForceReader(info, model).forces(counts[k : k + 1])

@@ -1,6 +1,5 @@
 """Fit what is known of one sensor: gain and offset of its pillars, its state at rest."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -52,10 +51,9 @@ def tare(
         tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
     write_calibration(tared, out)
     if json_:
-        rest = [
-            [[None if math.isnan(ohms) else ohms for ohms in unit] for unit in row] for row in measured_ohm.tolist()
-        ]
-        show_json({"file": str(out), "noise": noise, "rest_ohm": rest})
+        rest_ohm = measured_ohm.astype(object)
+        rest_ohm[np.isnan(measured_ohm)] = None  # JSON knows no NaN
+        show_json({"file": str(out), "noise": noise, "rest_ohm": rest_ohm.tolist()})
     else:
         least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
         print(f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %")
