@@ -93,3 +93,33 @@ def test_what_does_not_belong_together_is_refused():
     tared = SensorCalibration.as_designed(2, 3).tared(REST_OHM)
     with pytest.raises(FileFormatError, match=r"model states no design, .*: leave the tare out"):
         ForceReader(INFO, Shares(knows_rest=False), tared)
+
+
+def test_a_calibration_for_another_design_is_refused():
+    model = Shares()
+    model.design_hash = "one"
+    known = replace(SensorCalibration.as_designed(2, 3), made_from={"design_hash": "other"})
+    with pytest.raises(FileFormatError, match=r"calibration is for a sensor of design other, the model for one of one"):
+        ForceReader(INFO, model, known)
+    ForceReader(INFO, model, replace(known, made_from={"design_hash": "one"}))
+
+
+def test_gains_are_not_taken_out_twice():
+    """A fine-tuned model knows them by itself; a tare alone is welcome to it."""
+    model = Shares()
+    model.is_fine_tuned = True
+    fresh = SensorCalibration.as_designed(2, 3)
+    with pytest.raises(FileFormatError, match=r"fine-tuned .* give a calibration that only holds a tare"):
+        ForceReader(INFO, model, replace(fresh, gain=np.full((2, 3, 3), 1.1)))
+    ForceReader(INFO, model, fresh.tared(REST_OHM))
+
+
+def test_deviations_are_given_where_the_model_knows_them():
+    model = Shares()
+    counts = counts_of([0.0])
+    assert ForceReader(INFO, model).deviations(ForceReader(INFO, model).forces(counts)) is None
+    model.knows_uncertainty = True
+    model.deviations = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
+    reader = ForceReader(INFO, model)
+    found = reader.forces(counts)
+    assert reader.deviations(found) == pytest.approx(0.1 * found.resistance_ohm)

@@ -108,7 +108,9 @@ def test_record_and_replay(house, port, suffix):
     assert live == pytest.approx(np.array(replayed["force_n"]), abs=1e-2)  # printed to 1e-4; corrected scan by scan
     assert "exists" in house.refusal("record", port, "-o", name, *WHOLE_SECOND)
     more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *WHOLE_SECOND, "-q")
-    assert len(read_recording(house.folder / name).sequence) == told["scans"] + more["scans"]
+    both = read_recording(house.folder / name)
+    assert len(both.sequence) == both.statistics.ok == told["scans"] + more["scans"]
+    assert both.statistics.bad_crc == 0
     assert house.tripillar("replay", name, "--model", MODEL, "--out", "forces.mcap").returncode == 0
 
 
@@ -139,6 +141,33 @@ def test_tare_takes_out_a_drift_of_the_rubber(house):
     assert errors["tared"] < 5 < errors["as it is"]  # of a pad's 432 N; nothing acts
 
 
+def test_played_at_a_pace_or_all_at_once_a_recording_gives_the_same(house):
+    """Its own calibration counts both ways."""
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        house.result("tare", port, "-o", "own.json", *WHOLE_SECOND)
+        house.result("record", port, "-o", "own.nc", "--calibration", "own.json", *WHOLE_SECOND, "-q")
+    at_once = np.array(house.result("replay", "own.nc", "--model", MODEL)["force_n"])
+    lines = house.tripillar("replay", "own.nc", "--model", MODEL, "--speed", "20", "--json").stdout.splitlines()
+    assert np.abs(at_once).max() < 5  # nothing acts, and the tare says so
+    assert np.array([json.loads(line)["force_n"] for line in lines]) == pytest.approx(at_once, abs=1e-2)
+    house.result("replay", "own.nc", "--model", MODEL, "--out", "own-forces.nc")
+    with xr.open_dataset(house.folder / "own-forces.nc") as forces:
+        assert forces["deviation_n"].shape == at_once.shape
+        assert "gain" in forces.attrs["calibration"]
+        assert forces.attrs["design_hash"]
+
+
+def test_ctrl_c_ends_a_tare_and_leaves_nothing(house, port):
+    command = [sys.executable, "-m", "tripillar", "tare", port, "-o", "never.json", "--seconds", "30"]
+    with subprocess.Popen(command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE) as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(timeout=3)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert not (house.folder / "never.json").exists()
+
+
 def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
     """A period of the script is recorded, its forces at ten moments are told: the specimen's gains come back."""
     flags = "--board", "python", "--bits", "16", "--period", "5", "--specimen", "3", "--gain-spread", "0.2"
@@ -155,12 +184,12 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
             table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
     (house.folder / "loads.csv").write_text("\n".join(table))
     told = house.result(
-        "calibrate", "known.nc", "--loads", "loads.csv", "--design", "small.toml", "-o", "own.json",
+        "calibrate", "known.nc", "--loads", "loads.csv", "--design", "small.toml", "-o", "gains.json",
         "--noise", "0.0005", "-q",
     )  # fmt: skip
     assert told["loads"] == 12
     assert told["residual"] < 0.005
-    found = read_calibration(house.folder / "own.json")
+    found = read_calibration(house.folder / "gains.json")
     gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=150.0, specimen=3).gain_and_offset(1, 2)
     rest_ohm = np.array([1e4, 1.414e4, 1.414e4])
     assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
@@ -171,6 +200,17 @@ def test_bench_measures_the_link(house, port):
     assert told["rate_hz"] == pytest.approx(150, rel=0.2)
     assert told["statistics"]["lost"] == 0
     assert 0 < told["latency_ms"]["median"] <= told["latency_ms"]["p99"] <= told["latency_ms"]["worst"]
+
+
+@pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
+def test_a_board_that_no_chip_can_be_is_pythons(house):
+    """And a chip that is asked for says why it cannot."""
+    with simulating(house, "--rate", "3000") as port:
+        assert house.result("info", port)["firmware"] == "0.0.0"
+    done = house.tripillar("simulate", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
+    assert done.returncode == 2
+    assert "the firmware does not build: " in done.stderr
+    assert "RATE: 1 to what the scan time allows" in done.stderr
 
 
 @pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
@@ -189,6 +229,11 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
         (["calibrate", "board", "-o", "x.json"], "give either --loads FILE or --weights"),
         (["tare", "board", "-o", "x.json", "--calibration", "small.toml"], "small.toml is no calibration"),
         (["replay", "small.toml", "--model", MODEL], "small.toml"),
+        (["tare", "board", "-o", "data.nc"], "the file exists: build on it by --calibration"),
+        (["replay", "press.nc", "--model", MODEL, "--speed", "0"], "--speed 0 must be above 0"),
+        (["replay", "press.nc", "--model", MODEL, "--speed", "1", "--out", "x.nc"], "--speed only shows forces"),
+        (["bench", "board", "--seconds", "nan"], "--seconds nan must be above 0"),
+        (["simulate", "--scene", "x.toml", "--pressure", "2"], "a scene has its own design and loads"),
         (["simulate", "--mode", "divider", "--bits", "40"], "bits=40 must be"),
         (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be above 0"),
     ],
