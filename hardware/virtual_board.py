@@ -64,7 +64,8 @@ class VirtualBoard:
     ) -> None:
         self.dropped_bytes = 0  #: that nobody read in time
         self.sent: deque[tuple[int, float]] = deque(maxlen=10_000)  #: (sequence, time.perf_counter() at its sending)
-        self._counts = counts if callable(counts) else _looped(np.atleast_2d(counts), step_s or 1 / info.rate_hz)
+        step_s = 1 / info.rate_hz if step_s is None else step_s
+        self._counts = counts if callable(counts) else _looped(np.atleast_2d(counts), step_s)
         self._own_info = self._start_info = self._info = info
         self._link = None if link is None else Path(link)
         self._port = ""
