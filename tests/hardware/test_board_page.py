@@ -67,7 +67,7 @@ def test_what_full_scale_costs(row):
     assert float(width.split()[0]) == pytest.approx(most - least, abs=0.51)
     numbers = {"R": 10e3, "R_s": crossbar.sense_ohm}
     told = eval(row[2].replace("·", "*").replace("−", "-"), numbers)  # the page's own formula
-    assert told == pytest.approx(read, abs=1e-3)
+    assert told == pytest.approx(read, abs=0.2)  # an empty crossing has 1 GΩ
 
 
 def test_what_full_scale_costs_in_a_full_array():
@@ -84,8 +84,8 @@ def test_what_the_zero_potential_board_must_bear():
     """A row's twelve pillars at 5 V; 30 % shorter, R ∝ l², all of them."""
     text = " ".join(PAGE.split())
     rest_ohm = np.repeat([10e3, 10e3 * 2**0.5], 6)
-    assert 12 * 5 / 10e3 == pytest.approx(6e-3)
+    assert (5 / rest_ohm).sum() == pytest.approx(5e-3, abs=0.2e-3)
     assert (5 / (0.7**2 * rest_ohm)).sum() == pytest.approx(10.5e-3, abs=0.06e-3)
-    assert "6 mA at rest (10 kΩ each; pillars x and y, at 14 kΩ, take less), 10.5 mA at 30 % compression" in text
-    assert 0.7**2 * 10e3 / 4.7e3 == pytest.approx(1.04, abs=0.005)
+    assert "5 mA at rest (six of 10 kΩ and six of 14 kΩ; 6 mA if all had 10 kΩ), 10.5 mA when all are 30 %" in text
+    assert rest_ohm[0] * 0.7**2 / 4.7e3 == pytest.approx(1.04, abs=0.005)
     assert "A z pillar of 10 kΩ is at 4.9 kΩ when 30 % shorter, 4 % above 4.7 kΩ" in text
