@@ -27,6 +27,8 @@ _INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their
 _CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 _MAX_COUNT = _SHORT
+_MOST_DRIFT = 0.01  # of a ceramic resonator, with room to spare
+_MOST_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
 _MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
 
 
@@ -197,11 +199,28 @@ def _unpack_info(packed: bytes) -> Info:
     )
 
 
-def missing_between(previous: Frame, frame: Frame) -> int | None:
-    """How many frames were sent between two received ones; None if the board has restarted in between."""
+def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
+    """How many frames were sent between two received ones; None if the board has restarted in between.
+
+    Parameters
+    ----------
+    previous, frame : Frame
+        In the order in which they came.
+    host_s : float, optional
+        By the host's clock, from the scan of `previous` to the arrival of `frame` [s].
+
+    Notes
+    -----
+    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn, and
+    the sequence does so in every second case. Without `host_s` such a restart cannot be told from lost frames: scans
+    that were skipped take no sequence number and the rate may change, so a pause can leave any number of frames out.
+    The host's clock tells: a frame may be late by anything, but never early by more than drift explains.
+    """
     missing = (frame.sequence - previous.sequence - 1) % 2**16
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
     if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
+        return None
+    if host_s is not None and elapsed_us * 1e-6 * (1 - _MOST_DRIFT) > host_s + _MOST_EARLY_S:
         return None
     return missing
 
@@ -213,7 +232,7 @@ class Statistics:
     ok: int = 0  #: data frames
     info: int = 0  #: INFO frames
     lost: int = 0  #: data frames missing from the sequence, the damaged ones among them
-    restarts: int = 0  #: steps back of the sequence or the board's clock; nothing is counted lost there
+    restarts: int = 0  #: steps back of the sequence or the board's clock (`missing_between`); nothing is lost there
     bad_cobs: int = 0  #: chunks between delimiters that are not COBS
     bad_crc: int = 0  #: chunks with a wrong CRC
     bad_form: int = 0  #: over-long chunks, and those whose type, length or values no frame has

@@ -13,7 +13,11 @@ from hardware.frames import Frame, FrameDecoder, Info, Statistics, missing_betwe
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
 class Scan:
-    """A frame and its times."""
+    """A frame and its times.
+
+    `time_s` follows the fit of the board's clock, and may step back by what that is mended by, or after a restart. For
+    the time between two scans take the difference of their ``frame.device_us``, modulo 2³².
+    """
 
     frame: Frame
     received_s: float  #: time.perf_counter() when its last byte was read [s]
@@ -22,19 +26,19 @@ class Scan:
 
 @dataclass(frozen=True, kw_only=True)
 class ReceptionStatistics:
-    """What was met so far; the first six as in `frames.Statistics`, over all connections."""
+    """What was met so far, over all connections; names as in `frames.Statistics`."""
 
     ok: int = 0  #: valid data frames
-    lost: int = 0  #: missing from the sequence
+    lost: int = 0  #: missing from the sequence within a connection, not over a restart of the board
     bad_crc: int = 0
     bad_cobs: int = 0
     bad_form: int = 0
-    restarts: int = 0  #: of the board
+    restarts: int = 0  #: of the board, those between two connections among them
     foreign: int = 0  #: data and INFO frames of another device, not delivered
     overruns: int = 0  #: scans that the board skipped
 
 
-_OF_THE_DECODER = ("ok", "lost", "bad_crc", "bad_cobs", "bad_form", "restarts")
+_OF_THE_DECODER = ("ok", "bad_crc", "bad_cobs", "bad_form")  # which has no clock to tell restarts by
 
 
 class Reception:
@@ -42,6 +46,10 @@ class Reception:
 
     Scans are delivered once an INFO frame says what they mean: after each (re)connection, and again after
     another device was met.
+
+    The board has restarted where its sequence or its clock steps back, or where its clock has gone on by more than
+    the host's: see `frames.missing_between`. A port that gives frames quicker than they were scanned (a recording's)
+    makes a restart of a pause above 1 s; a host whose clock stood still while it slept does so, too.
     """
 
     def __init__(self) -> None:
@@ -55,13 +63,14 @@ class Reception:
         self._unix_s = 0.0  # to be added to time.perf_counter()
         self._counted: Counter[str] = Counter()
         self._previous: Frame | None = None
+        self._previous_s = 0.0  # when it was scanned, by the host's clock
         self._foreign: str | None = None  # why nothing is delivered
         self.connected()
 
     @property
     def trouble(self) -> str | None:
         """Why valid frames are not delivered, in one line."""
-        if self._foreign is None and not self._is_trusted and self._previous:
+        if self._foreign is None and not self._is_trusted and self._has_frames:
             return "frames but no INFO, which says what they mean: is this the firmware's protocol?"
         return self._foreign
 
@@ -74,8 +83,7 @@ class Reception:
         """Start anew on the bytes of a new connection."""
         self._counted.update(_counts(self._decoder.statistics))
         self._decoder = FrameDecoder()
-        self._previous = None
-        self._is_trusted = False  # no INFO frame came since the connection
+        self._has_frames = self._is_trusted = False  # no data and no INFO frame came since the connection
         self.doubt()
 
     def doubt(self) -> None:
@@ -112,15 +120,19 @@ class Reception:
         self.asks = False
 
     def _follow(self, frame: Frame, received_s: float) -> None:
-        """Keep the clock and the overruns."""
+        """Keep the clock, and count what is missing between the previous frame and this one."""
         if self._previous:
-            if missing_between(self._previous, frame) is None:  # the board has restarted
+            missing = missing_between(self._previous, frame, received_s - self._previous_s)
+            if missing is None:
+                self._counted["restarts"] += 1
                 self._counted["overruns"] += frame.overruns
                 self.doubt()
-            else:
+            elif self._has_frames:  # what a board sends between two connections is not lost
+                self._counted["lost"] += missing
                 self._counted["overruns"] += (frame.overruns - self._previous.overruns) % 2**8
-        self._previous = frame
+        self._previous, self._has_frames = frame, True
         self._clock.add(frame.device_us, received_s)
+        self._previous_s = self._clock.host_time(frame.device_us)  # where it waited in a buffer, before its arrival
 
     def _belongs(self, frame: Frame) -> bool:
         """Whether a frame is the board's, as far as it can be told; where not, the board is asked."""

@@ -20,6 +20,7 @@ from hardware.reception import Reception, ReceptionStatistics, Scan
 
 _READ_TIMEOUT_S = 0.1  # bounds how long closing takes
 _ASK_EVERY_S = 0.25
+_LISTEN_S = 0.5  # before the first question: a boot loader may be at the other end, which is to hear nothing odd
 _RETRY_EVERY_S = 0.1
 _RATES_HZ = (1, 1000)  # that a board may be asked for
 
@@ -69,15 +70,18 @@ class Scanner:
     Scans come in their order, without those that were lost. Those of another device are not delivered; `trouble`
     says so. Whatever ends the reading thread is raised to who takes scans, never swallowed.
 
-    A board that resets when its port is opened, as an Arduino does, has until `timeout` to start. One that comes
-    back under another name is not found again: give a name that stays, as in /dev/serial/by-id.
+    A board that resets when its port is opened, as an Arduino does, has until `timeout` to start; its boot loader
+    swallows what comes in the first second or two. So the scanner listens first, asks once a byte has come or half a
+    second has passed, and goes on asking four times a second. A port with ``finished`` is asked at once.
+
+    A board that comes back under another name is not found again: give a name that stays, as in /dev/serial/by-id.
     """
 
     def __init__(
         self,
         port: Any,
         *,
-        timeout: float = 2.0,
+        timeout: float = 4.0,
         reconnect: bool = True,
         queue: int = 256,
         baud: int = BAUD,
@@ -98,6 +102,7 @@ class Scanner:
         self._queue: deque[Scan] = deque(maxlen=queue)
         self._latest: Scan | None = None
         self._commands: deque[bytes] = deque()
+        self._wanted_hz: int | None = None  # the rate that was set, which a reset makes the board forget
         self._n_dropped = self._n_stalls = self._n_reconnects = 0
         self._link_trouble: str | None = None
         self._error: BaseException | None = None  # that ended the thread
@@ -184,7 +189,7 @@ class Scanner:
             return self._link_trouble or self._reception.trouble
 
     def request(self, command: bytes) -> Info:
-        """Send the board a command and return the INFO that it answers with.
+        """Send the board a command and return the INFO that it answers with; for the rate there is `set_rate`.
 
         Raises
         ------
@@ -199,21 +204,27 @@ class Scanner:
         return self.info
 
     def set_rate(self, rate_hz: int) -> Info:
-        """Have the board scan `rate_hz` times a second.
+        """Have the board scan `rate_hz` times a second, also after it was reset or plugged in again.
 
         Raises
         ------
         ScannerError
-            If it does not answer, or keeps to another rate.
+            If it does not answer, or keeps to another rate. The rate that was set before, if any, is then the one
+            that is wanted.
         """
         low, high = _RATES_HZ
         if rate_hz != int(rate_hz) or not low <= rate_hz <= high:
             raise ScannerError(f"rate_hz={rate_hz} must be a whole number from {low} to {high}.")
-        self.request(b"R%d\n" % rate_hz)
-        if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first
-            raise ScannerError(
-                f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for less."
-            )
+        wanted_hz, self._wanted_hz = self._wanted_hz, None  # lest the reading thread asks for the old one meanwhile
+        try:
+            self.request(b"R%d\n" % rate_hz)
+            if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first
+                raise ScannerError(
+                    f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for less."
+                )
+            wanted_hz = rate_hz
+        finally:
+            self._wanted_hz = wanted_hz
         return self.info
 
     def _wait_for(self, is_so: Callable[[], bool], timeout_s: float | None) -> bool:
@@ -272,22 +283,32 @@ class Scanner:
     def _read_until_end(self) -> None:
         """Read until closing, or until a finite port has finished."""
         heard_s = time.perf_counter()
-        ask_s = heard_s
+        is_silent = not hasattr(self._port, "finished")  # such a port has no boot loader that might listen
+        ask_s = heard_s + _LISTEN_S * is_silent
         while not self._closing.is_set():
-            if self._reception.asks and time.perf_counter() >= ask_s:
+            if time.perf_counter() >= ask_s and (question := self._question()):
                 ask_s = time.perf_counter() + _ASK_EVERY_S
-                write(self._port, b"?")
+                write(self._port, question)
             while self._commands:
                 write(self._port, self._commands.popleft())
             data = read_available(self._port)
             now_s = time.perf_counter()
             if data:
+                if is_silent:
+                    is_silent, ask_s = False, now_s
                 if self._take(data, now_s):
                     heard_s = now_s
             elif getattr(self._port, "finished", False):
                 return
             if now_s - heard_s > self._timeout_s:
                 self._note_stall()
+
+    def _question(self) -> bytes | None:
+        """What the board is to be told without anybody's request: to say who it is, or the rate that it forgot."""
+        if self._reception.asks:
+            return b"?"
+        wanted_hz = self._wanted_hz
+        return None if wanted_hz in (None, self.info.rate_hz) else b"R%d\n" % wanted_hz
 
     def _take(self, data: bytes, received_s: float) -> bool:
         """Queue the scans in some bytes; whether they complete a valid data frame."""

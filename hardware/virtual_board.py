@@ -19,11 +19,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hardware.commands import Commands
 from hardware.frames import Frame, FrameError, Info, encode
 
-Counts = Callable[[int], NDArray[Any]]
-_RATES_HZ = range(1, 1001)  # that the rate command may ask for
-_MOST_DIGITS = 8  # more than any rate has, kept of a command
+Counts = Callable[[float], NDArray[Any]]
+_RATES_HZ = range(1, 1001)  # that it can hold
 
 
 class VirtualBoard:
@@ -32,11 +32,14 @@ class VirtualBoard:
     Parameters
     ----------
     counts : callable or array
-        Frame number -> counts, shape (info.n_crossings,); or an array of shape (n, info.n_crossings) or
-        (info.n_crossings,), sent over and over. The callable runs in the board's thread and must be quicker
-        than a scan.
+        Board's time since its start [s] -> counts, shape (info.n_crossings,); or an array of shape
+        (n, info.n_crossings) or (info.n_crossings,), gone through over and over. The callable runs in the board's
+        thread and must be quicker than a scan.
     info : Info
-        What the board answers to ``?``.
+        What the board answers to ``?``; its rate is the one after each start.
+    step_s : float, optional
+        How long the board stays at each row of an array [s]; one period of `info.rate_hz` unless given. Counts
+        belong to times, not to frames: neither another rate nor overruns change how fast they go by.
     link : path, optional
         A symbolic link to keep on the port, so that its name stays the same when it is plugged in again.
 
@@ -56,22 +59,24 @@ class VirtualBoard:
     1
     """
 
-    def __init__(self, counts: Counts | ArrayLike, info: Info, *, link: Path | str | None = None) -> None:
+    def __init__(
+        self, counts: Counts | ArrayLike, info: Info, *, step_s: float | None = None, link: Path | str | None = None
+    ) -> None:
         self.dropped_bytes = 0  #: that nobody read in time
         self.sent: deque[tuple[int, float]] = deque(maxlen=10_000)  #: (sequence, time.perf_counter() at its sending)
-        self._counts = counts if callable(counts) else _looped(np.atleast_2d(counts))
-        self._own_info = self._info = info
+        step_s = 1 / info.rate_hz if step_s is None else step_s
+        self._counts = counts if callable(counts) else _looped(np.atleast_2d(counts), step_s)
+        self._own_info = self._start_info = self._info = info
         self._link = None if link is None else Path(link)
         self._port = ""
         self._fds: tuple[int, int] | None = None  # of the host's end, which only stays open, and of the board's
         self._garbage: deque[bytes] = deque()
-        self._digits: bytes | None = None  # of a rate command that has begun
         self._work: deque[tuple[Callable[[], None], threading.Event]] = deque()
         self._error: BaseException | None = None
         self._running = True
         self._closed = False
-        self._boot()
         self._connect()
+        self._boot()
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name="virtual board", daemon=True)
         self._thread.start()
@@ -116,7 +121,7 @@ class VirtualBoard:
         self._do(self._connect)
 
     def restart(self) -> None:
-        """Begin again from sequence 0 and time 0, as after a reset; that also ends a stall."""
+        """Begin again from sequence 0, time 0 and the board's own rate, as after a reset; that also ends a stall."""
         self._do(self._boot)
 
     def garble(self, garbage: bytes, n_frames: int = 1) -> None:
@@ -159,25 +164,11 @@ class VirtualBoard:
             self._obey(os.read(ready[0], 4096))
 
     def _obey(self, received: bytes) -> None:
-        """``?`` asks for INFO; ``R200`` and a newline set the rate; other bytes are ignored."""
-        for byte in received:
-            if self._digits is not None and byte == ord("\n"):
-                self._set_rate(self._digits)
-                self._digits = None
-            elif self._digits is not None:
-                self._digits = (self._digits + bytes([byte]))[:_MOST_DIGITS]
-            elif byte == ord("R"):
-                self._digits = b""
-            elif byte == ord("?"):
-                self._send_info()
-
-    def _set_rate(self, digits: bytes) -> None:
-        if not digits.isdigit():
-            return
-        if int(digits) in _RATES_HZ:
-            self._info = replace(self._info, rate_hz=int(digits))
-            self._due_s = time.perf_counter()
-        self._send_info()
+        """Set the rate where one is asked for that can be held; answer each command with INFO."""
+        for command in self._commands.heard(received):
+            if command != "info" and command in _RATES_HZ:
+                self._info = replace(self._info, rate_hz=command)  # holds from the scan after the one already due
+            self._send_info()
 
     def _send_info(self) -> None:
         self._send(self._garbage[0] if self._garbage else encode(self._info))
@@ -200,7 +191,7 @@ class VirtualBoard:
         if info.n_crossings != self._own_info.n_crossings or info.bits != self._own_info.bits:
             counts: NDArray[Any] = np.full(info.n_crossings, 2 ** (info.bits - 1))
         else:
-            counts = self._counts(self._number)
+            counts = self._counts(now_s - self._started_s)
         return Frame(
             sequence=self._number % 2**16,
             device_us=round((now_s - self._started_s) * 1e6) % 2**32,
@@ -224,12 +215,15 @@ class VirtualBoard:
         self._stalled_until_s = time.perf_counter() + seconds
 
     def _boot(self) -> None:
+        self._info = self._start_info
+        self._commands = Commands()
         self._number = self._overruns = 0
         self._stalled_until_s = 0.0
         self._started_s = self._due_s = time.perf_counter()
+        self._send(b"\0")  # a delimiter: ends what the reset cut off
 
     def _become(self, info: Info | None) -> None:
-        self._info = info or self._own_info
+        self._start_info = info or self._own_info
         self._boot()
 
     def _connect(self) -> None:
@@ -272,7 +266,9 @@ class VirtualBoard:
                 raise RuntimeError("the board is closed: make another.") from self._error
 
 
-def _looped(counts: NDArray[Any]) -> Counts:
+def _looped(counts: NDArray[Any], step_s: float) -> Counts:
     if counts.ndim != 2 or not len(counts):
-        raise FrameError(f"counts has shape {counts.shape}, expected (n, n_crossings): one row a frame.")
-    return lambda number: counts[number % len(counts)]
+        raise FrameError(f"counts has shape {counts.shape}, expected (n, n_crossings): one row a step.")
+    if not step_s > 0:
+        raise FrameError(f"step_s={step_s:g} must be above 0: the seconds that the board stays at a row of counts.")
+    return lambda time_s: counts[int(time_s / step_s) % len(counts)]

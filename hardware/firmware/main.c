@@ -19,7 +19,7 @@
 // Two frames as they go over the wire: one is sent while the next is encoded.
 static uint8_t wires[2][FRAME_DATA_WIRE_SIZE(CROSSINGS)];
 _Static_assert(sizeof wires[0] >= FRAME_INFO_WIRE_SIZE, "the smallest array's frame is no shorter than INFO");
-static uint8_t encoding;    // which of the two is not being sent
+static uint8_t free_wire;   // which of the two is not being sent
 static uint16_t n_encoded;  // bytes in it; 0: it is free
 
 static uint16_t rate_hz = RATE;
@@ -36,7 +36,7 @@ static void encode_scan(const scan_t *scan)
         .bits = BITS,
         .overruns = scan->overruns,
     };
-    n_encoded = frame_data(wires[encoding], &header, scan->counts);
+    n_encoded = frame_data(wires[free_wire], &header, scan->counts);
 }
 
 static void encode_info(void)
@@ -52,7 +52,7 @@ static void encode_info(void)
         .sense_ohm = SENSE_OHM,
         .vref_mv = VREF_MV,
     };
-    n_encoded = frame_info(wires[encoding], &info);
+    n_encoded = frame_info(wires[free_wire], &info);
 }
 
 static void listen(void)
@@ -89,8 +89,8 @@ static void encode_next(void)
 
 static void send_encoded(void)
 {
-    uart_send(wires[encoding], n_encoded);
-    encoding ^= 1;
+    uart_send(wires[free_wire], n_encoded);
+    free_wire ^= 1;
     n_encoded = 0;
 }
 
@@ -117,7 +117,7 @@ int main(void)
     set_sleep_mode(SLEEP_MODE_IDLE);
     uart_init();
     scan_init(rate_hz);
-    wires[encoding][0] = 0;  // a delimiter: ends what the reset, or a boot loader, left on the line
+    wires[free_wire][0] = 0;  // a delimiter: ends what the reset, or a boot loader, left on the line
     n_encoded = 1;
     sei();
     for (;;) {

@@ -1,6 +1,6 @@
 """What every recorder does: gather frames, write them out twice a second, and stop in one clear line.
 
-A kind of file adds how it is opened, written and ended (`netcdf_recording.Recorder`, `mcap_recording.McapRecorder`).
+A kind of file adds how it is opened, written and ended (`netcdf.Recorder`, `mcap_recorder.McapRecorder`).
 """
 
 import time

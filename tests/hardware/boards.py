@@ -8,7 +8,8 @@ import numpy as np
 from hardware import Frame, Info, encode
 
 INFO = Info(rate_hz=200, serial=3)
-COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))  # frame k has COUNTS[k % 50]
+# one row a period: scan k, overruns counted in, has COUNTS[k % 50]
+COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))
 
 
 def a_wire(sequence, *, info=INFO, **changes):

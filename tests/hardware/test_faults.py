@@ -20,7 +20,7 @@ from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
 
 ROOT = Path(__file__).parents[2]
 RESUMES_S = 1.0
-TIMEOUT_S = 0.5  # of those scanners that are to notice a stall; 2 s by default
+TIMEOUT_S = 0.5  # of those scanners that are to notice a stall; 4 s by default
 
 
 @pytest.fixture
@@ -135,6 +135,7 @@ def test_a_server_that_goes_and_comes_back():
         def serve(first):
             connection, _ = server.accept()
             with connection:
+                connection.sendall(b"\0")  # a board that runs is asked at once
                 connection.recv(1)
                 connection.sendall(encode(INFO) + a_wire(first) + a_wire(first + 1))
                 connection.recv(1)  # a request, or the scanner closes

@@ -1,5 +1,7 @@
 """The firmware's portable files, compiled for this machine: they write the frames of docs/frames.md to the byte.
 
+Its commands are those of the board in Python, too.
+
 `test_firmware_run.py` runs the whole firmware on a simulated board.
 """
 
@@ -13,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hardware.commands import Commands
 from hardware.frames import Frame, Info, encode
 from hardware.simavr_board import FIRMWARE
 from tests.hardware.test_decoder import frames, infos
@@ -44,7 +47,7 @@ class InfoFields(ctypes.Structure):
     )
 
 
-class Commands(ctypes.Structure):
+class CCommands(ctypes.Structure):
     _fields_ = (("state", ctypes.c_int), ("digits", c_uint8), ("rate_hz", c_uint16))
 
 
@@ -121,14 +124,21 @@ def test_blocks_of_254_bytes(library, n, count):
     assert wire_of(library, frame) == encode(frame)
 
 
-def heard(library, sent):
-    """What the board makes of bytes: 'info', or the rate of an R command."""
-    commands = Commands()
-    heard = []
-    for byte in sent:
-        command = library.commands_take(ctypes.byref(commands), c_uint8(byte))
-        heard += {0: [], 1: ["info"], 2: [commands.rate_hz]}[command]
-    return heard
+@pytest.fixture(scope="module", params=["firmware", "virtual board"])
+def heard(request):
+    """What a board makes of bytes: 'info', or the rate of an R command; the one in C and the one in Python."""
+    if request.param == "virtual board":
+        return lambda sent: Commands().heard(sent)
+    library = request.getfixturevalue("library")
+
+    def heard_in_c(sent):
+        commands, heard = CCommands(), []
+        for byte in sent:
+            command = library.commands_take(ctypes.byref(commands), c_uint8(byte))
+            heard += {0: [], 1: ["info"], 2: [commands.rate_hz]}[command]
+        return heard
+
+    return heard_in_c
 
 
 @pytest.mark.parametrize(
@@ -147,15 +157,16 @@ def heard(library, sent):
         (b"Rx5\nR6\n", [6]),
         (b"hello\n\n\0\xff150\nR5\n", [5]),
         (b"R15?0\nR20\n", ["info", 20]),
+        (b"R10?", ["info"]),
         (b"Rx?5\nR20\n", ["info", 20]),
     ],
 )
-def test_commands(library, sent, expected):
-    assert heard(library, sent) == expected
+def test_commands(heard, sent, expected):
+    assert heard(sent) == expected
 
 
 @fuzzed
 @given(sent=st.binary(max_size=200) | st.text("?R19\n", max_size=50).map(str.encode))
-def test_a_question_is_always_heard(library, sent):
-    assert heard(library, sent).count("info") == sent.count(b"?")
-    assert heard(library, sent + b"\nR42\n")[-1] == 42
+def test_a_question_is_always_heard(heard, sent):
+    assert heard(sent).count("info") == sent.count(b"?")
+    assert heard(sent + b"\nR42\n")[-1] == 42

@@ -38,7 +38,8 @@ def test_scans_come_in_order_with_their_counts():
         stats = scanner.stats
     first = scans[0].frame.sequence
     assert [scan.frame.sequence for scan in scans] == list(range(first, first + 50))
-    assert all((scan.frame.counts == COUNTS[scan.frame.sequence % 50]).all() for scan in scans)
+    frames = [scan.frame for scan in scans]
+    assert all((frame.counts == COUNTS[(frame.sequence + frame.overruns) % 50]).all() for frame in frames)
     assert stats.ok >= 50
     assert replace(stats, ok=0, overruns=0) == type(stats)()  # nothing else was met; the system may be late
 
@@ -107,6 +108,58 @@ def test_the_rate_is_set_and_told():
         assert scanner.request(b"?") == scanner.info
         with pytest.raises(ScannerError, match="rate_hz=2000 must be a whole number from 1 to 1000"):
             scanner.set_rate(2000)
+
+
+def test_a_reset_board_is_asked_for_its_rate_again():
+    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+        scanner.set_rate(500)
+        for n_restarts in (1, 2):
+            board.restart()
+            wait_until(lambda n=n_restarts: scanner.stats.restarts == n)
+            wait_until(lambda: scanner.info.rate_hz == INFO.rate_hz)
+            wait_until(lambda: scanner.info.rate_hz == 500)
+
+
+def test_a_board_that_comes_back_is_asked_for_its_rate_again(tmp_path):
+    with VirtualBoard(COUNTS, INFO, link=tmp_path / "board") as board, Scanner(board.port) as scanner:
+        scanner.set_rate(500)
+        board.unplug()
+        wait_until(lambda: scanner.trouble)
+        board.restart()
+        board.replug()
+        wait_until(lambda: scanner.stats.reconnects and scanner.info.rate_hz == INFO.rate_hz)
+        wait_until(lambda: scanner.info.rate_hz == 500)
+
+
+class HoldsUpTo300Hz(ScriptedPort):
+    """Answers to commands, but to no question."""
+
+    def write(self, data):
+        super().write(data)
+        if data[:1] == b"R":
+            self.pieces.append(encode(replace(INFO, rate_hz=300)))
+
+
+def test_the_rate_is_asked_for_again_only_once_the_board_is_known():
+    port = HoldsUpTo300Hz(encode(INFO), finite=False)
+    with Scanner(port) as scanner:
+        scanner.set_rate(300)
+        n_written = len(port.written)
+        port.pieces.extend([a_wire(100), a_wire(0)])  # a restart
+        wait_until(lambda: b"?" in port.written[n_written:])
+        assert b"R" not in port.written[n_written:]
+        port.pieces.append(encode(INFO))
+        wait_until(lambda: port.written.endswith(b"R300\n"))
+
+
+def test_a_rate_that_is_refused_leaves_the_one_that_was_wanted():
+    port = HoldsUpTo300Hz(encode(INFO), finite=False)
+    with Scanner(port, timeout=0.1) as scanner:
+        scanner.set_rate(300)
+        with pytest.raises(ScannerError, match="keeps to 300 Hz, not 700 Hz"):
+            scanner.set_rate(700)
+        port.pieces.append(encode(INFO))  # it has forgotten
+        wait_until(lambda: port.written.endswith(b"R300\n"))
 
 
 def test_a_board_that_keeps_its_rate_is_told_of():
@@ -189,6 +242,47 @@ def test_the_question_is_repeated():
     with pytest.raises(ScannerError), Scanner(port, timeout=0.6):
         pass
     assert port.written == b"???"
+
+
+class Booting:
+    """A port to a board that swallows what it hears until its first byte, and then answers."""
+
+    in_waiting = 0
+
+    def __init__(self, boots_s):
+        self.starts_s = time.perf_counter() + boots_s
+        self.writes = []  # (data, time)
+        self.to_read = [b"\0"]
+
+    def read(self, size):
+        if time.perf_counter() >= self.starts_s and self.to_read:
+            return self.to_read.pop(0)
+        time.sleep(0.002)
+        return b""
+
+    def write(self, data):
+        self.writes.append((data, time.perf_counter()))
+        if time.perf_counter() >= self.starts_s:
+            self.to_read.append(encode(INFO))
+
+
+def test_a_board_is_asked_as_soon_as_it_has_spoken():
+    port = Booting(0.1)
+    with Scanner(port):
+        pass
+    [(question, asked_s)] = port.writes
+    assert question == b"?"
+    assert 0 <= asked_s - port.starts_s < 0.35  # before the half second is over
+
+
+def test_a_boot_loader_may_swallow_questions_for_two_seconds():
+    """With the default timeout: an Arduino resets when its port is opened."""
+    start_s = time.perf_counter()
+    port = Booting(2.0)
+    with Scanner(port):
+        pass
+    assert port.writes[0][1] - start_s >= 0.5  # it is left alone first
+    assert len(port.writes) >= 4
 
 
 def test_a_port_that_does_not_open():

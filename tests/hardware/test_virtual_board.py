@@ -61,15 +61,32 @@ def test_frames_carry_the_counts_in_their_order():
         frames = host.frames(60)
     first = frames[0].sequence
     assert [frame.sequence for frame in frames] == list(range(first, first + 60))
-    assert all((frame.counts == COUNTS[frame.sequence % 50]).all() for frame in frames)
+    assert all((frame.counts == COUNTS[(frame.sequence + frame.overruns) % 50]).all() for frame in frames)
     assert (frames[0].bits, frames[0].scan_mode, frames[0].saturated) == (10, INFO.scan_mode, False)
 
 
-def test_counts_may_be_computed_frame_by_frame():
-    with a_board_and_host(lambda number: np.full(108, number % 1024)) as (_, host):
+def test_counts_may_be_computed_from_the_boards_time():
+    with a_board_and_host(lambda time_s: np.full(108, int(time_s * 1e3))) as (_, host):
         frames = host.frames(5)
-    assert all((frame.counts == frame.sequence).all() for frame in frames)
-    assert [frame.saturated for frame in frames] == [frame.sequence == 0 for frame in frames]
+    assert all(abs(frame.counts - frame.device_us / 1e3).max() <= 1 for frame in frames)
+
+
+@pytest.mark.parametrize("rate_hz", [100, 1000])
+def test_counts_go_by_at_their_own_pace(rate_hz):
+    """Whatever the rate, and whatever a stall has cost."""
+    steps = np.arange(1000)[:, None] * np.ones(108, int)
+    with a_board_and_host(steps, step_s=0.01) as (board, host):
+        host.ask(b"R%d\n" % rate_hz)
+        frames = host.frames(20)
+        board.stall(0.1)
+        frames += host.frames(20)
+    late = [frame.device_us // 10_000 - frame.counts[0] for frame in frames]
+    assert set(late) <= {0, 1}  # 1 where rounding to a microsecond took the time to the next step
+
+
+def test_a_looped_array_needs_a_step():
+    with pytest.raises(FrameError, match="step_s=0 must be above 0"):
+        VirtualBoard(COUNTS, INFO, step_s=0)
 
 
 def test_the_schedule_does_not_drift():
@@ -89,9 +106,23 @@ def test_answers_and_rates():
         periods_us = np.diff([frame.device_us for frame in host.frames(52)[1:]])
         assert np.median(periods_us) == pytest.approx(2000, abs=500)
         assert host.ask(b"R0\n") == host.ask(b"R1001\n") == replace(INFO, rate_hz=500)
-        assert host.ask(b"Rx7?\nR\n?") == replace(INFO, rate_hz=500)
+        assert host.ask(b"Rx7\nR\n7\n?") == replace(INFO, rate_hz=500)
         host.frames(20)
         assert host.decoder.statistics.info == 5  # one an answer, none to nonsense
+        assert host.ask(b"R10?") == replace(INFO, rate_hz=500)
+        assert host.ask(b"0\nR000300\n") == replace(INFO, rate_hz=300)
+        host.frames(20)
+        assert host.decoder.statistics.info == 7  # the question ended the command, the digit behind it is nothing
+
+
+def test_a_new_rate_holds_after_the_scan_that_is_due():
+    with a_board_and_host(info=replace(INFO, rate_hz=5)) as (_, host):
+        host.frames(1)
+        host.ask(b"R1000\n")
+        frames = host.frames(5)
+    steps_us = np.diff([frame.device_us for frame in frames])
+    assert frames[0].device_us % 200_000 < 50_000  # still on the old schedule
+    assert np.median(steps_us) == pytest.approx(1000, abs=500)
 
 
 def test_nobody_reads():
@@ -109,8 +140,11 @@ def test_nobody_reads():
 
 
 def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
-    def counts(number):
-        if number == 10:
+    slow_at_s = [10 / INFO.rate_hz]
+
+    def counts(time_s):
+        if slow_at_s and time_s >= slow_at_s[0]:
+            slow_at_s.clear()
             time.sleep(4.5 / INFO.rate_hz)
         return COUNTS[0]
 
@@ -158,6 +192,28 @@ def test_a_restart_begins_at_0():
         assert host.decoder.statistics.restarts == 1
 
 
+def test_a_restart_forgets_the_rate_and_half_a_command():
+    with a_board_and_host() as (board, host):
+        assert host.ask(b"R500\n").rate_hz == 500
+        write(host.port, b"R30")
+        host.frames(20)  # it has heard that by now
+        board.restart()
+        write(host.port, b"0\n")
+        assert host.ask() == INFO
+        host.frames(20)
+        assert host.decoder.statistics.info == 2
+
+
+def test_a_restart_begins_with_a_delimiter():
+    """So that what the reset cut off, here garbage without an end, does not take the first frame along."""
+    with a_board_and_host(info=replace(INFO, rate_hz=5)) as (board, host):  # time to restart before the next frame
+        host.frames(1)
+        board.garble(b"\x05ab")
+        wait_until(lambda: not board._garbage)
+        board.restart()
+        assert host.frames(1)[0].sequence == 0
+
+
 def test_garbage_takes_the_place_of_frames():
     with a_board_and_host() as (board, host):
         host.frames(3)
@@ -188,7 +244,7 @@ def test_what_was_sent_is_logged_with_its_time():
 
 
 def test_what_goes_wrong_in_the_boards_thread_is_not_lost():
-    board = VirtualBoard(lambda number: np.full(3, 2000), INFO)  # more than 10 bits hold
+    board = VirtualBoard(lambda time_s: np.full(3, 2000), INFO)  # more than 10 bits hold
     wait_until(lambda: not board._thread.is_alive())
     with pytest.raises(RuntimeError, match="the board is closed"):
         board.stall(1)

@@ -1,0 +1,111 @@
+"""Whether the board has restarted, told by both clocks, and that nothing is counted lost over it."""
+
+import time
+from dataclasses import replace
+
+import pytest
+
+from hardware.frames import FrameDecoder, encode
+from hardware.reception import Reception
+from tests.hardware.boards import INFO, a_wire
+
+SCANS = 5 * INFO.rate_hz  # 5 s of them
+FAR = 60_000  # a sequence number from which 0 seems to be a step forward
+NOW_S = 1000.0  # by the host
+
+
+def wires(first, n, *, uptime_s=0.0):
+    """Frames of consecutive numbers, the first at an uptime."""
+    start_us = round(uptime_s * 1e6)
+    return [
+        a_wire(first + k, device_us=(start_us + k * 1_000_000 // INFO.rate_hz) % 2**32, overruns=7) for k in range(n)
+    ]
+
+
+def arrivals(start_s, n):
+    return [start_s + k / INFO.rate_hz for k in range(n)]
+
+
+def feed(reception, sent, received_s):
+    return [scan for wire, at_s in zip(sent, received_s, strict=True) for scan in reception.take(wire, at_s)]
+
+
+@pytest.fixture
+def reception():
+    reception = Reception()
+    reception.take(encode(INFO), NOW_S)
+    return reception
+
+
+UPTIMES_MIN = [20, 40, 60, 71]
+
+
+@pytest.mark.parametrize("uptime_min", UPTIMES_MIN)
+@pytest.mark.parametrize("boot_s", [0.1, 2.0])
+def test_a_reset_after_any_uptime_is_a_restart(reception, uptime_min, boot_s):
+    """From 35.8 min on, the clock seems to go forward, here together with the sequence."""
+    feed(reception, wires(FAR, SCANS, uptime_s=60 * uptime_min), arrivals(NOW_S, SCANS))
+    restarted_s = NOW_S + 5 + boot_s
+    reception_s = time.time() - time.perf_counter()
+    scans = feed(reception, wires(0, SCANS), arrivals(restarted_s, SCANS))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (1, 0)
+    assert reception.statistics.overruns == 7  # since the restart: the first ones came before the first frame
+    assert reception.asks
+    times_s = [scan.time_s - reception_s for scan in scans]
+    assert times_s == pytest.approx(arrivals(restarted_s, SCANS), abs=0.01)  # no fit over both runs
+
+
+@pytest.mark.parametrize("uptime_min", UPTIMES_MIN)
+def test_a_reset_while_the_board_was_unplugged_is_a_restart(reception, uptime_min):
+    feed(reception, wires(FAR, SCANS, uptime_s=60 * uptime_min), arrivals(NOW_S, SCANS))
+    reception.connected()
+    feed(reception, wires(0, SCANS), arrivals(NOW_S + 20, SCANS))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (1, 0)
+
+
+def test_a_reset_during_a_stall_is_a_restart(reception):
+    """The fit is forgotten by then, what the last frame's time was is not."""
+    feed(reception, wires(FAR, SCANS, uptime_s=3600), arrivals(NOW_S, SCANS))
+    reception.doubt()
+    feed(reception, wires(0, SCANS), arrivals(NOW_S + 15, SCANS))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (1, 0)
+
+
+def test_a_host_that_hung_has_lost_what_no_buffer_held(reception):
+    """After ten seconds it finds the first half second in the buffers, all of it late, and then the present."""
+    feed(reception, wires(0, SCANS), arrivals(NOW_S, SCANS))
+    feed(reception, wires(SCANS, 100, uptime_s=5), [NOW_S + 15] * 100)
+    feed(reception, wires(15 * INFO.rate_hz, 100, uptime_s=15), arrivals(NOW_S + 15, 100))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (0, 10 * INFO.rate_hz - 100)
+
+
+@pytest.mark.parametrize("drift", [-0.009, 0.009])
+def test_a_pause_on_a_resonators_clock_is_no_restart(reception, drift):
+    """Ten minutes, at the end of which the clocks differ by 5.4 s."""
+    feed(reception, wires(0, 10), arrivals(NOW_S, 10))
+    feed(reception, wires(20, 10, uptime_s=600), arrivals(NOW_S + 600 * (1 + drift), 10))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (0, 10)
+
+
+def test_what_is_sent_between_two_connections_is_not_lost(reception):
+    feed(reception, wires(0, 10), arrivals(NOW_S, 10))
+    reception.connected()
+    feed(reception, wires(400, 10, uptime_s=2), arrivals(NOW_S + 2, 10))
+    assert (reception.statistics.restarts, reception.statistics.lost, reception.statistics.overruns) == (0, 0, 0)
+
+
+def test_frames_alone_cannot_tell():
+    """As the page says: with the sequence and the clock both forward, the decoder finds nothing but lost frames."""
+    decoder = FrameDecoder()
+    decoder.feed(b"".join(wires(FAR, 1, uptime_s=3600) + wires(0, 1)))
+    assert (decoder.statistics.restarts, decoder.statistics.lost) == (0, 2**16 - FAR - 1)
+
+
+def test_frames_of_a_new_connection_are_trouble_until_the_info_comes(reception):
+    feed(reception, wires(0, 1), [NOW_S])
+    reception.connected()
+    assert reception.trouble is None
+    assert feed(reception, wires(1, 1), [NOW_S]) == []
+    assert reception.trouble.startswith("frames but no INFO")
+    reception.take(encode(replace(INFO, rate_hz=10)), NOW_S)
+    assert reception.trouble is None
