@@ -29,7 +29,7 @@ from hardware.recording import recording_from_resistances
 from hardware.scanner import Scanner
 from hardware.virtual_board import VirtualBoard
 from studies.board.link import milliseconds
-from studies.board.motion import Motion, PressAndSlide, press_and_slide
+from studies.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
 from studies.board.paper_sensor import BITS, board_info, joint_net
 from studies.board.session import scans
 from studies.pipeline import respond
@@ -166,7 +166,7 @@ def live(
 
 def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
     """Be a board until told to stop; then tell when each frame was sent, by the clock that all processes share."""
-    with VirtualBoard(counts, info) as board:
+    with VirtualBoard(counts, info, step_s=STEP_S) as board:
         connection.send(board.port)
         connection.recv()
         connection.send(list(board.sent))

@@ -92,8 +92,7 @@ def simulated(
         If its converter is another than the chip's.
     """
     if kind == "python":
-        steps_per_frame = 1.0 / (STEP_S * info.rate_hz)
-        with VirtualBoard(lambda k: counts[int(k * steps_per_frame) % len(counts)], info, link=link) as board:
+        with VirtualBoard(counts, info, step_s=STEP_S, link=link) as board:
             yield board
         return
     if info.bits != CHIP_BITS:
