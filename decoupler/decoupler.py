@@ -2,11 +2,12 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
@@ -107,6 +108,21 @@ class Decoupler:
     def knows_uncertainty(self) -> bool:
         """`deviations` can be asked for."""
         return self.uncertainty is not None
+
+    def read_by(self, noise: float) -> "Decoupler":
+        """The same with deviations for readings of this relative standard deviation, converter's steps included."""
+        if self.uncertainty is None:
+            return self
+        return replace(self, uncertainty=replace(self.uncertainty, noise=noise, bits=None))
+
+    @property
+    def reading_noise(self) -> float:
+        """What its deviations take readings at rest to err by: the median over pillars, relative; 0 if unknown."""
+        rest_ohm = self.rest_resistances()
+        if self.uncertainty is None or rest_ohm is None:
+            return 0.0
+        deviation = reading_deviation(rest_ohm, self.uncertainty.noise, self.uncertainty.bits)
+        return float(np.median(deviation / rest_ohm))
 
     @property
     def design_hash(self) -> str | None:

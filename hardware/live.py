@@ -33,6 +33,13 @@ class ForceModel(Protocol):
     @property
     def knows_uncertainty(self) -> bool: ...
 
+    @property
+    def reading_noise(self) -> float:
+        """Relative standard deviation that its deviations take readings at rest to have."""
+
+    def read_by(self, noise: float) -> "ForceModel":
+        """The same with deviations for readings of another."""
+
     def rest_resistances(self) -> FloatArray | None:
         """What its sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if that is unknown."""
 
@@ -97,6 +104,13 @@ class ForceReader:
                 "or train on data that state their design."
             )
         self._rest_ohm = np.ones(3) if rest_ohm is None else rest_ohm
+        self._unsure = (
+            model  # a plain divider amplifies its converter's steps, so deviations are wider than in training
+        )
+        if rest_ohm is not None and model.knows_uncertainty:
+            steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
+            if steps > model.reading_noise:
+                self._unsure = model.read_by(steps)
 
     def _require_fit(self) -> None:
         calibration, model = self.calibration, self.model
@@ -126,4 +140,4 @@ class ForceReader:
 
     def deviations(self, found: Forces) -> FloatArray | None:
         """Half-widths that hold 68 % of the errors of forces, of their shape [N]; None if the model knows none."""
-        return self.model.deviations(found.resistance_ohm)[0] if self.model.knows_uncertainty else None
+        return self._unsure.deviations(found.resistance_ohm)[0] if self.model.knows_uncertainty else None

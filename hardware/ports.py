@@ -9,6 +9,7 @@ import errno
 import socket
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
 import serial
 from serial.tools.list_ports import comports
@@ -122,6 +123,10 @@ def close(port: Any) -> None:
 def _cause(fault: Exception, url: str) -> str:
     """What is wrong with a port that does not open, and how to mend it."""
     code = getattr(fault, "errno", None)
+    if not url:
+        return "no port was named: give a device as /dev/ttyUSB0."
+    if url.lower().startswith("socket://") and not _names_server(url):
+        return "no host and port number: give socket://HOST:PORT of a running server."
     if code == errno.ENOENT:
         there = ", ".join(port.device for port in list_ports()) or "none"
         return f"no such port; there are: {there}. Plug the board in, or name another."
@@ -134,6 +139,14 @@ def _cause(fault: Exception, url: str) -> str:
     if url.lower().startswith("socket://"):
         return f"no connection ({fault}): give socket://HOST:PORT of a running server."
     return f"no serial port ({fault}): name a device as /dev/ttyUSB0."
+
+
+def _names_server(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # a port that is no number
+        return False
 
 
 class _SocketPort(protocol_socket.Serial):

@@ -127,7 +127,7 @@ class SimavrBoard:
         seconds: float | None = None,
         program: Path = PROGRAM,
     ) -> None:
-        self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table)]
+        self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
         self._command += ["--link", str(link)] if link else []
         self._command += ["--seconds", str(seconds)] if seconds else []
         self._command += ["--fast"] if fast else []

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.commands import Commands
 from hardware.frames import Frame, FrameError, Info, encode
+from hardware.ports import PortError
 
 Counts = Callable[[float], NDArray[Any]]
 _RATES_HZ = range(1, 1001)  # that it can hold
@@ -235,6 +236,8 @@ class VirtualBoard:
         self._fds = host_end, board_end
         self._port = os.ttyname(host_end)
         if self._link:
+            if self._link.exists() and not self._link.is_symlink():
+                raise PortError(f"{self._link} exists and is no link: give another name for the link to the port.")
             beside = self._link.with_name(self._link.name + ".new")
             beside.unlink(missing_ok=True)
             beside.symlink_to(self._port)

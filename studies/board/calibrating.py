@@ -9,16 +9,21 @@ import numpy as np
 
 from decoupler.components import component_named, force_columns
 from decoupler.forward_model import ForwardModel
+from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
 from geometry.files import digest
 from geometry.layout import FloatArray
 from hardware.calibration import Electronics, SensorCalibration
+from hardware.frames import Info
 from hardware.loads import KnownLoad, read_loads, weight
 from hardware.recording import read_recording
 from studies.board.session import averaged, board_on, mean_resistances
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
+
+
+MOST_MISSED = 0.2  #: of a resistance, root mean square: beyond, loads and sensor have nothing to do with each other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,10 +38,11 @@ class MeasuredLoads:
 
 
 def measured_live(
-    port: str, loads: Path | None, electronics: Electronics, seconds: float, **settings: Any
+    port: str, loads: Path | None, design: SensorDesign, electronics: Electronics, seconds: float, **settings: Any
 ) -> MeasuredLoads:
     """Ask for one load after another, of a table or as typed weights, and measure each for some seconds."""
     with board_on(port, **settings) as (scanner, _):
+        _require_design(design, scanner.info)
         rows, cols = scanner.info.rows, scanner.info.cols
         asked = _typed(rows, cols) if loads is None else iter(read_loads(loads, rows, cols))
         taken = []
@@ -47,10 +53,11 @@ def measured_live(
     return _collected(taken, scanner.info.serial)
 
 
-def measured_in_recording(path: Path, loads: Path, electronics: Electronics) -> MeasuredLoads:
+def measured_in_recording(path: Path, loads: Path, design: SensorDesign, electronics: Electronics) -> MeasuredLoads:
     """Find the loads of a table in a recording, by their times since its first frame."""
     recording = read_recording(path)
     info = recording.info
+    _require_design(design, info)
     crossbar = electronics.crossbar(info)
     since_s = recording.time_s - recording.time_s[0]
     taken = []
@@ -74,16 +81,25 @@ def calibrated(
     everything = component_named("all")
     forward = ForwardModel.of(response, everything)
     forces = force_columns(pairs.force_n, everything)
-    if forces.shape[1] != forward.n_forces:
-        raise FileFormatError(
-            f"the board has {pairs.force_n.shape[1]} × {pairs.force_n.shape[2]} units, the design "
-            f"{response.design.array.rows} × {response.design.array.cols}: give --design of this sensor."
-        )
     modelled = forward.resistances(forces).reshape(pairs.measured_ohm.shape)
     found = SensorCalibration.fitted(pairs.measured_ohm, modelled, pairs.noise if noise is None else noise, electronics)
     missed = (found.gain * modelled + found.offset_ohm) / pairs.measured_ohm - 1.0
+    residual = float(np.sqrt(np.nanmean(missed**2)))
+    if not residual < MOST_MISSED:
+        raise FileFormatError(
+            f"these loads do not explain what the sensor shows, resistances are missed by {100 * residual:.3g} %: "
+            "check their units (newtons, or grams for weights), rows and columns, and the design."
+        )
     story = found.made_from | {"design_hash": digest(response.design)}
-    return replace(found, serial=pairs.serial, made_from=story), float(np.sqrt(np.nanmean(missed**2)))
+    return replace(found, serial=pairs.serial, made_from=story), residual
+
+
+def _require_design(design: SensorDesign, info: Info) -> None:
+    if (design.array.rows, design.array.cols) != (info.rows, info.cols):
+        raise FileFormatError(
+            f"the board has {info.rows} × {info.cols} units, the design {design.array.rows} × {design.array.cols}: "
+            "give --design of this sensor."
+        )
 
 
 def _typed(rows: int, cols: int) -> "Any":
@@ -101,9 +117,19 @@ def _nothing(rows: int, cols: int) -> FloatArray:
 
 
 def _ask(question: str) -> str:
-    """A line that was typed; nothing at the end of the input."""
+    """A line that was typed.
+
+    Raises
+    ------
+    FileFormatError
+        At the end of the input: nobody is there to put loads on.
+    """
     print(question, end="", file=sys.stderr, flush=True)
-    return sys.stdin.readline()
+    line = sys.stdin.readline() if sys.stdin else ""
+    if not line:
+        print(file=sys.stderr)
+        raise FileFormatError("the input ended before the last load: answer every question; an empty line is enough.")
+    return line
 
 
 def _collected(taken: list[tuple[KnownLoad, FloatArray, float]], serial: int) -> MeasuredLoads:

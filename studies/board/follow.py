@@ -64,6 +64,7 @@ def print_lines(reading: Session, seconds: float) -> None:
                 "force_n": found.force_n[0].round(4).tolist(),
                 "deviation_n": None if deviation is None else deviation.round(4).tolist(),
                 "saturated": int(found.saturated.sum()),
+                "dropped": reading.scanner.stats.dropped,
             }
             print(json.dumps(line), flush=True)
     except BrokenPipeError:

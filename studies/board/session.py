@@ -48,6 +48,7 @@ def board_on(
     if Path(port).is_file():
         recording = read_recording(Path(port))
         source = PlaybackPort(recording, speed=speed)
+        settings = settings | {"queue": len(recording.counts)}  # a recording waits for its reader
         if known is None and recording.calibration:
             known = SensorCalibration.from_json(recording.calibration, f"the calibration in {port}")
     # one scan's matrices are too small for two BLAS threads to share

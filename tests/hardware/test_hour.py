@@ -23,6 +23,7 @@ class RestModel:
 
     design_hash = None
     is_fine_tuned = knows_uncertainty = False
+    reading_noise = 0.0
 
     def rest_resistances(self):
         return None

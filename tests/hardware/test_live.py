@@ -21,6 +21,12 @@ class Shares:
 
     design_hash = None
     is_fine_tuned = knows_uncertainty = False
+    reading_noise = 0.0
+
+    def read_by(self, noise):
+        wider = Shares(self.knows_rest)
+        wider.deviations = lambda resistance_ohm: (noise * resistance_ohm, 2 * noise * resistance_ohm)
+        return wider
 
     def __init__(self, knows_rest=True):
         self.knows_rest = knows_rest
@@ -118,8 +124,20 @@ def test_deviations_are_given_where_the_model_knows_them():
     model = Shares()
     counts = counts_of([0.0])
     assert ForceReader(INFO, model).deviations(ForceReader(INFO, model).forces(counts)) is None
-    model.knows_uncertainty = True
+    model.knows_uncertainty, model.reading_noise = True, 0.1
     model.deviations = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
     reader = ForceReader(INFO, model)
     found = reader.forces(counts)
     assert reader.deviations(found) == pytest.approx(0.1 * found.resistance_ohm)
+
+
+def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
+    """By what its converter's steps leave of a resistance at rest."""
+    model = Shares()
+    model.knows_uncertainty, model.reading_noise = True, 1e-4
+    info = replace(INFO, scan_mode=ScanMode.DIVIDER, bits=10, sense_ohm=2_200)
+    reader = ForceReader(info, model)
+    found = reader.forces(Electronics().crossbar(info).counts(REST_OHM[None]))
+    steps = np.median(reader.crossbar.step_deviation(REST_OHM[None]))
+    assert 1e-3 < steps < 1e-1
+    assert reader.deviations(found) == pytest.approx(steps * found.resistance_ohm)

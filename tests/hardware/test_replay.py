@@ -22,6 +22,7 @@ class RootModel:
 
     design_hash = None
     is_fine_tuned = knows_uncertainty = False
+    reading_noise = 0.0
 
     def __init__(self, rows=2, cols=3):
         self.rows, self.cols = rows, cols

@@ -10,6 +10,7 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <time.h>
 
 #include "crossbar.h"
@@ -204,6 +205,8 @@ int main(int argc, char **argv)
 {
     options_t options = options_parse(argc, argv);
     catch_signals();
+    if (options.with_parent)
+        prctl(PR_SET_PDEATHSIG, SIGTERM);
     table_t table = table_open(options.table);
     avr_t *avr = board_with(options.mcu, options.elf);
     crossbar_connect(avr, options.mcu, &table);

@@ -9,11 +9,13 @@
 
 static const char USAGE[] =
     "usage: simavr-board --elf FILE --mcu atmega328p|atmega2560 --table FILE [--link PATH] [--seconds S] [--fast]\n"
+    "                   [--with-parent]\n"
     "\n"
     "Runs the firmware in FILE on a simulated board. Its serial port is a pseudo terminal, named on the first\n"
     "line of output and, if asked for, linked to from PATH; the readings of its converter come from the table.\n"
     "  --seconds S  stop after S seconds of the board's time\n"
     "  --fast       as fast as possible instead of in real time; waits for a reader, so that nothing is lost\n"
+    "  --with-parent  stop when the program that started this one is gone, however it ended\n"
     "SIGINT or SIGTERM stops it and prints statistics, SIGUSR1 presses the board's reset button.\n";
 
 void fail(const char *format, ...)
@@ -42,7 +44,8 @@ options_t options_parse(int argc, char **argv)
         {"elf", required_argument, NULL, 'e'},     {"mcu", required_argument, NULL, 'm'},
         {"table", required_argument, NULL, 't'},   {"link", required_argument, NULL, 'l'},
         {"seconds", required_argument, NULL, 's'}, {"fast", no_argument, NULL, 'f'},
-        {"help", no_argument, NULL, 'h'},          {NULL, 0, NULL, 0},
+        {"help", no_argument, NULL, 'h'},          {"with-parent", no_argument, NULL, 'p'},
+        {NULL, 0, NULL, 0},
     };
     options_t options = {0};
     opterr = 0;
@@ -54,6 +57,7 @@ options_t options_parse(int argc, char **argv)
         case 'l': options.link = optarg; break;
         case 's': options.seconds = seconds_from(optarg); break;
         case 'f': options.fast = true; break;
+        case 'p': options.with_parent = true; break;
         case 'h': fputs(USAGE, stdout); exit(0);
         case ':': fail("%s needs a value: see --help.", argv[optind - 1]);
         default: fail("unknown option '%s': see --help.", argv[optind - 1]);

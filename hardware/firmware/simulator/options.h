@@ -12,6 +12,7 @@ typedef struct {
     const char *link;  // NULL: none
     double seconds;    // of device time; 0: until stopped
     bool fast;
+    bool with_parent;
 } options_t;
 
 options_t options_parse(int argc, char **argv);

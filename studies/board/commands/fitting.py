@@ -91,13 +91,15 @@ def calibrate(
     require_unused(out, calibration)
     if (loads is None) != weights:
         raise DesignError("give either --loads FILE or --weights.")
+    if noise is not None and not 0 < noise < 1:
+        raise DesignError(f"--noise {noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
     sensor = chosen(design)
     known = None if calibration is None else read_calibration(calibration).electronics
     electronics = electronics_of(known, switch_ohm, line_ohm)
     if not Path(port).is_file():
-        pairs = measured_live(port, loads, electronics, seconds, baud=baud, timeout=timeout)
+        pairs = measured_live(port, loads, sensor, electronics, seconds, baud=baud, timeout=timeout)
     elif loads is not None:
-        pairs = measured_in_recording(Path(port), loads, electronics)
+        pairs = measured_in_recording(Path(port), loads, sensor, electronics)
     else:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     with progress_bars(quiet) as bars:

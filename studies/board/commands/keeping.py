@@ -19,6 +19,7 @@ from studies.board.commands.options import (
     PortArgument,
     SecondsOption,
     TimeoutOption,
+    require_other,
     require_positive,
 )
 from studies.console import JsonOption, QuietOption, say, show_json, wrote
@@ -86,10 +87,11 @@ def replay(
     from hardware import replay as replay_frames
     from studies.board.session import Session, board_on, hashes_of
 
+    require_other(out, recording, model, calibration)
     decoupler = read_model(model)
     if speed is not None:
-        if not speed > 0:
-            raise DesignError(f"--speed {speed:g} must be above 0; 1 is as recorded.")
+        if not speed >= 1e-3:
+            raise DesignError(f"--speed {speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
         if out is not None or not crosstalk:
             raise DesignError("--speed only shows forces: leave --out and --no-crosstalk out, or leave out --speed.")
         from studies.board.follow import print_lines, show_forces

@@ -1,5 +1,6 @@
 """Options that several commands of a board share."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +22,7 @@ TimeoutOption = Annotated[float, typer.Option("--timeout", help="Wait so long fo
 LinesOption = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout, for pipes.")]
 SwitchOption = Annotated[float | None, typer.Option("--switch-ohm", help="Of a closed switch [Ω]; default: 25.")]
 LineOption = Annotated[float | None, typer.Option("--line-ohm", help="Of a wire to the pillars [Ω]; default: 0.")]
+MOST_S = 3600.0
 BAUD, TIMEOUT_S = (
     1_000_000,
     4.0,
@@ -38,13 +40,22 @@ def electronics_of(known: "Electronics | None", switch_ohm: float | None, line_o
 
 
 def require_positive(**values: float) -> None:
-    """Refuse times that are not above 0; without limit is fine."""
+    """Refuse times that are not above 0; only `seconds` may have no end."""
     for name, value in values.items():
-        if not value > 0:
-            raise DesignError(f"--{name} {value:g} must be above 0.")
+        if not 0 < value <= (math.inf if name == "seconds" else MOST_S):
+            raise DesignError(f"--{name} {value:g} must be above 0 and at most {MOST_S:g} s.")
+
+
+def require_other(out: Path | None, *read: Path | None) -> None:
+    """Refuse to write over what the command reads."""
+    for path in read:
+        if out is not None and path is not None and out.exists() and path.exists() and out.samefile(path):
+            raise FileFormatError(f"{out} is read by this command: give another name for what it writes.")
 
 
 def require_unused(out: Path, read: Path | None) -> None:
     """Refuse to lose a file that the command did not read."""
+    if out.is_dir():
+        raise FileFormatError(f"{out} is a folder: give the name of a file in it.")
     if out.exists() and (read is None or out.resolve() != read.resolve()):
         raise FileFormatError(f"{out}: the file exists: build on it by --calibration {out}, or give another name.")

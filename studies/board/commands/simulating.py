@@ -66,6 +66,7 @@ def simulate(
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
     electronics = electronics_of(None, switch_ohm, line_ohm)
+    replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)
     script = PressAndSlide(peak_mpa=3.0 if pressure is None else pressure, seconds=period)
     with progress_bars(quiet) as bars:
@@ -83,9 +84,9 @@ def simulate(
     told = replace(told, rows=rows, cols=cols)
     kind, why = suited_kind(told) if board_ == "auto" else (board_, "")
     say(why)
+    counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), sensor)
     if truth is not None:
         write_truth(motion, truth)
-    counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), sensor)
     with simulated(kind, told, counts, link) as running:
         named = str(link or running.port)
         if json_:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from geometry.errors import DesignError
 from studies.board.commands.options import (
     BAUD,
     TIMEOUT_S,
@@ -45,6 +46,7 @@ def info(
     """Ask a board what it is."""
     from studies.board.session import board_on
 
+    require_positive(timeout=timeout)
     with board_on(port, baud=baud, timeout=timeout) as (scanner, _):
         told = scanner.info
     plain = asdict(told) | {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
@@ -76,6 +78,8 @@ def live(
     with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
         reading = Session(scanner, decoupler, known)
         if rate is not None:
+            if Path(port).is_file():
+                raise DesignError("a recording has the rate that it was made at: leave --rate out.")
             scanner.set_rate(rate)
         (print_lines if json_ else show_forces)(reading, seconds)
 

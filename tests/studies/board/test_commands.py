@@ -195,6 +195,42 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
     assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
 
 
+def test_nobody_at_the_sensor_calibrates_nothing(house, port):
+    """The input ends at the first question: one clear line below it, no file."""
+    command = [
+        sys.executable,
+        "-m",
+        "tripillar",
+        "calibrate",
+        port,
+        "--weights",
+        "--design",
+        "small.toml",
+        "-o",
+        "no.json",
+    ]
+    done = subprocess.run(
+        command, cwd=house.folder, env=house.environment, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("tripillar: the input ended before the last load")
+    assert not (house.folder / "no.json").exists()
+
+
+def test_typed_weights_calibrate_and_nonsense_is_asked_again(house):
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        command = [sys.executable, "-m", "tripillar", "calibrate", port, "--weights", "--design", "small.toml"]
+        done = subprocess.run(
+            [*command, "-o", "typed.json", "--seconds", "0.3", "--json", "-q"], input="\nspam\n0 0 0\n\n",
+            cwd=house.folder, env=house.environment, capture_output=True, text=True,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "'spam' is no weight" in done.stderr
+    told = json.loads(done.stdout)
+    assert told["loads"] == 2
+    assert 0.85 < told["gain"][0] < told["gain"][1] < 1.15
+
+
 def test_bench_measures_the_link(house, port):
     told = house.result("bench", port, "--model", MODEL, *WHOLE_SECOND)
     assert told["rate_hz"] == pytest.approx(150, rel=0.2)
@@ -229,8 +265,16 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
         (["calibrate", "board", "-o", "x.json"], "give either --loads FILE or --weights"),
         (["tare", "board", "-o", "x.json", "--calibration", "small.toml"], "small.toml is no calibration"),
         (["replay", "small.toml", "--model", MODEL], "small.toml"),
+        (["replay", "press.nc", "--model", MODEL, "--out", "press.nc"], "press.nc is read by this command"),
+        (["info", "board", "--timeout", "inf"], "--timeout inf must be above 0 and at most 3600 s"),
+        (["info", "socket://x"], "socket://x: no host and port number: give socket://HOST:PORT"),
+        (["live", "press.nc", "--model", MODEL, "--rate", "100"], "leave --rate out"),
+        (
+            ["simulate", "--board", "python", "-q", "--design", "small.toml", "--link", "small.toml"],
+            "exists and is no link",
+        ),
         (["tare", "board", "-o", "data.nc"], "the file exists: build on it by --calibration"),
-        (["replay", "press.nc", "--model", MODEL, "--speed", "0"], "--speed 0 must be above 0"),
+        (["replay", "press.nc", "--model", MODEL, "--speed", "0"], "--speed 0 must be 0.001 or more"),
         (["replay", "press.nc", "--model", MODEL, "--speed", "1", "--out", "x.nc"], "--speed only shows forces"),
         (["bench", "board", "--seconds", "nan"], "--seconds nan must be above 0"),
         (["simulate", "--scene", "x.toml", "--pressure", "2"], "a scene has its own design and loads"),
