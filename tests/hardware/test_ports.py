@@ -110,7 +110,7 @@ def test_no_permission_names_the_group(monkeypatch):
         ("/dev/null", "no serial port"),
         (os.sep, "no serial port"),
         ("carrier://pigeon", "unknown kind of URL"),
-        ("socket://nowhere", "no connection"),
+        ("socket://nowhere", "no host and port number"),
     ],
 )
 def test_what_is_no_port_is_told_in_one_line(url, message):

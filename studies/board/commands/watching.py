@@ -73,13 +73,13 @@ def live(
     from studies.board.follow import print_lines, show_forces
     from studies.board.session import Session, board_on
 
+    if rate is not None and Path(port).is_file():
+        raise DesignError("a recording has the rate that it was made at: leave --rate out.")
     require_positive(seconds=seconds, timeout=timeout)
     decoupler = read_model(model)
     with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
         reading = Session(scanner, decoupler, known)
         if rate is not None:
-            if Path(port).is_file():
-                raise DesignError("a recording has the rate that it was made at: leave --rate out.")
             scanner.set_rate(rate)
         (print_lines if json_ else show_forces)(reading, seconds)
 
