@@ -20,6 +20,7 @@ from hardware.correction import Corrector
 from hardware.frames import ScanMode
 
 LEAST_OHM, MOST_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
+MOST_LOST = 0.999  #: of a wire's voltage, in a first guess from readings that no array gives
 NEUMANN = 4.0  #: what the first guess errs by at most, over ε_row ε_column; 0.8 to 2.4 were found
 SUITED_SENSE_OHM = {
     ScanMode.DIVIDER: 2_200.0,
@@ -94,17 +95,16 @@ class Crossbar:
         return row_wire, 2 * self.rows + column_wire
 
     @cached_property
-    def _on_wire(self) -> FloatArray:
-        """1 where a crossing is on a wire, else 0; (n_crossings, n_wires)."""
+    def _loss_by_wire(self) -> FloatArray:
+        """From y to the share of its voltage that each wire loses, (n_crossings, n_wires) [Ω].
+
+        That is its series resistance, and where idle rows are grounded the sense resistor that a column's sum passes.
+        """
         wires = np.arange(2 * (self.rows + self.cols))
         row, column = self.ends
-        return ((row[:, None] == wires) | (column[:, None] == wires)).astype(np.float64)
-
-    @cached_property
-    def _loaded_ohm(self) -> FloatArray:
-        """`series_ohm` with what the selected column's current passes besides, (n_wires,) [Ω]."""
+        is_on = (row[:, None] == wires) | (column[:, None] == wires)
         sense_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
-        return self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols])
+        return is_on * (self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols]))
 
     @cached_property
     def series_ohm(self) -> FloatArray:
@@ -234,13 +234,15 @@ class Crossbar:
             alike = np.full((1, apparent.shape[1]), 1e-4)
             return apparent * (alike / self.apparent_of(alike)), np.full(len(apparent), math.inf)
         row, column = self.ends
-        left = np.maximum(1.0 - (apparent @ self._on_wire) * self._loaded_ohm, 1e-3)  # a, of every wire
-        guess = apparent / (left[:, row] * left[:, column])
+        lost = apparent @ self._loss_by_wire  # share of each wire's voltage across its resistance
+        np.minimum(lost, MOST_LOST, out=lost)
+        left = 1.0 - lost  # a, of every wire
+        guess = apparent / (left.take(row, axis=1) * left.take(column, axis=1))
         if self.scan_mode == ScanMode.GROUNDED:
             return guess, np.full(len(apparent), 0.0 if self.series_ohm[0] == 0.0 else math.inf)
         n_rows = 2 * self.rows
-        by_row, by_column = (1.0 / wires.min(axis=1) - 1.0 for wires in (left[:, :n_rows], left[:, n_rows:]))
-        return guess, NEUMANN * by_row * by_column
+        by_row, by_column = lost[:, :n_rows].max(axis=1), lost[:, n_rows:].max(axis=1)
+        return guess, NEUMANN * (by_row / (1.0 - by_row)) * (by_column / (1.0 - by_column))
 
     def apparent_of(self, conductance: FloatArray) -> FloatArray:
         """y of pillars' conductances: the nodal analysis."""

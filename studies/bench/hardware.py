@@ -19,19 +19,18 @@ from threadpoolctl import threadpool_limits
 from decoupler.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.files import replacing
-from hardware.calibration import Electronics
+from hardware.calibration import Electronics, SensorCalibration
 from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
 from hardware.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.live import ForceReader
-from hardware.reception import Scan
 from hardware.recording import recording_from_resistances
 from hardware.scanner import Scanner
 from hardware.virtual_board import VirtualBoard
 from studies.board.link import milliseconds
 from studies.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
 from studies.board.paper_sensor import BITS, board_info, joint_net
-from studies.board.session import scans
+from studies.board.session import Session, scans
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
@@ -138,15 +137,11 @@ def live(
     sender = context.Process(target=_send, args=(there, counts, info), daemon=True)
     sender.start()
     with Scanner(here.recv()) as scanner:
-        reader = ForceReader(scanner.info, model)
-
-        def forces(scan: Scan) -> None:
-            reader.forces(scan.frame.counts[None])
-
+        reading = Session(scanner, model, SensorCalibration.as_designed(info.rows, info.cols))
         done_at = {}
-        for scan in scans(scanner, seconds, forces if rehearsal else None):
+        for scan in scans(scanner, seconds, reading.rehearse if rehearsal else None):
             if scan is not None:
-                forces(scan)
+                reading.forces(scan)
                 done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s
         statistics = scanner.stats
     here.send("stop")

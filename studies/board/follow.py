@@ -49,7 +49,7 @@ def print_lines(reading: Session, seconds: float) -> None:
     """
     trouble = None
     try:
-        for scan in scans(reading.scanner, seconds, reading.forces):
+        for scan in scans(reading.scanner, seconds, reading.rehearse):
             if reading.scanner.trouble != trouble:
                 trouble = reading.scanner.trouble
                 print(json.dumps({"trouble": trouble}), flush=True)

@@ -33,7 +33,7 @@ def measured_link(scanner: Scanner, reading: Session | None, seconds: float, reh
         If fewer than three scans come.
     """
     arrivals, device_us, latencies = [], [], []
-    for scan in scans(scanner, seconds, reading.forces if reading and rehearsal else None):
+    for scan in scans(scanner, seconds, reading.rehearse if reading and rehearsal else None):
         if scan is None:
             continue
         if reading is not None:

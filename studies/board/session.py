@@ -17,6 +17,7 @@ from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from hardware.calibration import Electronics, SensorCalibration, read_calibration
 from hardware.crossbar import Crossbar
+from hardware.frames import FrameDecoder, encode
 from hardware.live import ForceReader, Forces
 from hardware.recording import read_recording
 from hardware.recording.playback import PlaybackPort
@@ -75,6 +76,11 @@ class Session:
     def forces(self, scan: "Scan") -> Forces:
         """Of one scan: arrays of length 1."""
         return self.reader.forces(scan.frame.counts[None])
+
+    def rehearse(self, scan: "Scan") -> None:
+        """All that a scan goes through, from its bytes to forces, for nothing but the processor's caches."""
+        FrameDecoder().feed(encode(scan.frame))
+        self.forces(scan)
 
     def deviations(self, found: Forces) -> FloatArray | None:
         """Half-widths that hold 68 % of errors, (rows, cols, k) [N]; None if the model knows no uncertainty."""
