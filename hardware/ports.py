@@ -20,7 +20,7 @@ from geometry.errors import TriPillarError
 try:
     from termios import error as _TerminalError  # no subclass of OSError
 except ImportError:  # Windows has none
-    _TerminalError = OSError  # type: ignore[misc,assignment]
+    _TerminalError = OSError  # type: ignore[misc,assignment]  # mypy sees a class bound twice
 
 BAUD = 1_000_000  #: what the firmware sends at
 PORT_FAULTS = (

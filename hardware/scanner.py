@@ -121,7 +121,7 @@ class Scanner:
             self._wait_for(lambda: self._reception.info is not None, self._timeout_s)
             if self._reception.info is None:
                 raise ScannerError(f"{self._name}: {self._silence()}")
-        except BaseException:
+        except BaseException:  # Ctrl-C as well: without __exit__, thread and port would stay open
             self.close()
             raise
         return self

@@ -148,7 +148,7 @@ class SimavrBoard:
             raise SimavrError(
                 f"{self._command[0]}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
             ) from error
-        except BaseException:
+        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
             self._close()
             raise
         return self

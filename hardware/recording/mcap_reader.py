@@ -32,7 +32,7 @@ class MissingMcapError(TriPillarError, ImportError):
 
 def require_mcap() -> None:
     try:
-        import mcap.writer  # noqa: F401
+        import mcap.writer  # noqa: F401, only to see whether it is there
     except ImportError as error:
         raise MissingMcapError(
             f"MCAP needs a package that is not installed ({error}): pip install 'tripillar[mcap]', or record to .nc."

@@ -29,8 +29,9 @@ from hardware.scanner import Scanner
 from hardware.virtual_board import VirtualBoard
 from studies.board.link import milliseconds
 from studies.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
-from studies.board.paper_sensor import BITS, board_info, joint_net
+from studies.board.paper_sensor import board_info, joint_net
 from studies.board.session import Session, scans
+from studies.board.simulated import CHIP_BITS
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
@@ -39,7 +40,7 @@ PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
 TITLES = {
     "crosstalk": "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs",
-    "forces": f"What it costs in forces, {BITS} bits, switches of 25 Ω: root mean square errors",
+    "forces": f"What it costs in forces, {CHIP_BITS} bits, switches of 25 Ω: root mean square errors",
     "mistaken": "Switches of 30 Ω taken for 25 Ω: what is left of a resistance's error, exact readings",
     "offline": "A recorded frame to forces, many together",
     "live": "A board in a process of its own: last byte read, or sent, to forces [ms]",

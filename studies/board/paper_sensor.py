@@ -7,15 +7,15 @@ from decoupler.settings import NetworkConfig, TrainingConfig
 from fem.response import ArrayResponse
 from hardware.crossbar import SUITED_SENSE_OHM
 from hardware.frames import Info, ScanMode
+from studies.board.simulated import CHIP_BITS
 
-BITS = 10  #: of the ATmega's converter
 SAMPLES = 2000
 SEED = 1
 
 
 def board_info(mode: ScanMode, rate_hz: int = 150) -> Info:
     """Of an ATmega board whose sense resistor suits the paper's pillars."""
-    return Info(bits=BITS, scan_mode=mode, sense_ohm=round(SUITED_SENSE_OHM[mode]), rate_hz=rate_hz)
+    return Info(bits=CHIP_BITS, scan_mode=mode, sense_ohm=round(SUITED_SENSE_OHM[mode]), rate_hz=rate_hz)
 
 
 def joint_net(response: ArrayResponse) -> Decoupler:
@@ -23,6 +23,6 @@ def joint_net(response: ArrayResponse) -> Decoupler:
     from decoupler.training import train
 
     loads = simulate(response, DatasetSettings(protocol="contact", samples=SAMPLES, seed=SEED))
-    data = measured_again(loads, Imperfections(bits=BITS), seed=SEED)
+    data = measured_again(loads, Imperfections(bits=CHIP_BITS), seed=SEED)
     model, _ = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
     return model
