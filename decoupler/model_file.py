@@ -57,7 +57,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "cols": decoupler.cols,
         "network": asdict(decoupler.network),
         "design": None if decoupler.design is None else design_to_toml(decoupler.design),
-        "design_hash": None if decoupler.design is None else digest(decoupler.design),
+        "design_hash": decoupler.design_hash,
         "made_from": decoupler.made_from,
     }
     if decoupler.uncertainty is not None:

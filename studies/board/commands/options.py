@@ -1,6 +1,7 @@
 """Options that several commands of a board share."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,17 +23,13 @@ TimeoutOption = Annotated[float, typer.Option("--timeout", help="Wait so long fo
 LinesOption = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout, for pipes.")]
 SwitchOption = Annotated[float | None, typer.Option("--switch-ohm", help="Of a closed switch [Ω]; default: 25.")]
 LineOption = Annotated[float | None, typer.Option("--line-ohm", help="Of a wire to the pillars [Ω]; default: 0.")]
-MOST_S = 3600.0
-BAUD, TIMEOUT_S = (
-    1_000_000,
-    4.0,
-)  # as in `hardware`, which takes too long to load for a help text
+MOST_S = 3600.0  #: of any time that must end
+BAUD = 1_000_000  #: as in `hardware.ports`, which takes too long to load for a help text
+TIMEOUT_S = 4.0  #: as in `hardware.scanner`
 
 
 def electronics_of(known: "Electronics | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":
     """What is known of a board's electronics, with what options say in its place."""
-    from dataclasses import replace
-
     from hardware.calibration import Electronics
 
     given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
