@@ -41,7 +41,7 @@ def sample(design):
 def known(row):
     """A row's texts, and its figures without what they cost."""
     costs = ("seconds", "peak")
-    figures = {name: value for name, value in row.figures.items() if not name.startswith(costs)}
+    figures = {name: value for name, value in row.figures.items() if value is not None and not name.startswith(costs)}
     return (row.recipe, row.values, row.design, row.reason), figures
 
 
