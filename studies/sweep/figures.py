@@ -21,6 +21,7 @@ GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front
 AGAINST = (("range_n", True), ("area_cm2", False))  #: figures of the Pareto picture, and whether more is better
 BESIDE = ("range_n", "crosstalk_1", "condition")  #: figures of the parallel axes, after the keys
 HOPELESS = 100.0  #: times the least error (or another figure) from which designs are drawn at the edge: no good anyhow
+PALE = 0.55  #: strength of colour of the lines that are not among the best
 WIDE = 20.0  #: ratio of the largest to the least value from which an axis is logarithmic
 
 
@@ -79,6 +80,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     """Write a PNG of parallel coordinates: a line a design through its keys and figures, the best ones thick."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
@@ -97,17 +99,15 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     heights = np.array([_share(column) for _, column, _ in kept])
     goal = heights[len(sweep.variables)]
     shades = colormaps["viridis"]
-    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=120, layout="constrained")
+    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=100, layout="constrained")
     axes = figure.subplots()
     places = np.arange(len(kept))
-    for k in np.argsort([-best.get(row.recipe, BEST) for row in sound]):  # the best are drawn last, on top
+    for k in np.argsort(-goal):  # the best are drawn last, on top
         thick = sound[k].recipe in best
-        inside = not sweep.excess(sound[k].figures)
-        axes.plot(
-            places, heights[:, k], color=shades(0.95 * goal[k]) if inside else GREY, linewidth=2.6 if thick else 1.0,
-            alpha=1.0 if thick else 0.45, zorder=3 if thick else 2,
-        )  # fmt: skip
-    for place, (_, column, ends) in zip(places, kept, strict=True):
+        colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].figures) else to_rgb(GREY))
+        paler = colour if thick else 1.0 - PALE * (1.0 - colour)
+        axes.plot(places, heights[:, k], color=tuple(paler), linewidth=2.6 if thick else 1.0, zorder=3 if thick else 2)
+    for place, (_, column, ends) in enumerate(kept):
         axes.axvline(place, color="#333333", linewidth=1.0, zorder=1)
         for share, text in _ticks(column):
             above = "≥ " if ends and share == 1.0 else ""
@@ -121,9 +121,8 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     axes.set(yticks=[], xlim=(-0.3, places[-1] + 0.6), ylim=(-0.04, 1.04))
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
-    bar.set_label(
-        f"{sweep.least}: dark is least; thick: the {min(BEST, len(best))} best; grey: out of bounds", fontsize=9
-    )
+    grey = "; grey: out of bounds" if sweep.bounds else ""
+    bar.set_label(f"{sweep.least}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 
 from geometry.design_file import read_design
@@ -89,3 +90,25 @@ def test_what_makes_no_sense_is_refused_before_any_work(house):
     assert "none.toml: cannot be read" in house.refusal("sweep", "none.toml")
     (house.folder / "odd.toml").write_text("[[vary]]\nkey = 'pitch'\n")
     assert "odd.toml: [[vary]] 1: unknown key 'pitch'" in house.refusal("optimize", "odd.toml")
+
+
+def test_ctrl_c_keeps_the_rows_and_leaves_no_worker(house):
+    command = [sys.executable, "-m", "tripillar", "sweep", "pads.toml", "--workers", "1", "-q"]
+    process = subprocess.Popen(
+        command,
+        cwd=house.folder,
+        env=house.environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it
+    )
+    rows = house.folder / "out" / "pads-rows"
+    until = time.monotonic() + 120
+    while not list(rows.glob("[!.]*.json")) and time.monotonic() < until:
+        time.sleep(0.02)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert said.splitlines() == ["stopped; the rows in out/pads-rows are kept: give the same command again to go on."]
+    assert not psutil.wait_procs(workers, timeout=20)[1]
