@@ -17,7 +17,20 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError, TriPillarError
 from studies.board.commands import board
-from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say, show_json, wrote
+from studies.console import (
+    LEARNING,
+    SOLVING,
+    STUDYING,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    progress_bars,
+    say,
+    show_json,
+    wrote,
+)
+from studies.doctor.command import commands as doctor
 
 if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
@@ -40,9 +53,9 @@ GoalOption = Annotated[
 ]
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def design(
-    out: Annotated[Path | None, typer.Option(help="File to write; default: print it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
 ) -> None:
     """Write the paper's sensor as a design TOML, every key with its default and meaning."""
     if out is None:
@@ -52,9 +65,9 @@ def design(
         wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def cad(
-    out: Annotated[Path, typer.Option(help="Folder for STEP and STL files.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for STEP and STL files.")],
     design: DesignOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -68,12 +81,12 @@ def cad(
     wrote(files)
 
 
-@app.command()
-def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOption = False) -> None:
+@app.command(rich_help_panel=SOLVING)
+def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: VerbosityOption = None) -> None:
     """Mesh the sensor with tetrahedra and judge their shape; cached."""
     from studies.pipeline import meshed
 
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         stage = meshed(chosen(design), bars)
     if json_:
         show_json({"file": str(stage.files[0]), "reused": stage.reused, "seconds": stage.seconds, "note": stage.note})
@@ -82,7 +95,7 @@ def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOpt
     wrote(stage.files)
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def solve(
     scene: Annotated[Path, typer.Argument(help="Scene TOML: a body, its loads, its probes.")],
     json_: JsonOption = False,
@@ -127,9 +140,9 @@ def solve(
     wrote([] if vtu is None else [vtu])
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def response(
-    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
     design: DesignOption = None,
     tolerance: Annotated[
         float | None, typer.Option(help="Relative error wanted; default: 1e-3, 1e-2 with pillars of another rubber.")
@@ -139,7 +152,7 @@ def response(
         typer.Option(help="Copies of one condensed cell, one mesh of the array, or an approximate closed form."),
     ] = "cells",
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Solve for the array's influence matrix: displacement of every upper electrode per newton on every pad."""
     from fem.array_response import ResponseSettings
@@ -147,7 +160,7 @@ def response(
     from studies.pipeline import respond
 
     settings = ResponseSettings(method=method, tolerance=tolerance)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         stage, solved = respond(chosen(design), bars, settings)
     write_response(solved, out)
     if json_:
@@ -169,11 +182,11 @@ def response(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def dataset(
     protocol: Annotated[Protocol, typer.Option(help="How pads are loaded.")],
     samples: Annotated[int, typer.Option(help="Number of samples.")],
-    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
     seed: Annotated[int, typer.Option(help="Of loads and noise.")] = 0,
     cap: Annotated[float, typer.Option(help="Largest pillar strain; samples past it are redrawn.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Relative standard deviation of a resistance.")] = 0.0,
@@ -196,7 +209,7 @@ def dataset(
     correct: Annotated[bool, typer.Option(help="Take its crosstalk out again, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Simulate labelled samples: loads, displacements, lengths and resistances."""
     from dataset.imperfections import place_of
@@ -236,7 +249,7 @@ def dataset(
             **given,
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         _, solved = respond(sensor, bars)
         advance = bars.begin("dataset", total=samples)
         data = simulate(solved, settings, lambda n: advance(n, ""), readout)
@@ -249,11 +262,11 @@ def dataset(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def train(
     data: Annotated[Path, typer.Option(help="Dataset to train on.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
-    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
     net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
     hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
     trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
@@ -263,7 +276,7 @@ def train(
     seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Train one network on a dataset and write it as a model file."""
     from dataset.labelled import read_labelled
@@ -275,7 +288,7 @@ def train(
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
@@ -303,7 +316,7 @@ def train(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def evaluate(
     model: Annotated[Path, typer.Option(help="Model file.")],
     data: Annotated[Path, typer.Option(help="Dataset to test on.")],
@@ -311,7 +324,7 @@ def evaluate(
         bool, typer.Option(help="Work out what the readings allow; solves the response if need be.")
     ] = True,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Errors of a model on a dataset (relative by eq. 17, RMSE, % of full scale) beside the limit and two baselines."""
     from dataset.labelled import read_labelled
@@ -324,7 +337,7 @@ def evaluate(
     for file, stated in ((data, labelled.design), (model, decoupler.design)):
         if stated is None:
             print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         solved = known_response(labelled.design or decoupler.design, bars) if limits else None
         assessed = assess(decoupler, labelled, solved)
     if json_:
@@ -338,7 +351,7 @@ def evaluate(
         say_untrusted(decoupler)
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def crossval(
     data: Annotated[Path, typer.Option(help="Dataset to split.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
@@ -351,7 +364,7 @@ def crossval(
     seed: Annotated[int, typer.Option(help="Of the split and the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """k-fold cross-validation, folds in parallel: every sample is tested once, by a network that never saw it."""
     from dataset.labelled import read_labelled
@@ -362,7 +375,7 @@ def crossval(
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
@@ -376,14 +389,14 @@ def crossval(
         show(crossval_table(tested))
 
 
-@app.command("fine-tune")
+@app.command("fine-tune", rich_help_panel=LEARNING)
 def fine_tune(
     model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
     data: Annotated[Path, typer.Option(help="Measured resistances and forces of one sensor.")],
-    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
     pairs: Annotated[int | None, typer.Option(help="Use the first so many; default: all.")] = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Fit a model to one real sensor by a few measured pairs: gain and offset of each pillar, then the output layer."""
     from dataset.labelled import read_labelled
@@ -398,7 +411,7 @@ def fine_tune(
     decoupler, measured = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, measured, model, data)
     measured = selected(measured, slice(pairs))
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         known = measured.design or decoupler.design
         solved = None if decoupler.inverse is not None else known_response(known, bars)
     tuned = fine_tuned(decoupler, measured, solved)
@@ -414,10 +427,10 @@ def fine_tune(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def export(
     model: Annotated[Path, typer.Option(help="Model file.")],
-    out: Annotated[Path, typer.Option(help="File to write: .onnx, or .h for a header in C.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .onnx, or .h for a header in C.")],
     precision: Annotated[
         Literal["float", "double"] | None, typer.Option(help="Of its numbers; default: double in .onnx, float in .h.")
     ] = None,
@@ -437,20 +450,20 @@ def export(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=STUDYING)
 def run(
     design: DesignOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("out"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all files.")] = Path("out"),
     until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage.")] = "table",
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """The whole pipeline: design, CAD, mesh, response, datasets, networks, table; reuses what did not change."""
     from studies.pipeline import files_of
     from studies.pipeline import run as run_pipeline
     from studies.report import comparison_table, show, stage_table
 
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         outcome = run_pipeline(chosen(design), out, bars, until_dataset=until == "dataset")
     if json_:
         show_json(outcome.as_plain())
@@ -461,12 +474,12 @@ def run(
     wrote(files_of(outcome.stages))
 
 
-@app.command()
+@app.command(rich_help_panel=STUDYING)
 def view(
     save: Annotated[Path, typer.Option(help="PNG file to write.")],
     pressure: Annotated[float, typer.Option(help="Largest pressure, over the middle of the array [MPa].")] = 3.0,
     design: DesignOption = None,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Draw the array deformed by a round indenter over its middle, at true scale."""
     if save.suffix != ".png":
@@ -477,7 +490,7 @@ def view(
     from geometry.mesh import sensor_mesh, suited_settings
 
     sensor = chosen(design)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         advance = bars.begin("view", total=2)
         advance(0, "mesh")
         body, _, _ = sensor_mesh(sensor, suited_settings(sensor))
@@ -488,6 +501,7 @@ def view(
 
 
 app.add_typer(board)  # the commands of a connected sensor
+app.add_typer(doctor)
 
 
 def say_untrusted(model: "Decoupler") -> None:
