@@ -8,6 +8,7 @@ import io
 import math
 import sys
 from dataclasses import asdict, replace
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -26,6 +27,7 @@ from studies.console import (
     VerbosityOption,
     chosen,
     progress_bars,
+    require_suffix,
     say,
     show_json,
     wrote,
@@ -53,14 +55,31 @@ GoalOption = Annotated[
 ]
 
 
+def show_version(asked: bool) -> None:
+    if asked:
+        print(f"tripillar {metadata.version('tripillar')}")
+        raise typer.Exit
+
+
+@app.callback(help=__doc__)
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
+
+
 @app.command(rich_help_panel=SOLVING)
 def design(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
+    json_: JsonOption = False,
 ) -> None:
     """Write the paper's sensor as a design TOML, every key with its default and meaning."""
-    if out is None:
+    if json_:
+        show_json(asdict(SensorDesign()))
+    if out is None and not json_:
         print(design_to_toml(SensorDesign()), end="")
-    else:
+    if out is not None:
         write_design(SensorDesign(), out)
         wrote([out])
 
@@ -107,8 +126,7 @@ def solve(
     solver: Annotated[str | None, typer.Option(help="Linear solver; default: the plan's.")] = None,
 ) -> None:
     """Solve any scene: a block, a pillar, a unit or an array under loads, to its tolerance."""
-    if vtu is not None and (vtu.suffix != ".vtu" or vtu.is_dir()):
-        raise DesignError(f"--vtu {vtu} must be a file that ends in .vtu.")
+    require_suffix("--vtu", vtu, ".vtu")
     from fem.plan import make_plan
     from fem.scene_file import read_scene
     from fem.solution_file import solution_as_plain, write_field
@@ -366,7 +384,7 @@ def crossval(
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """k-fold cross-validation, folds in parallel: every sample is tested once, by a network that never saw it."""
+    """Cross-validate in k folds, in parallel: every sample is tested once, by a network that never saw it."""
     from dataset.labelled import read_labelled
     from decoupler.crossval import cross_validate, summary
     from decoupler.settings import NetworkConfig, TrainingConfig

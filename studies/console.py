@@ -10,6 +10,7 @@ import typer
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
+from geometry.errors import DesignError
 
 if TYPE_CHECKING:
     from studies.progress import Bars
@@ -52,3 +53,9 @@ def wrote(files: Iterable[Path]) -> None:
     """Name every file written, last of all, on stderr."""
     for path in files:
         print(path, file=sys.stderr)
+
+
+def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:
+    """Refuse a file to write whose name says another kind, or a folder in its place."""
+    if path is not None and (path.suffix not in suffixes or path.is_dir()):
+        raise DesignError(f"{option} {path} must be a file that ends in {' or '.join(suffixes)}.")

@@ -22,7 +22,7 @@ from studies.board.commands.options import (
     require_other,
     require_positive,
 )
-from studies.console import BOARD, JsonOption, VerbosityOption, say, show_json, wrote
+from studies.console import BOARD, JsonOption, VerbosityOption, require_suffix, say, show_json, wrote
 
 commands = typer.Typer()
 
@@ -88,6 +88,7 @@ def replay(
     from hardware import replay as replay_frames
     from studies.board.session import Session, board_on, hashes_of
 
+    require_suffix("--out", out, ".nc", ".mcap")
     require_other(out, recording, model, calibration)
     decoupler = read_model(model)
     if speed is not None:

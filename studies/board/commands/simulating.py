@@ -17,7 +17,17 @@ from studies.board.commands.options import (
     electronics_of,
     require_positive,
 )
-from studies.console import BOARD, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, say
+from studies.console import (
+    BOARD,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    progress_bars,
+    require_suffix,
+    say,
+    wrote,
+)
 
 commands = typer.Typer()
 
@@ -62,6 +72,7 @@ def simulate(
     from studies.board.simulated import counts_over_time, simulated, suited_kind
 
     require_positive(seconds=seconds, period=period)
+    require_suffix("--truth", truth, ".nc")
     scan_mode = scan_mode_named(mode)
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
@@ -97,3 +108,4 @@ def simulate(
             end_s = time.monotonic() + seconds
             while not is_ended() and time.monotonic() < end_s:
                 time.sleep(0.1)
+    wrote([] if truth is None else [truth])
