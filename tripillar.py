@@ -6,6 +6,7 @@ code 2. Each command imports its stage when it runs, so that help is instant and
 
 import io
 import math
+import signal
 import sys
 from dataclasses import asdict, replace
 from importlib import metadata
@@ -535,7 +536,27 @@ def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends with one line on stderr and exit code 2."""
+    """Run the command line; a user's mistake ends with one line on stderr and exit code 2, Ctrl-C with 130."""
+    interrupted = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        run_commands()
+    except Exception:
+        if not interrupted:
+            raise
+    except KeyboardInterrupt:
+        pass
+    sys.exit(130)  # whatever was raised after Ctrl-C, such as the ImportError of a half-loaded library, came of it
+
+
+def run_commands() -> None:
+    """Run the command that was asked for, and leave by `SystemExit`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8")  # Ω and ρ, whatever the console's own encoding
@@ -547,7 +568,7 @@ def main() -> None:
         message = str(error)
     except MemoryError:
         message = "not enough memory: ask for fewer samples, hidden nodes or units."
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         sys.exit(130)
     if not message:  # a bare command has printed its help
         sys.exit(0)

@@ -1,9 +1,12 @@
 """What every command has in common, and what a shell asks of the whole."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 
+import psutil
 import pytest
 import typer.main
 
@@ -90,3 +93,36 @@ def test_talk_and_silence(tmp_path):
 )
 def test_a_file_of_another_kind_is_refused(tmp_path, words, said):
     assert said in House(tmp_path).refusal(*words)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is sent to a process group, which is POSIX")
+def test_ctrl_c_ends_workers_too_and_prints_nothing_of_them(tmp_path):
+    """As a terminal sends it: to the command and to the processes that it started, while their libraries load."""
+    house = House(tmp_path)
+    made = ("dataset", "--protocol", "contact-fz", "--samples", "200", "--design", "small.toml")
+    assert house.tripillar(*made, "-o", "d.nc", "-q").returncode == 0
+    command = [sys.executable, "-m", "tripillar", "crossval", "--data", "d.nc", "--component", "fz", "-q"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=house.environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        while len(processes_of_group(process.pid)) < 3 and process.poll() is None:
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "")
+    end_s = time.monotonic() + 10
+    while processes_of_group(process.pid) and time.monotonic() < end_s:
+        time.sleep(0.1)
+    assert not processes_of_group(process.pid)
+
+
+def processes_of_group(number):
+    """Processes of a group that still run."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if os.getpgid(process.pid) == number and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process.pid)
+        except (ProcessLookupError, psutil.NoSuchProcess):
+            continue  # ended meanwhile
+    return found
