@@ -15,7 +15,7 @@ from dataset import LabelledData
 from decoupler.errors import SampleError
 from decoupler.metrics import ForceErrors, evaluate
 from decoupler.settings import NetworkConfig, TrainingConfig
-from geometry.files import digest
+from geometry.files import digest, uninterrupted
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -96,7 +96,7 @@ def jobs_of(
 def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
     """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
     with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        with _deaf_to_interrupts():
+        with uninterrupted(), _deaf_to_interrupts():
             futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
         try:
             for future in as_completed(futures):
