@@ -57,7 +57,7 @@ class Terminal:
             "COLUMNS": "200",
         }
         self._typed = 0
-        self._shell = subprocess.Popen(["bash", "-m"], stdin=subprocess.PIPE, text=True, cwd=folder, env=environment)
+        self._shell = subprocess.Popen(["bash", "-m"], stdin=subprocess.PIPE, text=True, stderr=subprocess.DEVNULL, cwd=folder, env=environment)
 
     def __enter__(self) -> "Terminal":
         return self
