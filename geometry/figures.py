@@ -38,7 +38,8 @@ def _unit(axes: Axes3D, unit: Unit) -> None:
         axes.plot([], [], lw=6, color=COLOURS[name], label=f"{name} pillar, senses F{name}")
     z_ends, x_ends, y_ends = pillar_ends(unit)
     for place, name, up in ((z_ends[1], "U1", 1), (y_ends[1], "U2", 1), (z_ends[0], "L1", -1), (x_ends[0], "L2", -1)):
-        axes.text(*(place + (0.0, 0.0, 0.13 * up * unit.height_mm)), name, ha="center", va="center")
+        x, y, z = place
+        axes.text(x, y, z + 0.13 * up * unit.height_mm, name, ha="center", va="center")
     half, s, h = unit.footprint_mm / 2, unit.span_mm / 2, unit.height_mm
     axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(0, h), xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     axes.set(xticks=(-s, 0, s), yticks=(-s, 0, s), zticks=(0, h))

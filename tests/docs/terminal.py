@@ -30,6 +30,8 @@ def console_commands(page: Path) -> list[Command]:
         for line in block.splitlines():
             if line.startswith("$ "):
                 commands.append(Command(line[2:]))
+            elif commands[-1].line.endswith("\\") and line.startswith(">"):
+                commands[-1].line = commands[-1].line[:-1] + line[1:].strip()
             else:
                 commands[-1].promised.append(line)
     return commands
@@ -57,7 +59,9 @@ class Terminal:
             "COLUMNS": "200",
         }
         self._typed = 0
-        self._shell = subprocess.Popen(["bash", "-m"], stdin=subprocess.PIPE, text=True, stderr=subprocess.DEVNULL, cwd=folder, env=environment)
+        self._shell = subprocess.Popen(
+            ["bash", "-m"], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=folder, env=environment
+        )
 
     def __enter__(self) -> "Terminal":
         return self
@@ -76,7 +80,8 @@ class Terminal:
         """
         assert self._shell.stdin
         self._typed += 1
-        said, ended, asked = (self.folder / ".programs" / f"{self._typed}.{kind}" for kind in ("said", "ended", "asked"))
+        name = str(self.folder / ".programs" / str(self._typed))
+        said, ended, asked = (Path(f"{name}.{kind}") for kind in ("said", "ended", "asked"))
         asked.write_text(answers)
         line = command.line.removesuffix("&")
         runs = f"{{ {line} & }}" if line != command.line else f"{{ {line} ; }}"

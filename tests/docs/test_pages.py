@@ -62,8 +62,8 @@ def test_the_crossbars_table_is_the_wiring():
 def test_wires_lie_over_the_electrodes_that_they_join():
     """Row wires at the y of upper electrodes, column wires at the x of lower ones."""
     design = SensorDesign()
-    wires = re.findall(r"^\| (\d+) \| ([-\d.]+) \| (U\d) of row (\d) \| \| (\d+) \| ([-\d.]+) \| (L\d) of column (\d) \|$",
-                       BUILDING, re.MULTILINE)  # fmt: skip
+    row, column = (rf"(\d+) \| ([-\d.]+) \| ({kind}\d) of {of} (\d)" for kind, of in (("U", "row"), ("L", "column")))
+    wires = re.findall(rf"^\| {row} \| \| {column} \|$", BUILDING, re.MULTILINE)
     assert len(wires) == 12
     upper = electrode_squares(design).reshape(6, 6, 2, 4)
     lower = {"L1": pillar_ends(design.unit)[0, 0], "L2": pillar_ends(design.unit)[1, 0]}
