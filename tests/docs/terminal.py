@@ -73,19 +73,15 @@ class Terminal:
         self._shell.stdin.close()
         self._shell.wait(timeout=GIVE_UP_S)
 
-    def type(self, command: Command, answers: str = "") -> str:
-        """Run a command to its end, or until it has printed what it promised if it ends in ``&``; what it printed.
-
-        `answers` is what is typed while it runs.
-        """
+    def type(self, command: Command) -> str:
+        """Run a command to its end, or until it has printed what it promised if it ends in ``&``; what it printed."""
         assert self._shell.stdin
         self._typed += 1
         name = str(self.folder / ".programs" / str(self._typed))
-        said, ended, asked = (Path(f"{name}.{kind}") for kind in ("said", "ended", "asked"))
-        asked.write_text(answers)
+        said, ended = Path(f"{name}.said"), Path(f"{name}.ended")
         line = command.line.removesuffix("&")
         runs = f"{{ {line} & }}" if line != command.line else f"{{ {line} ; }}"
-        self._shell.stdin.write(f"{runs} > {shlex.quote(str(said))} 2>&1 < {shlex.quote(str(asked))}\n")
+        self._shell.stdin.write(f"{runs} > {shlex.quote(str(said))} 2>&1 < /dev/null\n")
         self._shell.stdin.write(f"echo $? > {shlex.quote(str(ended))}\n")
         self._shell.stdin.flush()
         end_s = time.monotonic() + GIVE_UP_S
