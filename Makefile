@@ -25,11 +25,12 @@ train: $(READY)  ## design -> CAD -> FEM -> dataset -> networks -> table
 dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
-picture: $(READY)  ## draw the README's pictures again
+picture: $(READY)  ## draw the pictures of README and docs/paper.md again
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
 	$(BIN)/python -m studies.board.picture docs/live.svg
+	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
 
-paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
+paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
 	$(BIN)/python -m studies.paper --out $(OUT)/paper
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed

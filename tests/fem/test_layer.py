@@ -180,7 +180,7 @@ def test_a_layer_without_height_is_refused(height_mm):
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.4999])
 def test_far_from_a_load_the_surface_falls_as_its_decay_length_says(nu):
-    """u √r falls by e over λ; between 10 and 11 heights the next term of K₀(r/λ) changes that by 1/(8 (r/λ)²) < 0.3 %."""
+    """u √r falls by e over λ; 10 to 11 heights away the next term of K₀(r/λ) changes that by 1/(8 (r/λ)²) < 0.3 %."""
     material, r = Material(young_mpa=6.1, poisson=nu), np.array([100.0, 110.0])
     squares = np.column_stack([r - 1, -np.ones(2), r + 1, np.ones(2)])
     u = layer_mean_compliance(squares, PAD, 10.0, material)[:, 2, 2]
