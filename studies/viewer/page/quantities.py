@@ -1,0 +1,48 @@
+"""What the pillars of the page can be coloured by."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.layout import FloatArray
+
+STEPS = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])  #: ends of the colour bar, times a power of ten
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A field on the pillars."""
+
+    title: str
+    unit: str
+    colours: str  #: colour map, as matplotlib names it
+    signed: bool  #: whether the colour bar goes from −most to +most
+    least: float  #: end of the colour bar where nothing is loaded
+
+    def range_of(self, values: FloatArray) -> tuple[float, float]:
+        """Ends of the colour bar, round numbers that hold all values."""
+        most = max(float(np.abs(values).max(initial=0.0)), self.least)
+        power = 10.0 ** np.floor(np.log10(most))
+        end = float(power * STEPS[np.searchsorted(STEPS * power, most * (1 - 1e-9))])
+        return (-end, end) if self.signed else (0.0, end)
+
+
+QUANTITIES = {
+    "displacement": Quantity(title="displacement", unit="mm", colours="viridis", signed=False, least=0.1),
+    "vertical": Quantity(title="vertical displacement", unit="mm", colours="coolwarm_r", signed=True, least=0.1),
+    "von-mises": Quantity(title="von Mises stress", unit="MPa", colours="inferno", signed=False, least=0.1),
+    "pressure": Quantity(title="pressure", unit="MPa", colours="coolwarm", signed=True, least=0.1),
+    "resistance": Quantity(title="change of resistance", unit="%", colours="coolwarm_r", signed=True, least=1.0),
+}
+
+
+def von_mises(stress_mpa: FloatArray) -> FloatArray:
+    """Von Mises stress (...) of stresses xx, yy, zz, yz, xz, xy (..., 6) [MPa]."""
+    xx, yy, zz, yz, xz, xy = np.moveaxis(stress_mpa, -1, 0)
+    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.sqrt(0.5 * normal + 3.0 * (yz**2 + xz**2 + xy**2))
+
+
+def pressure(stress_mpa: FloatArray) -> FloatArray:
+    """Hydrostatic pressure −tr σ/3 (...), positive in compression, of stresses (..., 6) [MPa]."""
+    return -stress_mpa[..., :3].mean(axis=-1)
