@@ -35,14 +35,3 @@ QUANTITIES = {
     "resistance": Quantity(title="change of resistance", unit="%", colours="coolwarm_r", signed=True, least=1.0),
 }
 
-
-def von_mises(stress_mpa: FloatArray) -> FloatArray:
-    """Von Mises stress (...) of stresses xx, yy, zz, yz, xz, xy (..., 6) [MPa]."""
-    xx, yy, zz, yz, xz, xy = np.moveaxis(stress_mpa, -1, 0)
-    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
-    return np.sqrt(0.5 * normal + 3.0 * (yz**2 + xz**2 + xy**2))
-
-
-def pressure(stress_mpa: FloatArray) -> FloatArray:
-    """Hydrostatic pressure −tr σ/3 (...), positive in compression, of stresses (..., 6) [MPa]."""
-    return -stress_mpa[..., :3].mean(axis=-1)
