@@ -16,7 +16,7 @@ from fem.cell_field import CellInterior, cell_interior
 from fem.grid import Grid
 from fem.hexahedra import GridBasis, grid_body, grid_stiffness
 from fem.ports import PortModes
-from fem.substructured import cell_grid, finer, lone_unit
+from fem.substructured import cell_grid, finer, lone_unit, mirrored
 from fem.whole_array import elastic_body
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -156,7 +156,7 @@ def array_field(design: SensorDesign, progress: Callable[[str], None] = lambda s
     if design.is_homogeneous:
         progress("cell")
         quarter = cell_grid(design, GRID_LEVEL)
-        grid = Grid(x=_mirrored(quarter.x), y=_mirrored(quarter.y), z=quarter.z)
+        grid = Grid(x=mirrored(quarter.x), y=mirrored(quarter.y), z=quarter.z)
         basis = GridBasis(grid)
         body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
         region, degree = np.zeros(basis.element_dofs.shape[1], dtype=np.int64), GRID_DEGREE
@@ -171,8 +171,3 @@ def array_field(design: SensorDesign, progress: Callable[[str], None] = lambda s
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(design=design, interior=interior, coupled=coupled)
-
-
-def _mirrored(lines: FloatArray) -> FloatArray:
-    """Lines of a quarter, from 0 on, and their mirror images."""
-    return np.concatenate([-lines[:0:-1], lines])

@@ -10,7 +10,7 @@ from geometry.layout import FloatArray
 
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
 
-TETRAHEDRON, HEXAHEDRON = 10, 12  #: VTK's numbers of linear cells
+QUADRILATERAL, TETRAHEDRON, HEXAHEDRON = 9, 10, 12  #: VTK's numbers of linear cells
 QUADRATIC_TETRAHEDRON, QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 25, 29
 
 
