@@ -23,7 +23,6 @@ class SensorScan:
 
     resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y, as the model saw them
     force_n: FloatArray  #: (rows, cols, 3): along x, y, z; NaN where the model gives none
-    saturated: int  #: pillars at an end of the converter's range
 
 
 class SensorFeed:
@@ -38,6 +37,7 @@ class SensorFeed:
         self._calibration, self._settings = calibration, settings
         self._open = ExitStack()
         self._times: deque[float] = deque()
+        self._saturated = 0  # pillars at an end of the converter's range in the newest scan
 
     def __enter__(self) -> Self:
         scanner, known = self._open.enter_context(board_on(self.port, self._calibration, **self._settings))
@@ -57,11 +57,9 @@ class SensorFeed:
         if scan is None:
             return None
         found: Forces = self._session.forces(scan)
-        return SensorScan(
-            resistance_ohm=found.resistance_ohm[0],
-            force_n=with_all_axes(found.force_n[0], self.model.component.axes),
-            saturated=int(found.saturated.sum()),
-        )
+        self._saturated = int(found.saturated.sum())
+        force_n = with_all_axes(found.force_n[0], self.model.component.axes)
+        return SensorScan(resistance_ohm=found.resistance_ohm[0], force_n=force_n)
 
     @property
     def ended(self) -> bool:
@@ -75,7 +73,7 @@ class SensorFeed:
 
     @property
     def status(self) -> str:
-        """Rate and losses, or why no scans come."""
+        """Rate, losses and saturated pillars, or why no scans come."""
         if self.ended:
             return "recording ended"
         if self._scanner.trouble:
@@ -83,4 +81,5 @@ class SensorFeed:
         now_s = time.perf_counter()
         while self._times and self._times[0] < now_s - RATE_OVER_S:
             self._times.popleft()
-        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost"
+        saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
+        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}"

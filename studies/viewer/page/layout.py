@@ -12,11 +12,11 @@ from dataset.protocols import FRICTION
 from geometry.design import SensorDesign
 from studies.viewer.page.loads import MOST_PRESSURE_MPA, MOST_SHEAR_MPA
 from studies.viewer.page.page import CAP, Page
-from studies.viewer.page.quantities import QUANTITIES
+from studies.viewer.page.scene import TITLES
 
 STYLE = Path(__file__).with_name("page.css")
 SCALES = (1, 2, 5, 10)  #: of displacements
-NOISES = {0.0: "exact", 0.001: "0.1 % noise", 0.005: "0.5 % noise", 0.01: "1 % noise"}
+NOISES = {0.0: "exact", 0.001: "0.1 % noise", 0.005: "0.5 % noise", 0.01: "1 % noise"}  #: of the readings, relative
 
 
 def lay_out(server: Any, page: Page, design: SensorDesign, decoupler: str) -> None:
@@ -57,7 +57,7 @@ def _controls(page: Page, design: SensorDesign) -> None:
         vuetify.VBtn("Indenter", value="indenter", id="by-indenter")
         if page.feed is not None:
             vuetify.VBtn("Sensor", value="sensor", id="by-sensor")
-    html.Div("pressure on each pad [MPa]; a click chooses", classes="caption")
+    html.Div("{{ source == 'sensor' ? 'decoupled pressure' : 'pressure' }} on each pad [MPa]", classes="caption")
     with html.Div(classes="pads", id="pads"):
         with html.Button(
             v_for="cell in pads",
@@ -99,12 +99,13 @@ def _controls(page: Page, design: SensorDesign) -> None:
         vuetify.VBtn("Reset", click=page.reset, size="small", variant="tonal", id="reset")
     html.Hr()
     with html.Div(classes="row"):
-        colours = [{"title": quantity.title, "value": name} for name, quantity in QUANTITIES.items()]
+        colours = [{"title": title.split(" [")[0], "value": name} for name, title in TITLES.items()]
         _choice("colour", "pillars' colour", colours)
+    with html.Div(classes="row"):
         scales = [{"title": f"{scale} ×", "value": scale} for scale in SCALES]
-        _choice("scale", "drawn at", scales, narrow=True)
-    with html.Div(v_if="source != 'sensor'", classes="row"):
-        _choice("noise", "readings", [{"title": title, "value": noise} for noise, title in NOISES.items()])
+        _choice("scale", "displacement", scales)
+        noises = [{"title": title, "value": noise} for noise, title in NOISES.items()]
+        _choice("noise", "readings", noises, v_if="source != 'sensor'")
 
 
 def _slider(name: str, label: str, unit: str, least: float, most: Any, step: float) -> None:
@@ -117,10 +118,10 @@ def _slider(name: str, label: str, unit: str, least: float, most: Any, step: flo
         html.Output(f"{{{{ {name} }}}} {unit}")
 
 
-def _choice(name: str, label: str, items: list[dict[str, Any]], narrow: bool = False) -> None:
+def _choice(name: str, label: str, items: list[dict[str, Any]], **attributes: Any) -> None:
     vuetify.VSelect(
         v_model=(name,), label=label, items=(f"{name}_choices", items), density="compact", hide_details=True,
-        variant="outlined", classes="narrow" if narrow else "",
+        variant="outlined", **attributes,
     )  # fmt: skip
 
 
@@ -130,7 +131,7 @@ def _picture(server: Any, page: Page) -> None:
     with html.Div(classes="legend", id="legend"):
         html.Span("{{ legend.low }}")
         html.Div(classes="bar", style=("{background: legend.colours}",))
-        html.Span("{{ legend.high }} {{ legend.unit }}")
+        html.Span("{{ legend.high }}")
         html.Span("{{ legend.title }}", classes="dim")
     vuetify.VBtn(
         icon="mdi-home-outline", click=page.look_from_the_start, variant="text", size="small", classes="home",

@@ -9,7 +9,7 @@ from geometry.layout import AXES, PILLARS, FloatArray
 
 UP, DOWN = (214, 69, 65), (47, 110, 186)  #: red above, blue below 0
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
-LEAST_SHARE = 0.02  #: of the map's largest value: a smaller shear has no arrow
+LEAST_SHOWN_MPA = 0.02  #: of a pad's pressure or shear; less is not shown
 
 
 def as_map(title: str, unit: str, values: FloatArray, least: float, digits: int = 1) -> dict[str, Any]:
@@ -35,11 +35,9 @@ def pad_cells(traction_mpa: FloatArray, cols: int, most_mpa: float) -> list[dict
         for unit in range(i * cols, (i + 1) * cols):
             tx, ty, tz = traction_mpa[unit].tolist()
             shear = math.hypot(tx, ty)
-            arrow = ARROWS[round(math.atan2(ty, tx) / (math.pi / 4)) % 8] if shear > 0.005 else ""
-            pressed = abs(tz) > 0.005
-            cells.append(
-                {"unit": unit, "text": f"{-tz:.1f}" if pressed else "", "arrow": arrow, "colour": colour(-tz / most_mpa)}
-            )
+            arrow = ARROWS[round(math.atan2(ty, tx) / (math.pi / 4)) % 8] if shear > LEAST_SHOWN_MPA else ""
+            pressed = text(-tz, 1) if abs(tz) > LEAST_SHOWN_MPA else ""
+            cells.append({"unit": unit, "text": pressed, "arrow": arrow, "colour": colour(-tz / most_mpa)})
     return cells
 
 

@@ -70,7 +70,7 @@ class Page:
         self._generator = np.random.default_rng(0)
         self._is_changed = asyncio.Event()
         self.scene = ArrayScene(field)
-        self.pictures = Pictures(self.scene.plotter)
+        self.pictures = Pictures(self.scene.plotter, self.scene.fit)
         middle = self._design.array.rows // 2 * self._design.array.cols + self._design.array.cols // 2
         own = {"pad": middle, "width": self._design.array.pitch_mm, "source": "sensor" if feed else "pads"}
         state.update(CONTROLS | own)
@@ -78,12 +78,9 @@ class Page:
         self.update()
 
     async def run(self) -> None:
-        """Follow controls and sensor until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self.pictures.run())
-            tasks.create_task(self._follow_controls())
-            if self.feed is not None:
-                tasks.create_task(self._follow_sensor(self.feed))
+        """Follow controls and sensor, and draw, until cancelled or something fails."""
+        followed = [] if self.feed is None else [self._follow_sensor(self.feed)]
+        await asyncio.gather(self.pictures.run(), self._follow_controls(), *followed)
 
     def reset(self) -> None:
         """Take all loads off."""
@@ -119,12 +116,16 @@ class Page:
 
     async def _follow_sensor(self, feed: SensorFeed) -> None:
         while True:
-            scan = feed.newest()
+            with self.state:
+                try:
+                    scan = feed.newest()
+                except TriPillarError as error:  # of one scan; the next may be sound
+                    self.state.trouble = str(error)
+                    scan = None
+                self.state.link, self.state.ended = feed.status, feed.ended
             if scan is not None:
                 self._scan = scan
                 self._is_changed.set()
-            with self.state:
-                self.state.link, self.state.ended = feed.status, feed.ended
             await asyncio.sleep(POLL_S)
 
     def update(self) -> None:
@@ -145,8 +146,7 @@ class Page:
         seconds = time.perf_counter() - start
         self._tell(reading, change)
         self.state.legend = {
-            "title": legend.quantity.title,
-            "unit": legend.quantity.unit,
+            "title": legend.title,
             "low": numbers.short(legend.low),
             "high": numbers.short(legend.high),
             "colours": f"linear-gradient(to right, {', '.join(legend.colours)})",

@@ -23,7 +23,7 @@ from vtkmodules.vtkWebCore import vtkRemoteInteractionAdapter
 
 MOVING_S, STILL_S = 0.030, 0.150  #: to draw one picture
 STILL_AFTER_S = 0.3  #: without a change
-LEAST_PIXELS = 90_000
+LEAST_PIXELS = 150_000
 MOST_ZOOM = 2.0  #: pixels drawn for one of the page's, along each side; more smooth nothing further
 MOVING_QUALITY, STILL_QUALITY = 75, 92  #: of JPEG
 
@@ -37,11 +37,13 @@ class Pictures:
     ----------
     plotter : pyvista.Plotter
         Its camera is what mouse events turn.
+    on_resize : callable
+        Called once the window has another size.
     """
 
     target_fps = 60.0  #: not heeded: the time for a picture is
 
-    def __init__(self, plotter: pv.Plotter) -> None:
+    def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
         self._window = plotter.render_window
         self._interactor = plotter.iren.interactor
         self._interactor.EnableRenderOff()
@@ -51,6 +53,7 @@ class Pictures:
         self._reader.ShouldRerenderOff()
         self._reader.ReadFrontBufferOff()
         self._reader.SetInputBufferTypeToRGBA()
+        self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
         self._per_s = 10e6  # pixels drawn a second, as measured
         self._is_wanted = asyncio.Event()
@@ -116,6 +119,7 @@ class Pictures:
     def process_resize_event(self, width: int, height: int) -> None:
         self._size = (width, height)
         self._interactor.UpdateSize(width, height)
+        self._on_resize()
 
     def process_interaction_event(self, event: dict[str, Any]) -> None:
         if event["type"] not in ("StartInteractionEvent", "EndInteractionEvent"):

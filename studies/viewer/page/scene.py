@@ -8,32 +8,32 @@ import numpy as np
 import pyvista as pv
 
 from fem.array_field import ArrayField, FieldState, Observer
-from fem.stress import pressure, von_mises
-from geometry.layout import FloatArray, unit_centres
-from studies.viewer.page.cell_points import (
-    IntArray,
-    Patch,
-    corner_patch,
-    pad_patch,
-    pillar_patch,
-    rim_patch,
-    side_patch,
-    top_patch,
-)
-from studies.viewer.page.quantities import QUANTITIES, Quantity
+from fem.deformed import Part, Surface, pillar_surface
+from fem.figures import QUANTITIES, colour_limits
+from fem.solution import QUADRILATERAL
+from geometry.layout import PILLARS, FloatArray, unit_centres
+from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_face, top_face, upright_edge
+from studies.viewer.page.superposition import Superposition
 
+RESISTANCE = "resistance"  #: the one colour of the page's own: of each pillar as a whole
+TITLES = {name: quantity.title.replace("\n", " ") for name, quantity in QUANTITIES.items()} | {
+    RESISTANCE: "change of resistance [%]"
+}
+LEAST_RANGE = {"displacement": 0.1, "vertical": 0.1, "mises": 0.1, "pressure": 0.1, RESISTANCE: 1.0}
+SLICES = 8  #: of a pillar along its axis
 MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
-SLAB, EDGE, PADS, CHOSEN = "#8fb0cc", "#6b8299", "Reds", "#ff8c00"
+SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
+PADS = ("#93a1ad", "#d64541")  #: outlines, from unloaded to most pressed
+VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 FILLED = 0.92  #: of the window, by the undeformed array
-FROM = (0.75, -1.65, 1.15)  #: the direction one looks from at first
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
     """How the array is drawn."""
 
-    colour: str = "displacement"  #: one of QUANTITIES
+    colour: str = "displacement"  #: one of TITLES
     scale: float = 1.0  #: of displacements
     chosen: int = 0  #: unit whose pad is marked
     dark: bool = False
@@ -43,14 +43,14 @@ class Shown:
 class Legend:
     """The colour bar: what it shows, where it ends, and some of its colours from low to high."""
 
-    quantity: Quantity
+    title: str
     low: float
     high: float
     colours: list[str]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Place:
     """Points of some units that move with the field."""
 
     observer: Observer
@@ -64,15 +64,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A mesh that moves with the field; one of many parts draws faster than many."""
+    """A mesh that moves with the field; one of many places draws faster than many."""
 
-    parts: list[Part]
+    places: list[Place]
     mesh: pv.PolyData
 
     def move(self, state: FieldState, scale: float) -> FloatArray:
         """Take the points to where the field moves them, `scale` times as far; their displacement (n, 3) [mm]."""
-        moved_mm = np.concatenate([part.moved_mm(state).reshape(-1, 3) for part in self.parts])
-        rest_mm = np.concatenate([part.rest_mm.reshape(-1, 3) for part in self.parts])
+        moved_mm = np.concatenate([place.moved_mm(state).reshape(-1, 3) for place in self.places])
+        rest_mm = np.concatenate([place.rest_mm.reshape(-1, 3) for place in self.places])
         self.mesh.points = (rest_mm + scale * moved_mm).astype(np.float32)
         return moved_mm
 
@@ -90,27 +90,28 @@ class ArrayScene:
     def __init__(self, field: ArrayField) -> None:
         if sys.platform == "linux" and not os.environ.get("DISPLAY"):
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
-        self._field = field
+        self._field, self._loads = field, Superposition(field)
         design = field.design
         rows, cols = design.array.rows, design.array.cols
         everyone = np.arange(design.n_units)
         row, col = np.divmod(everyone, cols)
         at_end = {(0, -1): col == 0, (0, 1): col == cols - 1, (1, -1): row == 0, (1, 1): row == rows - 1}
-        patch, self._owner = pillar_patch(design)
-        faces = [(top_patch(design), everyone)]
-        faces += [(side_patch(design, *side), everyone[there]) for side, there in at_end.items()]
-        edges = [(rim_patch(design, *side), everyone[there]) for side, there in at_end.items()]
+        pillars = pillar_surface(design.unit, SLICES, around=1)
+        self._owner = np.repeat(np.arange(len(PILLARS)), len(pillars[0]) // len(PILLARS))
+        faces = [(top_face(design), everyone)]
+        faces += [(side_face(design, *side), everyone[there]) for side, there in at_end.items()]
+        edges = [(rims(design, *side), everyone[there]) for side, there in at_end.items()]
         edges += [
-            (corner_patch(design, x_end, y_end), everyone[at_end[0, x_end] & at_end[1, y_end]])
+            (upright_edge(design, x_end, y_end), everyone[at_end[0, x_end] & at_end[1, y_end]])
             for x_end in (-1, 1)
             for y_end in (-1, 1)
         ]
-        self._pillars = self._moving([(patch, everyone)])
-        self._stress = field.observe(patch.points_mm, region=1)
+        self._pillars = self._moving([(pillars, everyone)])
+        self._stress = field.observe(pillars[0], region=1)
         self._faces, self._edges = self._moving(faces), self._moving(edges)
-        self._pads = self._moving([(pad_patch(design), everyone)])
+        self._pads = self._moving([(pad_outline(design), everyone)])
         self._mark = pv.lines_from_points(self._outline(0), close=True)
-        self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600))
+        self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
         self._fill()
 
     def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
@@ -123,23 +124,37 @@ class ArrayScene:
             Of the resistances of the z, x and y pillars from rest, relative.
         shown : Shown
         """
-        state = self._field.state(traction_mpa)
-        moved_mm = self._pillars.move(state, shown.scale).reshape(len(traction_mpa), -1, 3)
+        state = self._loads.state(traction_mpa)
+        moved_mm = self._pillars.move(state, shown.scale)
         for moving in (self._faces, self._edges, self._pads):
             moving.move(state, shown.scale)
         strength = np.linalg.norm(traction_mpa, axis=1)
         self._pads.mesh["strength"] = np.repeat(strength, self._outline_size).astype(np.float32)
         self._mark.points = self._outline(shown.chosen)
-        quantity = QUANTITIES[shown.colour]
-        values = self._values(shown.colour, state, moved_mm, change)
-        low, high = quantity.range_of(values)
-        self._pillars.mesh["shown"] = values.reshape(-1).astype(np.float32)
-        table = self._actor.mapper.lookup_table
-        table.apply_cmap(quantity.colours, 256)
-        self._actor.mapper.scalar_range = (low, high)
         self.plotter.set_background(BACKGROUND[shown.dark])
-        some = [f"rgb({red},{green},{blue})" for red, green, blue, _ in table.values[::17].tolist()]
-        return Legend(quantity=quantity, low=low, high=high, colours=some)
+        if shown.colour == RESISTANCE:
+            values = 100.0 * change[:, self._owner].ravel()
+            most = max(float(np.abs(values).max()), LEAST_RANGE[RESISTANCE])
+            return self._coloured(shown.colour, values, (-most, most), "coolwarm_r")
+        quantity = QUANTITIES[shown.colour]
+        stress = self._stress.stress_mpa(state).reshape(-1, 6) if quantity.of_stress else None
+        part = Part(
+            points_mm=moved_mm, cells=np.empty((0, 4), dtype=np.int64), cell_type=QUADRILATERAL,
+            displacement_mm=moved_mm, stress_mpa=stress,
+        )  # fmt: skip
+        low, high = colour_limits([{"pillars": part}], quantity)
+        if high - low < LEAST_RANGE[shown.colour]:
+            high = LEAST_RANGE[shown.colour]
+        return self._coloured(shown.colour, quantity.of(part), (low, high), quantity.colours)
+
+    def _coloured(self, colour: str, values: FloatArray, ends: tuple[float, float], colours: str) -> Legend:
+        """Colour the pillars by values (n_points,)."""
+        self._pillars.mesh["shown"] = values.astype(np.float32)
+        mapper = self._actor.mapper
+        mapper.lookup_table.apply_cmap(colours, 256)
+        mapper.scalar_range = ends
+        some = [f"rgb({red},{green},{blue})" for red, green, blue, _ in mapper.lookup_table.values[::17].tolist()]
+        return Legend(title=TITLES[colour], low=ends[0], high=ends[1], colours=some)
 
     def look_from_the_start(self) -> None:
         """Put the camera where it was at first: the undeformed array fills the window."""
@@ -147,7 +162,7 @@ class ArrayScene:
         wide, high = self.plotter.render_window.GetSize()
         x, y, z = self._field.design.slab_mm
         corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
-        self.plotter.view_vector(FROM, viewup=(0.0, 0.0, 1.0))
+        self.plotter.view_vector(VIEW, viewup=(0.0, 0.0, 1.0))
         for _ in range(4):  # distance and perspective depend on each other
             matrix = camera.GetCompositeProjectionTransformMatrix(wide / high, -1.0, 1.0)
             project = pv.array_from_vtkmatrix(matrix)
@@ -164,53 +179,55 @@ class ArrayScene:
             camera.focal_point = at
             camera.position = at - forward * depth * half.max() / FILLED
         renderer.ResetCameraClippingRange()
+        self._start = camera.position
 
-    def _values(self, colour: str, state: FieldState, moved_mm: FloatArray, change: FloatArray) -> FloatArray:
-        """The quantity at the pillars' points, (n_units, k)."""
-        if colour == "displacement":
-            return np.linalg.norm(moved_mm, axis=2)
-        if colour == "vertical":
-            return moved_mm[..., 2]
-        if colour == "resistance":
-            return 100.0 * change[:, self._owner]
-        return {"von-mises": von_mises, "pressure": pressure}[colour](self._stress.stress_mpa(state))
+    def fit(self) -> None:
+        """Fill a window of another size, unless the camera has been moved."""
+        if self.plotter.camera.position == self._start:
+            self.look_from_the_start()
 
     @property
     def _outline_size(self) -> int:
         """Points of a pad's outline."""
-        return self._pads.parts[0].rest_mm.shape[1]
+        return self._pads.places[0].rest_mm.shape[1]
 
     def _outline(self, unit: int) -> FloatArray:
         """Where the outline of a unit's pad is now, (k, 3) [mm]."""
         return np.asarray(self._pads.mesh.points).reshape(-1, self._outline_size, 3)[unit].copy()
 
-    def _moving(self, patches: list[tuple[Patch, IntArray]]) -> Moving:
-        """One mesh of patches of the cell, each in some of the units."""
-        parts, cells, n_points = [], [], 0
-        for patch, units in patches:
-            centres = unit_centres(self._field.design)[units]
-            rest_mm = patch.points_mm + np.column_stack([centres, np.zeros(len(centres))])[:, None, :]
-            parts.append(Part(self._field.observe(patch.points_mm), units, rest_mm))
-            size, k = patch.cells.shape[1], len(patch.points_mm)
-            numbers = n_points + (patch.cells + k * np.arange(len(units))[:, None, None]).reshape(-1, size)
+    def _moving(self, surfaces: list[tuple[Surface, IntArray]]) -> Moving:
+        """One mesh of surfaces of the cell, each in some of the units."""
+        places, cells, n_points = [], [], 0
+        for (points, own), units in surfaces:
+            centres = np.pad(unit_centres(self._field.design)[units], ((0, 0), (0, 1)))
+            places.append(Place(self._field.observe(points), units, centres[:, None] + points))
+            size, copies = own.shape[1], np.arange(len(units))[:, None, None]
+            numbers = n_points + (own + len(points) * copies).reshape(-1, size)
             cells.append(np.column_stack([np.full(len(numbers), size), numbers]).ravel())
-            n_points += k * len(units)
-        points = np.concatenate([part.rest_mm.reshape(-1, 3) for part in parts]).astype(np.float32)
+            n_points += len(points) * len(units)
+        rest_mm = np.concatenate([place.rest_mm.reshape(-1, 3) for place in places]).astype(np.float32)
         counted = np.concatenate(cells)
-        return Moving(parts, pv.PolyData(points, lines=counted) if size == 2 else pv.PolyData(points, faces=counted))
+        return Moving(places, pv.PolyData(rest_mm, lines=counted) if size == 2 else pv.PolyData(rest_mm, faces=counted))
 
     def _fill(self) -> None:
         plotter = self.plotter
-        plotter.render_window.SetMultiSamples(0)  # costs software three to five times the time
+        plotter.render_window.SetMultiSamples(0)  # smooth edges cost software three to five times the time
+        plotter.add_light(pv.Light(light_type="headlight"))  # each further light, half as much again
         self._pillars.mesh["shown"] = np.zeros(self._pillars.mesh.n_points, np.float32)
         self._pads.mesh["strength"] = np.zeros(self._pads.mesh.n_points, np.float32)
         plotter.add_mesh(self._faces.mesh, color=SLAB, opacity=0.18)
         plotter.add_mesh(self._edges.mesh, color=EDGE, line_width=2)
         self._actor = plotter.add_mesh(self._pillars.mesh, scalars="shown", show_scalar_bar=False)
         plotter.add_mesh(
-            self._pads.mesh, scalars="strength", cmap=PADS, clim=(-0.3 * MOST_PRESSED_MPA, MOST_PRESSED_MPA),
-            line_width=2, show_scalar_bar=False,
+            self._pads.mesh, scalars="strength", cmap=_shades(*PADS), clim=(0.0, MOST_PRESSED_MPA), line_width=2,
+            show_scalar_bar=False,
         )  # fmt: skip
         plotter.add_mesh(self._mark, color=CHOSEN, line_width=4)
         plotter.reset_camera()
         self.look_from_the_start()
+
+
+def _shades(pale: str, strong: str, n: int = 64) -> list[str]:
+    """Colours from one to another."""
+    ends = np.array([pv.Color(colour).float_rgb for colour in (pale, strong)])
+    return [pv.Color(ends[0] + share * (ends[1] - ends[0])).hex_rgb for share in np.linspace(0.0, 1.0, n)]

@@ -10,11 +10,15 @@ from typing import Any
 from trame.app import get_server
 
 from fem.array_field import ArrayField
-from geometry.errors import DesignError
+from geometry.errors import TriPillarError
 from studies.viewer.page.feed import SensorFeed
 from studies.viewer.page.layout import lay_out
 from studies.viewer.page.page import Page
 from studies.viewer.page.sensing import ForceSource, SensorModel
+
+
+class ServingError(TriPillarError, RuntimeError):
+    """A page that cannot be served."""
 
 
 def serve(
@@ -39,7 +43,7 @@ def serve(
 
     Raises
     ------
-    DesignError
+    ServingError
         If that port cannot be listened on.
     """
     asyncio.run(_serve(field, sensor, source, feed, host, port, on_ready))
@@ -68,12 +72,14 @@ async def _serve(
         )
     working, ending = asyncio.create_task(page.run()), asyncio.create_task(ended.wait())
     await asyncio.wait([listening, working, ending], return_when=asyncio.FIRST_COMPLETED)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
     for task in (working, ending):
         task.cancel()
     if listening.done():
         with suppress(asyncio.CancelledError):
             await working
-        raise DesignError(f"cannot listen on {host}, port {port}: {listening.exception()}; give another --http-port.")
+        raise ServingError(f"cannot listen on {host}, port {port}: {listening.exception()}: give another --http-port.")
     await server.stop()
     await listening
     with suppress(asyncio.CancelledError):
