@@ -36,8 +36,9 @@ def open_page(options: PageOptions, design: SensorDesign | None, bars: Bars, as_
     from decoupler.model_file import read_model
     from studies.viewer.page.feed import SensorFeed
     from studies.viewer.page.sensing import ForceSource, InverseForces, NetForces, SensorModel
-    from studies.viewer.page.serving import serve
+    from studies.viewer.page.serving import require_free, serve
 
+    require_free(options.host, options.http_port)
     model = None if options.model is None else read_model(options.model)
     if model is not None:
         design = _design_for(model, str(options.model), design)

@@ -79,9 +79,7 @@ class Moving:
 
 def of_units(state: FieldState, units: IntArray) -> FieldState:
     """The same state, of some of the units alone."""
-    return FieldState(
-        traction_mpa=state.traction_mpa[units], force_n=state.force_n[units], port_mm=state.port_mm[units]
-    )
+    return FieldState(force_n=state.force_n[units], port_mm=state.port_mm[units])
 
 
 class ArrayScene:

@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -43,10 +44,30 @@ def serve(
 
     Raises
     ------
-    ServingError
-        If that port cannot be listened on.
+    OSError
+        If that port cannot be listened on; `require_free` says so earlier.
     """
     asyncio.run(_serve(field, sensor, source, feed, host, port, on_ready))
+
+
+def require_free(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened on, before anything takes time.
+
+    Raises
+    ------
+    ServingError
+        If the host is none of this machine, or another program listens on that port.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does
+            trial.bind(address)
+            trial.listen()
+    except OSError as error:
+        raise ServingError(
+            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --http-port."
+        ) from None
 
 
 async def _serve(
@@ -76,11 +97,8 @@ async def _serve(
         loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
     for task in (working, ending):
         task.cancel()
-    if listening.done():
-        with suppress(asyncio.CancelledError):
-            await working
-        raise ServingError(f"cannot listen on {host}, port {port}: {listening.exception()}: give another --http-port.")
-    await server.stop()
+    if not listening.done():
+        await server.stop()
     await listening
     with suppress(asyncio.CancelledError):
         await working

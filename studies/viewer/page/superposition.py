@@ -29,4 +29,4 @@ class Superposition:
             return self.field.state(traction_mpa)
         force_n = traction_mpa * self.field.design.pad.size_mm**2
         port_mm = (force_n.ravel() @ self._unit_ports).reshape(len(force_n), -1)
-        return FieldState(traction_mpa=traction_mpa.copy(), force_n=force_n, port_mm=port_mm)
+        return FieldState(force_n=force_n, port_mm=port_mm)
