@@ -81,6 +81,9 @@ def test_every_command_of_the_readme_runs(tmp_path, monkeypatch):
             if line.startswith("tripillar ports"):  # from here on there is a board; it rests for a hundred seconds
                 board = "tripillar simulate --design sensor.toml --period 600 --link board &"
                 terminal.type(Command(board, ["… on board; Ctrl-C ends it"]))
+            if "--serve" in line:  # until the shell ends it
+                terminal.type(Command(f"{line} --http-port 0 &", ["http://127.0.0.1:…/"]))
+                continue
             run(as_typed(line))
             if line == FIRST:
                 (tmp_path / "sensor.toml").write_text(SMALL)
