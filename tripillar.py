@@ -18,6 +18,7 @@ from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError, TriPillarError
 from studies.board.commands import board
 from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say, show_json, wrote
+from studies.sweep.commands import commands as sweeps
 from studies.viewer.command import viewer
 
 if TYPE_CHECKING:
@@ -464,6 +465,7 @@ def run(
 
 app.add_typer(viewer)  # pictures of sensors and scenes
 app.add_typer(board)  # the commands of a connected sensor
+app.add_typer(sweeps)  # design sweeps
 
 
 def say_untrusted(model: "Decoupler") -> None:
