@@ -27,10 +27,13 @@ dataset: $(READY)  ## the same, up to the datasets
 
 picture: $(READY)  ## draw the pictures of the README and of docs/ again
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
+	mkdir -p $(OUT) && printf '[array]\nrows = 3\ncols = 3\n' > $(OUT)/tutorial.toml
+	$(BIN)/tripillar view $(OUT)/tutorial.toml --pressure 1 3 5 --save docs/tutorial-array.png
 	$(BIN)/python -m studies.board.picture docs/live.svg
 	$(BIN)/python -m studies.pictures docs
+	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
 
-paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
+paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
 	$(BIN)/python -m studies.paper --out $(OUT)/paper
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed

@@ -33,7 +33,8 @@ from studies.console import (
     show_json,
     wrote,
 )
-from studies.doctor.command import app as doctor
+from studies.doctor.command import commands as doctor
+from studies.sweep.commands import commands as sweeps
 from studies.viewer.command import viewer
 
 if TYPE_CHECKING:
@@ -495,7 +496,7 @@ def run(
     wrote(files_of(outcome.stages))
 
 
-for others in (viewer, doctor, board):
+for others in (viewer, sweeps, doctor, board):
     app.add_typer(others)
 
 

@@ -17,7 +17,7 @@ from geometry.errors import DesignError, FileFormatError
 from geometry.files import cache_folder, digest
 from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
 
-VERSION = 2  #: raise when the same design and settings give another response, so that cached ones are not reused
+VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "whole": "the whole array as one mesh of tetrahedra, as fine as the mesh settings say",
@@ -80,7 +80,7 @@ def array_response(
             return replace(response, design=design), path, True
     except FileFormatError:
         pass  # missing or damaged: solve again
-    response = replace(solve_response(design, settings, progress), recipe=recipe)
+    response = replace(solve_response(design, settings, progress, cached=True), recipe=recipe)
     write_response(response, path)
     return response, path, False
 
@@ -94,8 +94,12 @@ def solve_response(
     design: SensorDesign,
     settings: ResponseSettings | None = None,
     progress: Callable[[str], None] = lambda step: None,
+    cached: bool = False,
 ) -> ArrayResponse:
-    """Response of a sensor, computed anew. Parameters and errors as in `array_response`."""
+    """Response of a sensor, computed anew. Parameters and errors as in `array_response`.
+
+    With `cached` a condensed cell may come from the cache, and is left there: arrays of another size are made of it.
+    """
     settings = (settings or ResponseSettings()).suited(design)
     if settings.method == "layer":
         return replace(layer_response(design), method="layer")
@@ -108,7 +112,9 @@ def solve_response(
         meshed = perf_counter() - start
         response = whole_response(design, mesh, progress)
         return replace(response, seconds={"mesh": meshed} | response.seconds)
-    answer = response_by_cells(design, settings.tolerance or TOLERANCES[0], settings.element, settings.far, progress)
+    answer = response_by_cells(
+        design, settings.tolerance or TOLERANCES[0], settings.element, settings.far, progress, cached
+    )
     return ArrayResponse(
         design=design,
         influence_mm_per_n=answer.influence_mm_per_n,

@@ -62,22 +62,22 @@ def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> d
     }
 
 
-def pillar_surface(unit: Unit) -> Surface:
-    """The three pillars of a unit in its own frame, cut so finely that they can bend."""
-    turn = np.linspace(-0.5, 0.5, AROUND + 1)[:-1]
-    side = np.full(AROUND, 0.5)
+def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND) -> Surface:
+    """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend."""
+    turn = np.linspace(-0.5, 0.5, around + 1)[:-1]
+    side = np.full(around, 0.5)
     ring = np.column_stack(
-        [np.concatenate([turn, side, -turn, -side]), np.concatenate([-side, turn, side, -turn]), np.zeros(4 * AROUND)]
+        [np.concatenate([turn, side, -turn, -side]), np.concatenate([-side, turn, side, -turn]), np.zeros(4 * around)]
     )
-    share = np.linspace(0.0, 1.0, SLICES + 1)
+    share = np.linspace(0.0, 1.0, slices + 1)
     surfaces = []
     for (bottom, top), section in zip(pillar_ends(unit), pillar_sections(unit), strict=True):
         axis = bottom + share[:, None] * (top - bottom)
         wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
-        number = np.arange(len(wall)).reshape(SLICES + 1, -1)
+        number = np.arange(len(wall)).reshape(slices + 1, -1)
         quads = [number[:-1], np.roll(number[:-1], -1, 1), np.roll(number[1:], -1, 1), number[1:]]
         surfaces.append((wall, np.stack(quads, axis=-1).reshape(-1, 4)))
-        surfaces += [rectangle_surface(end, section, AROUND) for end in (bottom, top)]
+        surfaces += [rectangle_surface(end, section, around) for end in (bottom, top)]
     return joined(surfaces)
 
 

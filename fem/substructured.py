@@ -12,6 +12,7 @@ import numpy as np
 
 from fem.array import CoupledArray
 from fem.cell import CondensedCell, condense, condense_by_parity
+from fem.cell_file import RefinedCell, read_refined, write_refined
 from fem.convergence import error_after
 from fem.grid import Attractor, Grid, graded_lines
 from fem.hexahedra import GridBasis, HexElement, grid_stiffness
@@ -19,11 +20,16 @@ from fem.layer import layer_mean_compliance
 from fem.ports import PortModes
 from fem.whole_array import elastic_body
 from geometry.design import SensorDesign
+from geometry.files import cache_folder, digest
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
 
+VERSION = (
+    1  #: raise when the same design gives another refined cell, by another mesh too: cached ones are not reused then
+)
+
 #: two levels of the grid and the degree of the port modes, dearer from stage to stage
-GRID_STAGES = ((1, 2, 4), (2, 3, 7), (3, 4, 8), (4, 6, 9))
+GRID_STAGES = ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9))
 #: two levels of the mesh, which divide the edges of the usual settings, and the degree
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth trying, below which the last one is
@@ -38,6 +44,7 @@ PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0
 FAR = 0.1  #: of the tolerance: influence below this share of a pad's own is far, and left out
 #: among a cell's functionals
 PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
+JUDGED = 3  #: rows and columns of the array that a cell's error is judged on, at most
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +65,7 @@ def response_by_cells(
     element: HexElement = "Q2",
     far: bool = True,
     progress: Callable[[str], None] = lambda step: None,
+    cached: bool = False,
 ) -> CellAnswer:
     """Influence of every pad on every electrode, from one condensed cell.
 
@@ -73,6 +81,8 @@ def response_by_cells(
         below `FAR` of the tolerance; a unit deeper inside than that cannot tell how deep.
     progress : function
         Called with the name of each step as it begins.
+    cached : bool
+        Take the refined cell from the cache if it is there, and leave it there: arrays of another size share it.
 
     Raises
     ------
@@ -82,26 +92,50 @@ def response_by_cells(
     reach = influence_range(design, FAR * tolerance) if far else max(design.array.rows, design.array.cols)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
-    steps = []
-    for stage in _stages(design, tolerance):
-        progress(f"cell, level {stage[1]:g}")
-        cell, estimate, step = _refined_cell(design, stage, element, seconds)
-        steps.append(step)
-        if estimate <= tolerance:
-            break
+    path = cache_folder() / f"cell-{cell_recipe(design, tolerance, element)}.npz"
+    refined = read_refined(path) if cached else None
+    if refined is None:
+        refined = _refined_cell(design, tolerance, element, seconds, progress)
+        if cached:
+            write_refined(refined, path)
     start = perf_counter()
     progress(f"coupling {rows} × {cols}")
-    influence, misfit = CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
+    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
     seconds["couple"] += perf_counter() - start
     shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
     return CellAnswer(
         influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
-        error_estimate=estimate,
-        residual=max(cell.residual, misfit),
-        unknowns=cell.unknowns,
+        error_estimate=refined.error_estimate,
+        residual=max(refined.cell.residual, misfit),
+        unknowns=refined.cell.unknowns,
         seconds=seconds,
-        steps=tuple(steps),
+        steps=refined.steps,
     )
+
+
+def cell_recipe(design: SensorDesign, tolerance: float, element: HexElement) -> str:
+    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `JUDGED`."""
+    array = replace(design.array, rows=min(JUDGED, design.array.rows), cols=min(JUDGED, design.array.cols))
+    bent = replace(design, array=array, resistivity_ohm_mm=1.0)
+    return digest("cell", VERSION, bent, tolerance, element)
+
+
+def _refined_cell(
+    design: SensorDesign,
+    tolerance: float,
+    element: HexElement,
+    seconds: dict[str, float],
+    progress: Callable[[str], None],
+) -> RefinedCell:
+    """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end."""
+    steps = []
+    for stage in _stages(design, tolerance):
+        progress(f"cell, level {stage[1]:g}")
+        cell, estimate, step = _cell_of_stage(design, stage, element, seconds)
+        steps.append(step)
+        if estimate <= tolerance:
+            break
+    return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
 
 
 def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
@@ -116,14 +150,14 @@ def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
     return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
 
 
-def _refined_cell(
+def _cell_of_stage(
     design: SensorDesign, stage: tuple[float, float, int], element: HexElement, seconds: dict[str, float]
 ) -> tuple[CondensedCell, float, str]:
     """A cell condensed at two levels, the estimated error of arrays of it, and a line that says so.
 
     Condensed grids are extrapolated to the limit; meshes, which differ by chance as well, are not. The error is judged
-    on an array of 3 × 3 at most, which has every kind of neighbourhood. It has two parts: of the levels, and of the
-    ports, from what the highest degree of the port modes changed.
+    on an array of `JUDGED` rows and columns at most, which has every kind of neighbourhood. It has two parts: of the
+    levels, and of the ports, from what the highest degree of the port modes changed.
     """
     coarse, fine, degree = stage
     start = perf_counter()
@@ -133,7 +167,7 @@ def _refined_cell(
         condensed_cell(design, level, degree, element, rectangles) for level in (coarse, fine)
     )
     condensed = perf_counter()
-    rows, cols = min(3, design.array.rows), min(3, design.array.cols)
+    rows, cols = min(JUDGED, design.array.rows), min(JUDGED, design.array.cols)
 
     def array_of(cell: CondensedCell) -> FloatArray:
         return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]

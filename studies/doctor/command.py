@@ -8,10 +8,10 @@ import typer
 from studies.console import STUDYING, JsonOption, VerbosityOption, progress_bars, show_json
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
-app = typer.Typer()
+commands = typer.Typer()
 
 
-@app.command(rich_help_panel=STUDYING)
+@commands.command(rich_help_panel=STUDYING)
 def doctor(
     compute: Annotated[bool, typer.Option(help="Compute what has a known answer, too: some five seconds.")] = True,
     json_: JsonOption = False,

@@ -13,6 +13,15 @@ from typer.core import TyperCommand
 
 from geometry.errors import DesignError, FileFormatError
 from studies.console import STUDYING, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, show_json, wrote
+from studies.viewer.page.options import (
+    HostOption,
+    HttpPortOption,
+    PageModelOption,
+    PageOptions,
+    SensorCalibrationOption,
+    SensorOption,
+    ServeOption,
+)
 
 PRESSURES = (3.0,)  #: [MPa] where none is asked for
 MOST_MPA, MOST_PANELS, MOST_SCALE = 100.0, 6, 1e6
@@ -23,6 +32,9 @@ NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
     ".mp4": ("film", ("imageio", "imageio_ffmpeg")),
     ".vtm": ("", ()),
 }
+
+PICTURE_OPTIONS = ("pressure", "load", "colour", "scale", "camera", "save")
+PAGE_OPTIONS = ("host", "http_port", "port", "model", "calibration")
 
 viewer = typer.Typer()
 
@@ -63,6 +75,7 @@ def _is_number(word: str) -> bool:
 
 @viewer.command(cls=SeveralPressures, rich_help_panel=STUDYING)
 def view(
+    context: typer.Context,
     body: Annotated[
         Path | None, typer.Argument(metavar="[SCENE|DESIGN]", help="TOML of either; default: the paper's sensor.")
     ] = None,
@@ -83,6 +96,12 @@ def view(
     save: Annotated[
         Path | None, typer.Option(help="File to write: .png, .html, .mp4 or .vtm; default: open a window.")
     ] = None,
+    serve: ServeOption = False,
+    host: HostOption = None,
+    http_port: HttpPortOption = None,
+    port: SensorOption = None,
+    model: PageModelOption = None,
+    calibration: SensorCalibrationOption = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
@@ -90,6 +109,12 @@ def view(
     """Show a sensor or a scene deformed: pillars in a translucent matrix, by displacement or stress."""
     if body is not None and design is not None:
         raise DesignError(f"{body} and --design {design} both say what to show: give one of them.")
+    require_together(context, serve)
+    if serve:
+        given = {"host": host, "http_port": http_port, "port": port, "model": model, "calibration": calibration}
+        options = PageOptions(**{name: value for name, value in given.items() if value is not None})
+        show_page(options, body or design, verbosity, json_)
+        return
     pressures = _pressures(pressure)
     factor = _factor(scale)
     if save is None and not has_display():
@@ -135,6 +160,28 @@ def view(
                 f"{name}: largest displacement {millimetres:.3g} mm{'' if factor == 1 else f', drawn {factor:g} times'}"
             )
     wrote([] if save is None else [save])
+
+
+def require_together(context: typer.Context, serve: bool) -> None:
+    """Refuse options of pictures with --serve, and those of the page without it."""
+    foreign = PICTURE_OPTIONS if serve else PAGE_OPTIONS
+    given = [name for name in foreign if context.get_parameter_source(name).name != "DEFAULT"]
+    if given:
+        options = ", ".join("--" + name.replace("_", "-") for name in given)
+        why = "the page of --serve has controls of its own" if serve else "only the page of --serve heeds them"
+        raise DesignError(f"{why}: leave {options} out.")
+
+
+def show_page(options: PageOptions, path: Path | None, verbosity: bool | None, as_json: bool) -> None:
+    """Serve the page of a design until Ctrl-C."""
+    from fem.scene import Scene
+    from studies.viewer.page.opening import open_page
+    from studies.viewer.sights import read_body
+
+    design = None if path is None else read_body(path)
+    if isinstance(design, Scene):
+        raise DesignError(f"{path} is a scene; the page of --serve loads the pads of a design: give one, or none.")
+    open_page(options, design, progress_bars(verbosity), as_json)
 
 
 def has_display() -> bool:

@@ -1,0 +1,51 @@
+"""Refined cells on disk: a few megabytes that spare arrays of the same cell its mesh and its condensation."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from fem.cell import CondensedCell
+from fem.ports import PortModes
+from geometry.files import digest, replacing
+
+MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RefinedCell:
+    """A condensed cell with what is known of the error of arrays of it."""
+
+    cell: CondensedCell
+    error_estimate: float  #: of any block of such an array, relative to the loaded unit's own
+    steps: tuple[str, ...]  #: one line a stage of refinement
+
+
+def write_refined(refined: RefinedCell, path: Path) -> None:
+    """Write a refined cell, whole or not at all."""
+    cell = refined.cell
+    matrices = {name: getattr(cell, name) for name in MATRICES}
+    numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
+    content = digest(*matrices.values(), numbers)
+    with replacing(path) as temporary:
+        np.savez(
+            temporary, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps), content=content
+        )
+
+
+def read_refined(path: Path) -> RefinedCell | None:
+    """A cell that `write_refined` wrote; None if it is missing or damaged, so that it is refined again."""
+    try:
+        with path.open("rb") as file, np.load(file) as kept:
+            matrices = {name: kept[name] for name in MATRICES}
+            numbers, content = kept["numbers"], str(kept["content"])
+            ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
+            steps = tuple(kept["steps"].tolist())
+    except (KeyError, ValueError, OSError, EOFError, BadZipFile):
+        return None
+    if digest(*matrices.values(), numbers) != content:
+        return None
+    unknowns, residual, error_estimate = numbers.tolist()
+    cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
+    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=steps)

@@ -1,0 +1,172 @@
+"""The commands of design sweeps; `tripillar.py` adds them to its own."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from studies.console import STUDYING, JsonOption, VerbosityOption, progress_bars, say, show_json, wrote
+
+if TYPE_CHECKING:
+    from studies.progress import Bars
+    from studies.sweep.rows import Row
+    from studies.sweep.sweep_file import Sweep
+
+commands = typer.Typer()
+
+SweepArgument = Annotated[Path, typer.Argument(help="Sweep TOML: what is varied, and how.")]
+OutOption = Annotated[
+    Path, typer.Option("--out", "-o", help="Folder for rows, tables and pictures, named after the sweep file.")
+]
+WorkersOption = Annotated[int | None, typer.Option("--workers", help="Worker processes here; default: one a core.")]
+SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler to use instead.")]
+TrainOption = Annotated[bool, typer.Option("--train", help="Also train the joint decoupler of every design.")]
+RetryOption = Annotated[bool, typer.Option("--retry", help="Judge designs that failed before once more.")]
+
+
+@commands.command(rich_help_panel=STUDYING)
+def sweep(
+    file: SweepArgument,
+    out: OutOption = Path("out"),
+    count: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    train: TrainOption = False,
+    retry: RetryOption = False,
+    best: Annotated[int, typer.Option(help="Lines of the printed table.")] = 8,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Judge many designs from their response: error, range, crosstalk, cost. Goes on where it was stopped."""
+    require_counts(workers=count, best=best)
+    require_packages("dask", "distributed", "pyarrow", "matplotlib")
+    from studies.report import show
+    from studies.sweep.figures import draw_parallel, draw_pareto
+    from studies.sweep.rows import flat, write_parquet, write_rows_netcdf
+    from studies.sweep.run import judge_all, kept_rows
+    from studies.sweep.sampling import samples_of
+    from studies.sweep.table import best_table, ranked, reasons
+    from studies.sweep.workers import workers
+
+    asked = chosen(file, train)
+    samples = samples_of(asked)
+    folder = out / f"{file.stem}-rows"
+    found = kept_rows(samples, folder, retry)
+    missing = [sample for sample in samples if sample.recipe not in found]
+    if missing:
+        log = out / f"{file.stem}-workers.log"
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
+            found |= judge_all(missing, asked.judging, client, folder, shown(bars, "designs", len(missing)))
+    rows = [found[sample.recipe] for sample in samples]
+    files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
+    write_parquet(rows, files[0])
+    write_rows_netcdf(rows, files[1])
+    if not all(row.failed for row in rows):
+        files += [out / f"{file.stem}-pareto.png", out / f"{file.stem}-parallel.png"]
+        draw_pareto(rows, asked, files[2])
+        draw_parallel(rows, asked, files[3])
+    if json_:
+        best_rows = [flat(row) for row in ranked(rows, asked)[:best]]
+        counts = {"designs": len(rows), "judged_now": len(missing), "failed": reasons(rows)}
+        show_json(counts | {"best": best_rows, "files": [str(path) for path in files]})
+    else:
+        show(best_table(rows, asked, best))
+    for kind, count in reasons(rows).items():
+        say(f"{count} failed: {kind}")
+    wrote(files)
+
+
+@commands.command(rich_help_panel=STUDYING)
+def optimize(
+    file: SweepArgument,
+    out: OutOption = Path("out"),
+    trials: Annotated[int | None, typer.Option(help="Designs to try in all; default: the file's samples.")] = None,
+    count: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Search for the design of least error within the file's bounds. Goes on where it was stopped."""
+    require_counts(workers=count, trials=trials)
+    require_packages("dask", "distributed", "optuna")
+    from geometry.files import replacing
+    from studies.report import show
+    from studies.sweep.optimize import finished, open_study, search
+    from studies.sweep.rows import flat
+    from studies.sweep.run import kept_rows
+    from studies.sweep.table import best_table, ranked
+    from studies.sweep.workers import workers
+
+    asked = chosen(file, train=False)
+    if trials is not None:
+        asked = replace(asked, samples=trials)
+    folder = out / f"{file.stem}-rows"
+    study = open_study(asked, out / f"{file.stem}-trials.log")
+    done = finished(study, asked)
+    kept = kept_rows(done, folder)
+    rows = list(kept.values())
+    left = max(0, asked.samples - len(done))
+    if left or len(kept) < len({sample.recipe for sample in done}):
+        log = out / f"{file.stem}-workers.log"
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
+            rows = search(asked, study, client, folder, shown(bars, "trials", left))
+    best = ranked(rows, asked)
+    if not best:
+        raise DesignError(f"none of {len(rows)} designs is within the bounds of {file}: loosen them or try more.")
+    path = out / f"{file.stem}-best.toml"
+    with replacing(path) as temporary:
+        temporary.write_text(best[0].design or "", encoding="utf-8")
+    if json_:
+        show_json({"trials": len(rows), "tried_now": left, "best": flat(best[0]), "file": str(path)})
+    else:
+        show(best_table(rows, asked, 5))
+    wrote([path])
+
+
+def chosen(file: Path, train: bool) -> "Sweep":
+    """The sweep of a file, with or without trained nets."""
+    from studies.sweep.sweep_file import read_sweep
+
+    asked = read_sweep(file)
+    return replace(asked, judging=replace(asked.judging, train=train))
+
+
+@contextmanager
+def stoppable(folder: Path) -> Iterator[None]:
+    """On Ctrl-C say that what is done is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(f"stopped; the rows in {folder} are kept: give the same command again to go on.")
+        raise
+
+
+def shown(bars: "Bars", what: str, total: int) -> Callable[["Row", float], None]:
+    """Progress of rows as a bar with the time left."""
+    advance = bars.begin(what, total=total)
+    advance(0, "workers begin")
+
+    def shown_row(row: "Row", seconds_left: float) -> None:
+        minutes, seconds = divmod(round(seconds_left), 60)
+        failed = f", failed: {row.reason[:60]}" if row.failed else ""
+        advance(1, f"about {minutes}:{seconds:02} left{failed}")
+
+    return shown_row
+
+
+def require_counts(**counts: int | None) -> None:
+    """Refuse options that must be at least 1."""
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise DesignError(f"--{name} {count} must be at least 1.")
+
+
+def require_packages(*names: str) -> None:
+    """Refuse to begin without the packages of the extra `sweep`."""
+    absent = [name for name in names if find_spec(name) is None]
+    if absent:
+        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")

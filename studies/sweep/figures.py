@@ -1,0 +1,199 @@
+"""Pictures of a sweep: what an accurate sensor costs in range and in size, and where the good designs lie."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from geometry.files import replacing
+from geometry.layout import FloatArray
+from studies.sweep.merits import FIGURES
+from studies.sweep.rows import Row
+from studies.sweep.sweep_file import Sweep
+from studies.sweep.table import ranked
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front, and how many are drawn thick
+AGAINST = (("range_n", True), ("area_cm2", False))  #: figures of the Pareto picture, and whether more is better
+BESIDE = ("range_n", "crosstalk_1", "condition")  #: figures of the parallel axes, after the keys
+WIDE = 20.0  #: ratio of the largest to the least value from which an axis is logarithmic
+
+
+def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
+    """Write a PNG: error against force range and against size, with the designs that no other one beats in both."""
+    from matplotlib.figure import Figure
+
+    sound = [row for row in rows if not row.failed]
+    within = np.array([not sweep.excess(row.figures) for row in sound])
+    error = _column(sound, sweep.least)
+    key = telling_key(sound, sweep)
+    shade = np.array([row.values[key] for row in sound])
+    figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
+    for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
+        other = _column(sound, name)
+        if not within.all():
+            axes.scatter(
+                other[~within], error[~within], s=26, facecolors="none", edgecolors=GREY, label="out of bounds"
+            )
+        dots = axes.scatter(
+            other[within], error[within], c=shade[within], s=42, cmap="viridis", norm=_norm(shade),
+            edgecolors="white", linewidths=0.6, zorder=3,
+        )  # fmt: skip
+        front = pareto(np.where(within, error, np.inf), -other if more else other)
+        order = front[np.argsort(other[front])]
+        label = "beaten by no other design in both"
+        axes.step(
+            other[order],
+            error[order],
+            where="pre" if more else "post",
+            color=FRONT,
+            linewidth=1.6,
+            zorder=2,
+            label=label,
+        )
+        axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
+        axes.set(xlabel=f"{_named(name)}, {'more' if more else 'less'} is better")
+        _scale(axes, "x", other)
+        _scale(axes, "y", error)
+        axes.grid(visible=True, which="major", alpha=0.25)
+    figure.axes[0].set_ylabel(f"{_named(sweep.least)}, less is better")
+    figure.axes[1].legend(fontsize=9, loc="best")
+    figure.colorbar(dots, ax=figure.axes, label=key, pad=0.01)
+    failed = len(rows) - len(sound)
+    figure.suptitle(f"{len(sound)} designs" + (f", {failed} more failed" if failed else ""), fontsize=12)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
+    """Write a PNG of parallel coordinates: a line a design through its keys and figures, the best ones thick."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+    sound = [row for row in rows if not row.failed]
+    best = {row.recipe: place for place, row in enumerate(ranked(rows, sweep)[:BEST])}
+    figures = [sweep.least, *(name for name in BESIDE if name != sweep.least)]
+    labels = [variable.name.replace(".", "\n") for variable in sweep.variables] + [
+        _named(name, "\n") for name in figures
+    ]
+    columns = [np.array([row.values[variable.name] for row in sound]) for variable in sweep.variables]
+    columns += [_column(sound, name) for name in figures]
+    kept = [(label, column) for label, column in zip(labels, columns, strict=True) if np.isfinite(column).any()]
+    heights = np.array([_share(column) for _, column in kept])
+    goal = heights[len(sweep.variables)]
+    shades = colormaps["viridis"]
+    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    places = np.arange(len(kept))
+    for k in np.argsort([-best.get(row.recipe, BEST) for row in sound]):  # the best are drawn last, on top
+        thick = sound[k].recipe in best
+        inside = not sweep.excess(sound[k].figures)
+        axes.plot(
+            places, heights[:, k], color=shades(0.95 * goal[k]) if inside else GREY, linewidth=2.6 if thick else 1.0,
+            alpha=1.0 if thick else 0.45, zorder=3 if thick else 2,
+        )  # fmt: skip
+    for place, (_, column) in zip(places, kept, strict=True):
+        axes.axvline(place, color="#333333", linewidth=1.0, zorder=1)
+        for share, text in _ticks(column):
+            axes.text(place + 0.05, share, text, fontsize=8, va="center", zorder=5, bbox=_PAPER)
+            axes.plot([place - 0.03, place + 0.03], [share, share], color="#333333", linewidth=1.0)
+    axes.set_xticks(places, [label for label, _ in kept], fontsize=9)
+    axes.xaxis.set_ticks_position("top")
+    axes.tick_params(length=0)
+    axes.set(yticks=[], xlim=(-0.3, places[-1] + 0.6), ylim=(-0.04, 1.04))
+    axes.spines[:].set_visible(False)
+    bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
+    bar.set_label(
+        f"{sweep.least}: dark is least; thick: the {min(BEST, len(best))} best; grey: out of bounds", fontsize=9
+    )
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+_PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
+
+
+def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
+    """Numbers of the points that no other one is below in both coordinates.
+
+    >>> pareto(np.array([1.0, 2.0, 3.0]), np.array([3.0, 1.0, 2.0])).tolist()
+    [0, 1]
+    """
+    beaten = [
+        bool(((first <= a) & (second <= b) & ((first < a) | (second < b))).any())
+        for a, b in zip(first, second, strict=True)
+    ]
+    return np.flatnonzero(~np.array(beaten) & np.isfinite(first) & np.isfinite(second))
+
+
+def telling_key(rows: Sequence[Row], sweep: Sweep) -> str:
+    """The varied key whose order agrees best with that of the figure that is to be least."""
+    error = _column(rows, sweep.least)
+
+    def agreement(key: str) -> float:
+        values = np.array([row.values[key] for row in rows])
+        if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
+            return 0.0
+        return abs(float(spearmanr(values, error).statistic))
+
+    return max((variable.name for variable in sweep.variables), key=agreement)
+
+
+def _column(rows: Sequence[Row], name: str) -> FloatArray:
+    found = [row.figures.get(name) for row in rows]
+    return np.array([np.nan if value is None else value for value in found])
+
+
+def _named(name: str, between: str = " ") -> str:
+    """A figure's name for an axis, its unit in brackets.
+
+    >>> _named("area_cm2")
+    'area [cm²]'
+    """
+    unit = FIGURES[name][0]
+    if unit == "1":
+        return name
+    suffix = unit.replace("²", "2").replace("³", "3").replace("%", "pct").replace("/", "_per_").lower()
+    return f"{name.removesuffix('_' + suffix)}{between}[{unit}]"
+
+
+def _is_wide(values: FloatArray) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0 and finite.max() > WIDE * finite.min())
+
+
+def _scale(axes: "Axes", axis: str, values: FloatArray) -> None:
+    if _is_wide(values):
+        axes.set(**{f"{axis}scale": "log"})
+
+
+def _norm(values: FloatArray) -> Any:
+    from matplotlib.colors import LogNorm, Normalize
+
+    return LogNorm() if _is_wide(values) else Normalize()
+
+
+def _share(values: FloatArray) -> FloatArray:
+    """Where values lie between the least (0) and the largest (1), on a logarithmic axis if they are far apart."""
+    on_axis = np.log(values) if _is_wide(values) else values
+    low, high = np.nanmin(on_axis), np.nanmax(on_axis)
+    return (on_axis - low) / (high - low) if high > low else np.full(len(values), 0.5)
+
+
+def _ticks(values: FloatArray, count: int = 5) -> list[tuple[float, str]]:
+    """Places and texts along an axis of the parallel coordinates."""
+    low, high = np.nanmin(values), np.nanmax(values)
+    if not high > low:
+        return [(0.5, _text(low))]
+    wide = _is_wide(values)
+    places = np.geomspace(low, high, count) if wide else np.linspace(low, high, count)
+    return [(share, _text(place)) for share, place in zip(np.linspace(0.0, 1.0, count), places, strict=True)]
+
+
+def _text(number: float) -> str:
+    return f"{number:.3g}" if abs(number) < 1000 else f"{number:,.0f}"

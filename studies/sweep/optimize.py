@@ -1,0 +1,99 @@
+"""The best design under given bounds, by a search whose every trial is kept: TPE of optuna, seeded and resumable."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from geometry.files import digest
+from studies.sweep.rows import Row
+from studies.sweep.run import judge_all, kept_rows
+from studies.sweep.sampling import Sample, sample_at
+from studies.sweep.sweep_file import Sweep
+
+if TYPE_CHECKING:
+    import optuna
+    from distributed import Client
+
+START = 16  #: trials drawn evenly before the search leans on any
+OUTSIDE = 1e9  #: what a design out of bounds counts for, more the farther; only the order of values matters to TPE
+
+
+def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
+    """The study of a sweep in a journal file, with the trials of earlier runs; another sweep is another study."""
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(logging.WARNING)
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    study = optuna.create_study(
+        storage=JournalStorage(JournalFileBackend(str(journal))),
+        study_name=digest("study", {**asdict(sweep), "samples": None}),
+        load_if_exists=True,
+    )
+    for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):  # of a run that was killed
+        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+    done = len(finished(study, sweep))
+    # another seed after each stop, or the search would draw the numbers of its beginning again
+    study.sampler = optuna.samplers.TPESampler(seed=sweep.seed + done, multivariate=True, n_startup_trials=START)
+    return study
+
+
+def finished(study: "optuna.Study", sweep: Sweep) -> list[Sample]:
+    """The designs of the trials that have ended."""
+    from optuna.trial import TrialState
+
+    return [_sample(sweep, trial.params) for trial in study.get_trials(states=[TrialState.COMPLETE])]
+
+
+def search(
+    sweep: Sweep,
+    study: "optuna.Study",
+    client: "Client",
+    folder: Path,
+    progress: Callable[[Row, float], None] = lambda row, seconds_left: None,
+) -> list[Row]:
+    """Go on with a study until it has as many trials as the sweep has samples; the row of every trial.
+
+    Trials are asked for in batches, one a worker, and told in their order: the search does not depend on which of a
+    batch ends first. `progress` as in `run.judge_all`.
+    """
+    from optuna.distributions import FloatDistribution
+
+    space = {variable.name: FloatDistribution(0.0, 1.0) for variable in sweep.variables}
+    done = finished(study, sweep)
+    rows = kept_rows(done, folder)
+    start, before = perf_counter(), len(done)
+
+    def judged(samples: list[Sample]) -> None:
+        missing = {sample.recipe: sample for sample in samples if sample.recipe not in rows}
+        rows.update(judge_all(list(missing.values()), sweep.judging, client, folder))
+
+    judged(done)
+    while len(done) < sweep.samples:
+        width = min(max(1, sum(client.nthreads().values())), sweep.samples - len(done))
+        trials = [study.ask(space) for _ in range(width)]
+        batch = [_sample(sweep, trial.params) for trial in trials]
+        judged(batch)
+        for trial, sample in zip(trials, batch, strict=True):
+            study.tell(trial, value(rows[sample.recipe], sweep))
+            done.append(sample)
+            seconds_each = (perf_counter() - start) / (len(done) - before)
+            progress(rows[sample.recipe], seconds_each * (sweep.samples - len(done)))
+    return [rows[sample.recipe] for sample in done]
+
+
+def value(row: Row, sweep: Sweep) -> float:
+    """What the search lessens: the sweep's figure within the bounds, `OUTSIDE` and more where they are left."""
+    figure = row.figures.get(sweep.least)
+    excess = sweep.excess(row.figures)
+    if row.failed or figure is None:
+        return 1e3 * OUTSIDE
+    return OUTSIDE * (1.0 + min(excess, 100.0)) if excess else figure
+
+
+def _sample(sweep: Sweep, shares: dict[str, float]) -> Sample:
+    return sample_at(sweep, [variable.at(shares[variable.name]) for variable in sweep.variables])

@@ -1,0 +1,62 @@
+"""The best designs of a sweep as a table for people."""
+
+from collections.abc import Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from studies.sweep.rows import Row
+from studies.sweep.sweep_file import Sweep
+
+SHOWN = {
+    "error_n": ("error", "N"),
+    "error_pct": ("error", "%"),
+    "range_n": ("range", "N"),
+    "area_cm2": ("area", "cm²"),
+    "crosstalk_1": ("crosstalk", ""),
+    "condition": ("condition", ""),
+    "error_estimate": ("FE error", "%"),
+}  #: figures with their heads
+
+
+def ranked(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
+    """Rows within the sweep's bounds, the best first."""
+    sound = [row for row in rows if not row.failed and not sweep.excess(row.figures)]
+    return sorted(sound, key=lambda row: figure(row, sweep.least))
+
+
+def figure(row: Row, name: str) -> float:
+    """A figure of a row; infinite where it has none, so that it comes last."""
+    value = row.figures.get(name)
+    return float("inf") if value is None else value
+
+
+def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
+    """The best designs within the bounds, a line each."""
+    best = ranked(rows, sweep)
+    failed = sum(row.failed for row in rows)
+    sound = len(rows) - failed
+    outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
+    table = Table(
+        title=f"The {min(count, len(best))} designs of least {sweep.least} of {sound}{outside}; {failed} failed",
+    )
+    for variable in sweep.variables:
+        group, _, name = variable.name.rpartition(".")
+        table.add_column(f"{group}\n{name}", justify="right")
+    for head, unit in SHOWN.values():
+        table.add_column(f"{head}\n{escape(f'[{unit}]') if unit else ''}", justify="right")
+    for row in best[:count]:
+        percent = {"error_estimate": 100.0}
+        cells = [f"{figure(row, name) * percent.get(name, 1.0):.3g}" for name in SHOWN]
+        table.add_row(*(f"{row.values[variable.name]:.4g}" for variable in sweep.variables), *cells)
+    return table
+
+
+def reasons(rows: Sequence[Row]) -> dict[str, int]:
+    """Why designs failed, the kind of the error alone, and how many did."""
+    found: dict[str, int] = {}
+    for row in rows:
+        if row.failed:
+            kind = row.reason.split(":")[0]
+            found[kind] = found.get(kind, 0) + 1
+    return found

@@ -1,0 +1,115 @@
+"""What a sweep varies: numeric keys of the design file, by their dotted names."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from typing import Any
+
+from geometry.design import SensorDesign
+from geometry.errors import DesignError
+
+Table = dict[str, Any]  #: a design file's nested tables
+
+
+def _numeric_keys(kind: Any, prefix: str = "") -> dict[str, type]:
+    keys: dict[str, type] = {}
+    for spec in fields(kind):
+        name = prefix + spec.name
+        keys |= _numeric_keys(spec.type, f"{name}.") if is_dataclass(spec.type) else {name: spec.type}  # type: ignore
+    return keys
+
+
+KEYS = _numeric_keys(SensorDesign)  #: every numeric key of a design by its dotted name, with its type
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """A key, or several that take the same value, with the range or the values it takes."""
+
+    key: tuple[str, ...]
+    low: float | None = None
+    high: float | None = None
+    values: tuple[float, ...] = ()  #: instead of a range
+    log: bool = False  #: whether the range is sampled evenly in its logarithm
+    of: str | None = None  #: key whose value all of these are shares of
+    steps: int | None = None  #: points of a range in a grid
+
+    def __post_init__(self) -> None:
+        for key in (*self.key, *([] if self.of is None else [self.of])):
+            if key not in KEYS:
+                raise DesignError(f"unknown key {key!r}; known are {', '.join(KEYS)}.")
+        if not self.key:
+            raise DesignError("no key is given: write key = 'array.pitch_mm'.")
+        if self.of in self.key:
+            raise DesignError(f"{self.name} cannot be a share of itself: give another key as 'of'.")
+        given = (*self.values, *(number for number in (self.low, self.high) if number is not None))
+        if not all(isinstance(number, int | float) and math.isfinite(number) for number in given):
+            raise DesignError(f"{self.name}: low, high and values must be finite numbers.")
+        if bool(self.values) == (self.low is not None or self.high is not None):
+            raise DesignError(f"{self.name}: give either values, or low and high.")
+        if self.values:
+            if self.log or self.steps is not None:
+                raise DesignError(f"{self.name}: log and steps belong to a range: leave them out, or the values.")
+            return
+        if self.low is None or self.high is None or not self.low < self.high:
+            raise DesignError(f"{self.name}: low must be below high, both given; low={self.low}, high={self.high}.")
+        if self.log and not self.low > 0:
+            raise DesignError(f"{self.name}: low={self.low:g} must be above 0 where log = true.")
+        if self.steps is not None and (not isinstance(self.steps, int) or self.steps < 2):
+            raise DesignError(f"{self.name}: steps={self.steps!r} must be a whole number of at least 2.")
+
+    @property
+    def name(self) -> str:
+        """What tables call it: its first key."""
+        return self.key[0]
+
+    def at(self, share: float) -> float:
+        """The value at a share from 0 to below 1 of its range, or of its list of values.
+
+        >>> round(Variable(key=("array.pitch_mm",), low=1.0, high=100.0, log=True).at(0.5), 9)
+        10.0
+        """
+        if self.values:
+            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+        assert self.low is not None
+        assert self.high is not None
+        if self.log:
+            return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
+        return self.low + share * (self.high - self.low)
+
+    def grid(self) -> list[float]:
+        """All its values in a grid."""
+        if self.values:
+            return list(self.values)
+        if self.steps is None:
+            raise DesignError(f"{self.name}: a grid needs values, or steps of the range.")
+        return [self.at(number / (self.steps - 1)) for number in range(self.steps)]
+
+
+def plain(design: SensorDesign) -> Table:
+    """A design as nested tables with every key."""
+    return asdict(design)
+
+
+def value_of(table: Table, key: str) -> Any:
+    """What a table holds under a dotted key."""
+    for part in key.split("."):
+        table = table[part]
+    return table
+
+
+def with_values(table: Table, variables: Sequence[Variable], numbers: Sequence[float]) -> Table:
+    """A copy of a full table with a number for each variable; shares are taken last, whole-number keys rounded.
+
+    >>> pad = Variable(key=("pad.size_mm",), low=0.5, high=1.0, of="array.pitch_mm")
+    >>> with_values(plain(SensorDesign()), [pad], [0.6])["pad"]["size_mm"]
+    9.0
+    """
+    changed = {key: dict(value) if isinstance(value, dict) else value for key, value in table.items()}
+    pairs = list(zip(variables, numbers, strict=True))
+    for variable, number in sorted(pairs, key=lambda pair: pair[0].of is not None):
+        value = float(number) * (1.0 if variable.of is None else value_of(changed, variable.of))
+        for key in variable.key:
+            *group, name = key.split(".")
+            (changed[group[0]] if group else changed)[name] = round(value) if KEYS[key] is int else value
+    return changed

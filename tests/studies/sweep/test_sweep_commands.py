@@ -1,0 +1,87 @@
+"""`tripillar sweep` and `optimize` as real processes: killed, resumed, searched, refused."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from geometry.design_file import read_design
+from tests.house import House
+
+SWEEP = """
+[sweep]
+samples = 6
+tolerance = 2e-2
+{settings}
+[design.array]
+rows = 1
+cols = 2
+[[vary]]
+key = "pad.size_mm"
+low = 8.0
+high = 15.9
+[[vary]]
+key = "unit.height_mm"
+low = 8.0
+high = 12.0
+{more}
+"""
+
+
+@pytest.fixture
+def house(tmp_path):
+    made = House(tmp_path)
+    (tmp_path / "pads.toml").write_text(SWEEP.format(settings="", more=""))
+    return made
+
+
+def test_a_killed_sweep_goes_on_and_computes_only_what_is_missing(house):
+    """Killed without warning after two rows; then one of them is torn as no kill can tear it."""
+    command = [sys.executable, "-m", "tripillar", "sweep", "pads.toml", "--workers", "1", "-q"]
+    rows = house.folder / "out" / "pads-rows"
+    with subprocess.Popen(command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE) as process:
+        until = time.monotonic() + 120
+        while len(list(rows.glob("*.json"))) < 3 and process.poll() is None and time.monotonic() < until:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+    kept = sorted(rows.glob("[!.]*.json"))
+    assert 3 <= len(kept) < 6
+    kept[0].write_text(kept[0].read_text()[:50])
+    done = house.result("sweep", "pads.toml", "--workers", "1", "-q")
+    assert done["judged_now"] == 6 - len(kept) + 1
+    assert (done["designs"], done["failed"]) == (6, {"not a design": 1})
+    errors = [row["error_n"] for row in done["best"]]
+    assert errors == sorted(errors)
+    assert len(errors) == 5
+    for name in ("pads.parquet", "pads.nc", "pads-pareto.png", "pads-parallel.png"):
+        assert (house.folder / "out" / name).stat().st_size > 0
+    again = house.tripillar("sweep", "pads.toml", "--best", "2")
+    assert again.returncode == 0, again.stderr
+    assert "The 2 designs of least error_n of 5; 1 failed" in again.stdout
+    assert again.stderr.splitlines()[-1] == "out/pads-parallel.png"
+
+
+def test_the_best_design_is_found_within_bounds_and_the_search_resumes(house):
+    bounds = "[bounds]\nrange_n = { least = 400.0 }"
+    (house.folder / "search.toml").write_text(SWEEP.format(settings="seed = 5", more=bounds))
+    first = house.result("optimize", "search.toml", "--trials", "3", "--workers", "1", "-q")
+    assert (first["trials"], first["tried_now"]) == (3, 3)
+    more = house.result("optimize", "search.toml", "--trials", "5", "--workers", "1", "-q")
+    assert (more["trials"], more["tried_now"]) == (5, 2)
+    assert more["best"]["range_n"] >= 400
+    assert more["best"]["error_n"] <= first["best"]["error_n"]
+    best = read_design(house.folder / "out" / "search-best.toml")
+    assert best.pad.size_mm == more["best"]["pad.size_mm"]
+    rows = [json.loads(path.read_text()) for path in (house.folder / "out" / "search-rows").glob("*.json")]
+    inside = [row["figures"]["error_n"] for row in rows if row["figures"].get("range_n", 0) >= 400]
+    assert more["best"]["error_n"] == min(inside)
+
+
+def test_what_makes_no_sense_is_refused_before_any_work(house):
+    assert "--workers 0 must be at least 1" in house.refusal("sweep", "pads.toml", "--workers", "0")
+    assert "none.toml: cannot be read" in house.refusal("sweep", "none.toml")
+    (house.folder / "odd.toml").write_text("[[vary]]\nkey = 'pitch'\n")
+    assert "odd.toml: [[vary]] 1: unknown key 'pitch'" in house.refusal("optimize", "odd.toml")
