@@ -97,14 +97,15 @@ def view(
     if save is not None:
         require_savable(save)
     start = perf_counter()
-    from fem.figures import QUANTITIES, DeformedPicture, Medium
     from fem.scene import Scene
-    from studies.viewer.saving import FRAMES, SAVERS, save_blocks
     from studies.viewer.sights import largest_mm, panels_of, read_body, suited_scale
 
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
+    from fem.figures import QUANTITIES, DeformedPicture, Medium
+    from studies.viewer.saving import FRAMES, SAVERS, save_blocks
+
     kind = "" if save is None else save.suffix
     with progress_bars(quiet) as bars:
         advance = bars.begin("fields", total=4)
