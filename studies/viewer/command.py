@@ -6,7 +6,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -30,7 +30,7 @@ viewer = typer.Typer()
 class SeveralPressures(TyperCommand):
     """Lets `--pressure` take several values, `--pressure 1 3 5`, which click's options cannot."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, repeated(args, "--pressure"))
 
 
