@@ -128,7 +128,7 @@ def test_a_film_shows_the_load_rising(panels, tmp_path, monkeypatch):
     monkeypatch.setattr(saving, "HELD", 2)
     frames = []
     path = tmp_path / "film.mp4"
-    saving.save_film(DeformedPicture(panels), path, lambda: frames.append(1))
+    saving.save_film(DeformedPicture(panels, medium="film"), path, lambda: frames.append(1))
     assert len(frames) == 6
     raw = [ffmpeg, "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
     film = subprocess.run(raw, capture_output=True, check=True).stdout
