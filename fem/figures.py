@@ -190,7 +190,9 @@ class DeformedPicture:
             if not on_page:
                 text = self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
                 self._texts.append((name, text))
-            self._look(camera, np.vstack([part.points_mm for part in parts.values()]))
+            rest = np.vstack([part.points_mm for part in parts.values()])
+            moved = rest + scale * np.vstack([part.displacement_mm for part in parts.values()])
+            self._look(camera, np.vstack([rest, moved]))
         if bar:
             self.plotter.subplot(0, n)
             self._draw_bar(mapper)
@@ -225,9 +227,8 @@ class DeformedPicture:
             if name == "matrix":
                 skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
                 actor = self.plotter.add_mesh(self._moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
-                actor.prop.interpolation = (
-                    "phong"  # PyVista's own smooth shading would draw a copy, which stays at rest
-                )
+                # PyVista's own smooth shading would draw a copy, which stays at rest
+                actor.prop.interpolation = "phong"
             elif name == "electrodes":
                 self.plotter.add_mesh(self._moved(skin), color="#c98a4b", **SOLID)
             else:

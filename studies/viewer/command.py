@@ -140,7 +140,7 @@ def view(
 
 def has_display() -> bool:
     """Whether a window can be opened here."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
 def require_savable(path: Path) -> None:
