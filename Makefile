@@ -6,7 +6,7 @@ READY := .venv/ready
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test docs check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -25,11 +25,15 @@ train: $(READY)  ## design -> CAD -> FEM -> dataset -> networks -> table
 dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
-picture: $(READY)  ## draw the README's pictures again
+picture: $(READY)  ## draw the pictures of the README and of docs/ again
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
+	mkdir -p $(OUT) && printf '[array]\nrows = 3\ncols = 3\n' > $(OUT)/tutorial.toml
+	$(BIN)/tripillar view $(OUT)/tutorial.toml --pressure 1 3 5 --save docs/tutorial-array.png
 	$(BIN)/python -m studies.board.picture docs/live.svg
+	$(BIN)/python -m studies.pictures docs
+	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
 
-paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
+paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
 	$(BIN)/python -m studies.paper --out $(OUT)/paper
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
@@ -55,6 +59,9 @@ hardware-test: $(READY)  ## the tests of the board's side alone, with what they 
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
+
+docs: $(READY)  ## docs/ as pages with the API, out/docs/site/index.html; with a search: mkdocs serve
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(abspath $(OUT))/docs/site
 
 check: $(READY)  ## what CI runs: style, types, tests
 	$(BIN)/ruff check

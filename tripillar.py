@@ -6,8 +6,10 @@ code 2. Each command imports its stage when it runs, so that help is instant and
 
 import io
 import math
+import signal
 import sys
 from dataclasses import asdict, replace
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,8 +19,23 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError, TriPillarError
 from studies.board.commands import board
-from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say, show_json, wrote
+from studies.console import (
+    LEARNING,
+    SOLVING,
+    STUDYING,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    progress_bars,
+    require_suffix,
+    say,
+    show_json,
+    wrote,
+)
+from studies.doctor.command import commands as doctor
 from studies.sweep.commands import commands as sweeps
+from studies.viewer.command import viewer
 
 if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
@@ -41,21 +58,38 @@ GoalOption = Annotated[
 ]
 
 
-@app.command()
+def show_version(asked: bool) -> None:
+    if asked:
+        print(f"tripillar {metadata.version('tripillar')}")
+        raise typer.Exit
+
+
+@app.callback(help=__doc__)
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
+
+
+@app.command(rich_help_panel=SOLVING)
 def design(
-    out: Annotated[Path | None, typer.Option(help="File to write; default: print it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
+    json_: JsonOption = False,
 ) -> None:
     """Write the paper's sensor as a design TOML, every key with its default and meaning."""
-    if out is None:
+    if json_:
+        show_json(asdict(SensorDesign()))
+    if out is None and not json_:
         print(design_to_toml(SensorDesign()), end="")
-    else:
+    if out is not None:
         write_design(SensorDesign(), out)
         wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def cad(
-    out: Annotated[Path, typer.Option(help="Folder for STEP and STL files.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for STEP and STL files.")],
     design: DesignOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -69,12 +103,12 @@ def cad(
     wrote(files)
 
 
-@app.command()
-def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOption = False) -> None:
+@app.command(rich_help_panel=SOLVING)
+def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: VerbosityOption = None) -> None:
     """Mesh the sensor with tetrahedra and judge their shape; cached."""
     from studies.pipeline import meshed
 
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         stage = meshed(chosen(design), bars)
     if json_:
         show_json({"file": str(stage.files[0]), "reused": stage.reused, "seconds": stage.seconds, "note": stage.note})
@@ -83,7 +117,7 @@ def mesh(design: DesignOption = None, json_: JsonOption = False, quiet: QuietOpt
     wrote(stage.files)
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def solve(
     scene: Annotated[Path, typer.Argument(help="Scene TOML: a body, its loads, its probes.")],
     json_: JsonOption = False,
@@ -95,8 +129,7 @@ def solve(
     solver: Annotated[str | None, typer.Option(help="Linear solver; default: the plan's.")] = None,
 ) -> None:
     """Solve any scene: a block, a pillar, a unit or an array under loads, to its tolerance."""
-    if vtu is not None and (vtu.suffix != ".vtu" or vtu.is_dir()):
-        raise DesignError(f"--vtu {vtu} must be a file that ends in .vtu.")
+    require_suffix("--vtu", vtu, ".vtu")
     from fem.plan import make_plan
     from fem.scene_file import read_scene
     from fem.solution_file import solution_as_plain, write_field
@@ -128,9 +161,9 @@ def solve(
     wrote([] if vtu is None else [vtu])
 
 
-@app.command()
+@app.command(rich_help_panel=SOLVING)
 def response(
-    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
     design: DesignOption = None,
     tolerance: Annotated[
         float | None, typer.Option(help="Relative error wanted; default: 1e-3, 1e-2 with pillars of another rubber.")
@@ -140,7 +173,7 @@ def response(
         typer.Option(help="Copies of one condensed cell, one mesh of the array, or an approximate closed form."),
     ] = "cells",
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Solve for the array's influence matrix: displacement of every upper electrode per newton on every pad."""
     from fem.array_response import ResponseSettings
@@ -148,7 +181,7 @@ def response(
     from studies.pipeline import respond
 
     settings = ResponseSettings(method=method, tolerance=tolerance)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         stage, solved = respond(chosen(design), bars, settings)
     write_response(solved, out)
     if json_:
@@ -170,11 +203,11 @@ def response(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def dataset(
     protocol: Annotated[Protocol, typer.Option(help="How pads are loaded.")],
     samples: Annotated[int, typer.Option(help="Number of samples.")],
-    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
     seed: Annotated[int, typer.Option(help="Of loads and noise.")] = 0,
     cap: Annotated[float, typer.Option(help="Largest pillar strain; samples past it are redrawn.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Relative standard deviation of a resistance.")] = 0.0,
@@ -197,7 +230,7 @@ def dataset(
     correct: Annotated[bool, typer.Option(help="Take its crosstalk out again, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Simulate labelled samples: loads, displacements, lengths and resistances."""
     from dataset.imperfections import place_of
@@ -227,7 +260,8 @@ def dataset(
     if crossbar is None and (given or not correct):
         raise DesignError("--sense-ohm, --switch-ohm, --line-ohm and --no-correct belong to --crossbar: give it, too.")
     if crossbar is not None:
-        from hardware.crossbar import Crossbar, CrossbarReadout, scan_mode_named
+        from hardware.crossbar import Crossbar, scan_mode_named
+        from hardware.readout import CrossbarReadout
 
         wired = Crossbar.suited(
             scan_mode_named(crossbar),
@@ -237,7 +271,7 @@ def dataset(
             **given,
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         _, solved = respond(sensor, bars)
         advance = bars.begin("dataset", total=samples)
         data = simulate(solved, settings, lambda n: advance(n, ""), readout)
@@ -250,11 +284,11 @@ def dataset(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def train(
     data: Annotated[Path, typer.Option(help="Dataset to train on.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
-    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
     net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
     hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
     trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
@@ -264,7 +298,7 @@ def train(
     seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Train one network on a dataset and write it as a model file."""
     from dataset.labelled import read_labelled
@@ -276,7 +310,7 @@ def train(
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
@@ -304,7 +338,7 @@ def train(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def evaluate(
     model: Annotated[Path, typer.Option(help="Model file.")],
     data: Annotated[Path, typer.Option(help="Dataset to test on.")],
@@ -312,7 +346,7 @@ def evaluate(
         bool, typer.Option(help="Work out what the readings allow; solves the response if need be.")
     ] = True,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Errors of a model on a dataset (relative by eq. 17, RMSE, % of full scale) beside the limit and two baselines."""
     from dataset.labelled import read_labelled
@@ -325,7 +359,7 @@ def evaluate(
     for file, stated in ((data, labelled.design), (model, decoupler.design)):
         if stated is None:
             print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         solved = known_response(labelled.design or decoupler.design, bars) if limits else None
         assessed = assess(decoupler, labelled, solved)
     if json_:
@@ -339,7 +373,7 @@ def evaluate(
         say_untrusted(decoupler)
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def crossval(
     data: Annotated[Path, typer.Option(help="Dataset to split.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
@@ -352,9 +386,9 @@ def crossval(
     seed: Annotated[int, typer.Option(help="Of the split and the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
-    """k-fold cross-validation, folds in parallel: every sample is tested once, by a network that never saw it."""
+    """Cross-validate in k folds, in parallel: every sample is tested once, by a network that never saw it."""
     from dataset.labelled import read_labelled
     from decoupler.crossval import cross_validate, summary
     from decoupler.settings import NetworkConfig, TrainingConfig
@@ -363,7 +397,7 @@ def crossval(
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
@@ -377,14 +411,14 @@ def crossval(
         show(crossval_table(tested))
 
 
-@app.command("fine-tune")
+@app.command("fine-tune", rich_help_panel=LEARNING)
 def fine_tune(
     model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
     data: Annotated[Path, typer.Option(help="Measured resistances and forces of one sensor.")],
-    out: Annotated[Path, typer.Option(help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
     pairs: Annotated[int | None, typer.Option(help="Use the first so many; default: all.")] = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Fit a model to one real sensor by a few measured pairs: gain and offset of each pillar, then the output layer."""
     from dataset.labelled import read_labelled
@@ -399,7 +433,7 @@ def fine_tune(
     decoupler, measured = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, measured, model, data)
     measured = selected(measured, slice(pairs))
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         known = measured.design or decoupler.design
         solved = None if decoupler.inverse is not None else known_response(known, bars)
     tuned = fine_tuned(decoupler, measured, solved)
@@ -415,10 +449,10 @@ def fine_tune(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=LEARNING)
 def export(
     model: Annotated[Path, typer.Option(help="Model file.")],
-    out: Annotated[Path, typer.Option(help="File to write: .onnx, or .h for a header in C.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .onnx, or .h for a header in C.")],
     precision: Annotated[
         Literal["float", "double"] | None, typer.Option(help="Of its numbers; default: double in .onnx, float in .h.")
     ] = None,
@@ -438,20 +472,20 @@ def export(
     wrote([out])
 
 
-@app.command()
+@app.command(rich_help_panel=STUDYING)
 def run(
     design: DesignOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("out"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all files.")] = Path("out"),
     until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage.")] = "table",
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """The whole pipeline: design, CAD, mesh, response, datasets, networks, table; reuses what did not change."""
     from studies.pipeline import files_of
     from studies.pipeline import run as run_pipeline
     from studies.report import comparison_table, show, stage_table
 
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         outcome = run_pipeline(chosen(design), out, bars, until_dataset=until == "dataset")
     if json_:
         show_json(outcome.as_plain())
@@ -462,34 +496,8 @@ def run(
     wrote(files_of(outcome.stages))
 
 
-@app.command()
-def view(
-    save: Annotated[Path, typer.Option(help="PNG file to write.")],
-    pressure: Annotated[float, typer.Option(help="Largest pressure, over the middle of the array [MPa].")] = 3.0,
-    design: DesignOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Draw the array deformed by a round indenter over its middle, at true scale."""
-    if save.suffix != ".png":
-        raise DesignError(f"--save {save} must end in .png.")
-    if not (math.isfinite(pressure) and 0 < pressure <= 100):
-        raise DesignError(f"--pressure {pressure:g} must be above 0 and at most 100 MPa; the paper uses 1 to 5.")
-    from fem.figures import bell_pressure, draw_deformed
-    from geometry.mesh import sensor_mesh, suited_settings
-
-    sensor = chosen(design)
-    with progress_bars(quiet) as bars:
-        advance = bars.begin("view", total=2)
-        advance(0, "mesh")
-        body, _, _ = sensor_mesh(sensor, suited_settings(sensor))
-        advance(1, "solve and draw")
-        draw_deformed(sensor, body, bell_pressure(sensor, pressure), save)
-        advance(1, "")
-    wrote([save])
-
-
-app.add_typer(board)  # the commands of a connected sensor
-app.add_typer(sweeps)  # design sweeps
+for others in (viewer, sweeps, doctor, board):
+    app.add_typer(others)
 
 
 def say_untrusted(model: "Decoupler") -> None:
@@ -504,7 +512,27 @@ def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends with one line on stderr and exit code 2."""
+    """Run the command line; a user's mistake ends with one line on stderr and exit code 2, Ctrl-C with 130."""
+    interrupted = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        run_commands()
+    except Exception:
+        if not interrupted:
+            raise
+    except KeyboardInterrupt:
+        pass
+    sys.exit(130)  # whatever was raised after Ctrl-C, such as the ImportError of a half-loaded library, came of it
+
+
+def run_commands() -> None:
+    """Run the command that was asked for, and leave by `SystemExit`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8")  # Ω and ρ, whatever the console's own encoding
@@ -516,7 +544,7 @@ def main() -> None:
         message = str(error)
     except MemoryError:
         message = "not enough memory: ask for fewer samples, hidden nodes or units."
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         sys.exit(130)
     if not message:  # a bare command has printed its help
         sys.exit(0)

@@ -1,11 +1,12 @@
 """k-fold cross-validation as in the paper's section 3.3: every sample is tested once, by a net that never saw it."""
 
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from dataset import LabelledData
 from decoupler.errors import SampleError
 from decoupler.metrics import ForceErrors, evaluate
 from decoupler.settings import NetworkConfig, TrainingConfig
-from geometry.files import digest
+from geometry.files import digest, uninterrupted
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -95,12 +96,15 @@ def jobs_of(
 def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
     """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
     with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
+        with uninterrupted(), _deaf_to_interrupts():
+            futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
         try:
             for future in as_completed(futures):
                 future.result()
                 progress(futures[future])
-        except BaseException:  # Ctrl-C as well: what waits must not be begun any more
+        except BaseException:  # Ctrl-C as well: nobody waits for what runs, and what waits must not be begun any more
+            for process in active_children():
+                process.terminate()
             pool.shutdown(cancel_futures=True)
             raise
         return [future.result() for future in futures]
@@ -172,3 +176,16 @@ def summary(tested: list[Fold]) -> dict[str, Any]:
         for kind, value in asdict(by_force[name]).items()
     }
     return {"folds": [row[name] | trained for row, trained in zip(rows, training, strict=True)]} | flat
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C, which a terminal sends to all, from the processes started meanwhile: who started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

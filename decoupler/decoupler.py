@@ -24,6 +24,7 @@ from geometry.files import digest
 from geometry.layout import PILLARS, FloatArray
 
 CHUNK = 512  #: samples worked on together, a thread each
+ALIKE = 0.01  #: of a resistance at rest: pillars nearer to the design than this are as designed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +102,16 @@ class Decoupler:
 
     @property
     def is_fine_tuned(self) -> bool:
-        """It knows gain and offset of one sensor's pillars."""
-        return self.calibration is not None
+        """It knows gain and offset of one sensor's pillars, from measured pairs or from training data of that sensor.
+
+        Training fits them too, and of a sensor as designed finds 1 and 0 but for noise: that is no knowledge of one.
+        """
+        if self.calibration is None:
+            return False
+        if "fine_tuned_on" in self.made_from or self.inverse is None:
+            return True
+        rest_ohm = self.inverse.forward.resistances(np.zeros((1, self.inverse.forward.n_forces)))
+        return bool(np.abs(self.calibration.modelled(rest_ohm) / rest_ohm - 1.0).max() > ALIKE)
 
     @property
     def knows_uncertainty(self) -> bool:

@@ -50,9 +50,14 @@ class CoupledArray:
         float
             Relative residual of the solve.
         """
-        cell = self.cell
-        q, residual = checked_solve(self._matrix, self._factor, self._gathered(cell.reach @ forces), self._product)
-        return cell.reach.T @ q[self._dofs] + cell.compliance @ forces, residual
+        q, residual = self.port_displacements(forces)
+        return self.cell.reach.T @ q + self.cell.compliance @ forces, residual
+
+    def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
+        """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
+        rhs = self._gathered(self.cell.reach @ forces)
+        q, residual = checked_solve(self._matrix, self._factor, rhs, self._product)
+        return q[self._dofs], residual
 
     def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:
         """What 1 N on one functional of a cell does to another functional of each cell, for all cells.

@@ -100,6 +100,45 @@ def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Con
     S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
     the side faces, which follow the port modes Φ, and I the others, all pressures included.
     """
+    parts = condensation(body, ports, rectangles)
+    S, L, C, residual = _eliminate(body, parts)
+    return CondensedCell(
+        ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Condensation:
+    """A body's system split into what follows port modes and what is eliminated; notation of `condense`."""
+
+    inner: NDArray[np.int64]  #: I, numbers of unknowns
+    outer: NDArray[np.int64]  #: B
+    K_II: sp.csr_matrix
+    K_IB: sp.csr_matrix
+    K_BB: sp.csr_matrix
+    modes: FloatArray  #: Φ, (len(outer), n_modes·3)
+    loads: FloatArray  #: f, (unknowns, k·3)
+
+    @classmethod
+    def of(cls, body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray) -> "Condensation":
+        """`at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n)."""
+        on_port = np.zeros(body.matrix.shape[0], dtype=bool)
+        on_port[np.searchsorted(body.free, at_ports)] = True
+        inner, outer = np.flatnonzero(~on_port), np.flatnonzero(on_port)
+        of_inner = body.matrix[inner]
+        return cls(
+            inner=inner,
+            outer=outer,
+            K_II=of_inner[:, inner].tocsr(),
+            K_IB=of_inner[:, outer],
+            K_BB=body.matrix[outer][:, outer],
+            modes=modes,
+            loads=loads,
+        )
+
+
+def condensation(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Condensation:
+    """Split a whole cell's system; parameters as in `condense`."""
     nodes = body.basis.doflocs
     on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
     at_ports = body.free[on_side[body.free // 3]]  # displacement degrees of freedom on the side faces
@@ -107,10 +146,7 @@ def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Con
     modes = np.zeros((len(at_ports), ports.n_modes, 3))
     modes[np.arange(len(at_ports)), :, at_ports % 3] = ports.values(nodes[:, number].T)[place]
     loads = body.loads(patch_means(body.basis, rectangles).T.toarray())
-    S, L, C, residual = _eliminate(body, at_ports, modes.reshape(len(at_ports), -1), loads)
-    return CondensedCell(
-        ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
-    )
+    return Condensation.of(body, at_ports, modes.reshape(len(at_ports), -1), loads)
 
 
 def condense_by_parity(
@@ -158,7 +194,7 @@ def _parity_part(
     # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
     signs = np.stack([image_signs(parity, image) for image in PARITIES])
     gathered = np.einsum("nqki,qi->nki", images, signs).reshape(len(images), -1)
-    S, L, C, residual = _eliminate(body, at_ports, modes, body.loads(gathered))
+    S, L, C, residual = _eliminate(body, Condensation.of(body, at_ports, modes, body.loads(gathered)))
     share = ports.parity_share(parity)
     return CondensedCell(
         ports=ports,
@@ -186,27 +222,15 @@ def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
     return means[:, number.reshape(len(PARITIES), -1)]
 
 
-def _eliminate(
-    body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """S, L and C of `condense`, and the residual of the first rectangle's solves.
-
-    `at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n); `loads` have
-    shape (unknowns, m).
-    """
-    on_port = np.zeros(body.matrix.shape[0], dtype=bool)
-    on_port[np.searchsorted(body.free, at_ports)] = True
-    inner, outer = np.flatnonzero(~on_port), np.flatnonzero(on_port)
-    K_II = body.matrix[inner][:, inner].tocsr()
-    K_IB = body.matrix[inner][:, outer]
-    K_BB = body.matrix[outer][:, outer]
-    factor = factorized(K_II, definite=body.n_pressure == 0)
-    n = modes.shape[1]
-    product = schur_product(factor, np.hstack([K_IB @ modes, loads[inner]]))
-    S = modes.T @ (K_BB @ modes) - product[:n, :n]
-    L = modes.T @ loads[outer] - product[:n, n:]
+def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """S, L and C of `condense`, and the residual of the first rectangle's solves."""
+    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
+    n, loads = parts.modes.shape[1], parts.loads
+    product = schur_product(factor, np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]]))
+    S = parts.modes.T @ (parts.K_BB @ parts.modes) - product[:n, :n]
+    L = parts.modes.T @ loads[parts.outer] - product[:n, n:]
     C = product[n:, n:]
-    _, residual = checked_solve(K_II, factor, loads[inner][:, :3])
+    _, residual = checked_solve(parts.K_II, factor, loads[parts.inner][:, :3])
     return (S + S.T) / 2, L, (C + C.T) / 2, residual
 
 

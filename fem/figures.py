@@ -1,118 +1,327 @@
-"""Pictures of the deformed sensor, by pyvista; drawn off screen."""
+"""Pictures of a deformed sensor: by pyvista in three dimensions, and its electrodes by matplotlib."""
 
 import os
 import sys
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pyvista as pv
 
-from fem.field import displacement_field
-from geometry.design import SensorDesign
+from fem.array_field import ArrayField
+from fem.deformed import Part, Parts, sensor_parts
+from fem.response import ArrayResponse
+from fem.stress import pressure, von_mises
 from geometry.files import replacing
-from geometry.layout import FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
-from geometry.mesh import TetMesh
+from geometry.layout import FloatArray, unit_centres, upper_electrodes
+
+Colour = Literal["displacement", "vertical", "mises", "pressure"]
+Camera = Literal["iso", "top", "front", "side"]
+Medium = Literal["file", "film", "window", "page"]
+
+SIZE_PX = {1: (1376, 800), 2: (880, 560)}  #: of one picture, and of each of several
+PAGE_PX = (1440, 720)  #: of a page that holds all
+BAR_PX = 224  #: width of the colour bar's column
+MARGIN = 0.06  #: of a picture's width or height, around what it shows
+VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
+LEAST_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
+SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
+LIFT_MM = 0.15  #: by which electrodes are drawn before the pillars' ends
+MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
+SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
+GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
+VIEWS = {
+    "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+}
 
 
-def bell_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
-    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, one pitch wide."""
-    centres = unit_centres(design)
-    traction = np.zeros((design.n_units, 3))
-    squared = (centres**2).sum(axis=1)
-    nearest = squared.min()
-    traction[:, 2] = -peak_mpa * np.exp(-(squared - nearest) / (2 * design.array.pitch_mm**2))
-    return traction
+@dataclass(frozen=True)
+class Quantity:
+    """What colour shows."""
+
+    title: str
+    of: Callable[[Part], FloatArray]  #: a part to values (n,) at its points
+    colours: str
+    of_stress: bool = False  #: it has no bound at edges, then: the largest value means nothing
 
 
-def draw_deformed(design: SensorDesign, mesh: TetMesh, traction_mpa: FloatArray, path: Path) -> None:
-    """Draw the deformed pillars inside a translucent matrix, at true scale, and write a PNG.
+QUANTITIES: dict[Colour, Quantity] = {
+    "displacement": Quantity("displacement\n[mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), "viridis"),
+    "vertical": Quantity("vertical\ndisplacement\n[mm]", lambda p: p.displacement_mm[:, 2], "viridis_r"),
+    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress), "plasma", of_stress=True),
+    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress), "YlOrRd", of_stress=True),
+}
 
-    Colour is the size of the displacement; loaded pads are outlined in the strength of their pressure.
+
+def draw_deformed(
+    field: ArrayField,
+    traction_mpa: Mapping[str, FloatArray],
+    path: Path,
+    colour: Colour = "displacement",
+    scale: float = 1.0,
+    camera: Camera = "iso",
+) -> None:
+    """Write a PNG of a loaded array, as the paper's figure 7: one picture for each load, on one colour scale.
 
     Parameters
     ----------
-    design : SensorDesign
-    mesh : TetMesh
-        Of that design.
-    traction_mpa : array, shape (n_units, 3)
-        Traction on each pad, z negative pushing down [MPa].
+    field : ArrayField
+    traction_mpa : mapping of names to arrays (n_units, 3)
+        Traction on each pad, z negative pushing down [MPa]; the name stands above the picture.
     path : Path
         PNG file to write.
+    colour, scale, camera
+        As in `DeformedPicture`.
     """
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
-    moved_mm = displacement_field(design, mesh, traction_mpa)
-    body = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
-    body.point_data["u"] = moved_mm
-    pillars = _warped(pillar_surfaces(design), body)
-    pads = _warped(_pad_outlines(design, traction_mpa), body)
-    slab = body.extract_surface(algorithm="dataset_surface").warp_by_vector("u")
-    largest_mm = float(np.linalg.norm(moved_mm, axis=1).max())
-
-    plotter = pv.Plotter(off_screen=True, window_size=(1800, 1000))
-    plotter.set_background("white")
-    plotter.add_mesh(slab, color="#9db7cc", opacity=0.16)
-    plotter.add_mesh(slab.extract_feature_edges(70), color="#5b7185", line_width=2)
-    plotter.add_mesh(
-        pillars,
-        scalars="displacement [mm]",
-        clim=(0.0, largest_mm),
-        cmap="viridis",
-        smooth_shading=False,
-        scalar_bar_args={
-            "title": "displacement [mm]", "color": "black", "fmt": "%.1f", "n_labels": 5, "vertical": True,
-            "position_x": 0.86, "position_y": 0.2, "height": 0.6, "title_font_size": 26, "label_font_size": 24,
-        },
-    )  # fmt: skip
-    plotter.add_mesh(pads, scalars="pressure", cmap="Reds", clim=(-0.5, 1.0), line_width=4, show_scalar_bar=False)
-    plotter.view_vector((1.0, -1.65, 1.1), viewup=(0.0, 0.0, 1.0))
-    plotter.camera.zoom(1.35)
+    stress = QUANTITIES[colour].of_stress
+    panels = {name: sensor_parts(field, field.state(traction), stress) for name, traction in traction_mpa.items()}
+    picture = DeformedPicture(panels, colour, scale, camera)
     with replacing(path) as temporary:
-        plotter.screenshot(temporary)
-    plotter.close()
+        picture.plotter.screenshot(temporary)
+    picture.plotter.close()
 
 
-def pillar_surfaces(design: SensorDesign, slices: int = 12) -> pv.PolyData:
-    """Surfaces of all pillars, cut into slices along z so that they can bend."""
-    centres = unit_centres(design)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-    share = np.linspace(0.0, 1.0, slices + 1)
-    blocks = []
-    for (bottom, top), section in zip(pillar_ends(design.unit), pillar_sections(design.unit), strict=True):
-        axis = bottom + share[:, None] * (top - bottom)
-        ring = np.column_stack([corners * section, np.zeros(4)])
-        for centre in centres:
-            points = (axis[:, None, :] + ring + np.append(centre, 0.0)).reshape(-1, 4, 3)
-            blocks.append(pv.StructuredGrid(*_closed(points)).extract_surface(algorithm="dataset_surface"))
-            blocks += [pv.PolyData(points[end], [4, 0, 1, 2, 3]) for end in (0, -1)]
-    return pv.merge(blocks, merge_points=False)
+def draw_electrode_grid(
+    response: ArrayResponse, traction_mpa: FloatArray | None, path: Path, scale: float = 1.0
+) -> None:
+    """Write a PNG of the grid of upper electrodes U1, as the paper's figures 6 and 8; needs matplotlib.
 
+    Circles are the electrodes at rest; loaded, a net joins where they have moved to, coloured by how far.
 
-def _closed(rings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coordinates of a tube's wall (slices + 1, 5 with the first corner again, 1)."""
-    around = np.concatenate([rings, rings[:, :1]], axis=1)[:, :, None, :]
-    return around[..., 0], around[..., 1], around[..., 2]
+    Parameters
+    ----------
+    response : ArrayResponse
+    traction_mpa : array, shape (n_units, 3), optional
+        Traction on each pad, z negative pushing down [MPa]; None: the grid at rest (figure 6).
+    path : Path
+        PNG file to write.
+    scale : float
+        Factor by which displacement is drawn; 1 is true.
+    """
+    from matplotlib.figure import Figure
 
-
-def _pad_outlines(design: SensorDesign, traction_mpa: FloatArray) -> pv.PolyData:
-    """Outlines of the pads on the top face, each with its share of the largest pressure."""
-    size = np.linalg.norm(traction_mpa, axis=1)
-    outlines = []
-    for (x0, y0, x1, y1), share in zip(pad_squares(design), size / max(size.max(), 1e-300), strict=True):
-        steps = np.linspace(0.0, 1.0, 9)[:-1, None]
-        around = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
-        points = np.vstack([a + steps * (b - a) for a, b in pairwise(around)])
-        outline = pv.lines_from_points(
-            np.column_stack([points, np.full(len(points), design.unit.height_mm)]), close=True
+    design = response.design
+    shape = (design.array.rows, design.array.cols, 3)
+    height = design.unit.height_mm
+    rest = (np.pad(unit_centres(design), ((0, 0), (0, 1))) + upper_electrodes(design.unit)[0]).reshape(shape)
+    moved = np.zeros(shape)
+    if traction_mpa is not None:
+        force = (np.asarray(traction_mpa) * design.pad.size_mm**2).reshape(shape)
+        moved = np.tensordot(response.influence_mm_per_n[:, :, 0], force, axes=3)
+    now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
+    figure = Figure(figsize=(8.0, 5.2), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    for lines in (now, now.swapaxes(0, 1)):
+        for line in lines:
+            axes.plot(*line.T, color="#5f7486", linewidth=1)
+    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", depthshade=False, label="at rest")
+    if traction_mpa is not None:
+        dots = axes.scatter(
+            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, depthshade=False, label="loaded"
         )
-        outline.point_data["pressure"] = np.full(outline.n_points, share)
-        outlines.append(outline)
-    return pv.merge(outlines, merge_points=False)
+        bar = figure.colorbar(dots, ax=axes, shrink=0.6, pad=0.1)
+        bar.set_label("displacement of the electrode [mm]")
+        times = "" if scale == 1 else f", displacement drawn {scale:g} times"
+        axes.legend(loc="upper left", title=f"electrodes U1{times}", frameon=False)
+    reach = np.abs(np.concatenate([rest, now])[..., :2]).max() * 1.05
+    low = min(0.0, float(now[..., 2].min()))
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    axes.set_box_aspect((1, 1, 0.35), zoom=1.2)
+    axes.view_init(elev=24, azim=-58)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=160)
 
 
-def _warped(surface: pv.PolyData, body: pv.UnstructuredGrid) -> pv.PolyData:
-    """A surface inside the body, moved with it."""
-    sampled = surface.sample(body, snap_to_closest_point=True)
-    sampled["displacement [mm]"] = np.linalg.norm(sampled["u"], axis=1)
-    return sampled.warp_by_vector("u")
+class DeformedPicture:
+    """Loaded bodies side by side, coloured by one scale: pillars in a translucent matrix, and how they were at rest.
+
+    Parameters
+    ----------
+    panels : mapping of names to parts
+        One picture each, its name above it. Parts named matrix are translucent, pads are outlined, the rest is solid.
+    colour : {"displacement", "vertical", "mises", "pressure"}
+        What colour shows.
+    scale : float
+        Factor by which displacement is drawn; 1 is true.
+    camera : {"iso", "top", "front", "side"}
+    medium : {"file", "film", "window", "page"}
+        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour bar:
+        they add their own, by `names`, `title` and `limits`.
+    """
+
+    def __init__(
+        self,
+        panels: Mapping[str, Parts],
+        colour: Colour = "displacement",
+        scale: float = 1.0,
+        camera: Camera = "iso",
+        medium: Medium = "file",
+    ) -> None:
+        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+        self._quantity, self._scale = QUANTITIES[colour], scale
+        self.names, self.title, self.colours = tuple(panels), self._quantity.title, self._quantity.colours
+        self.limits = colour_limits(panels.values(), self._quantity)
+        self._moving: list[tuple[pv.PolyData, FloatArray]] = []
+        n, on_page = len(panels), medium == "page"
+        width, height = self._size = (PAGE_PX[0] // n, PAGE_PX[1]) if on_page else SIZE_PX[min(n, 2)]
+        self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
+        bar = [] if on_page else [BAR_PX]
+        self.plotter = pv.Plotter(
+            off_screen=medium != "window",
+            shape=(1, n + len(bar)),
+            col_weights=[width] * n + bar,
+            window_size=(n * width + sum(bar), height),
+            border=False,
+        )
+        self.plotter.set_background("white", all_renderers=True)
+        if medium != "page":
+            self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
+        self._texts = []
+        for column, (name, parts) in enumerate(panels.items()):
+            self.plotter.subplot(0, column)
+            mapper = self._draw(parts)
+            if not on_page:
+                text = self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
+                self._texts.append((name, text))
+            rest = np.vstack([part.points_mm for part in parts.values()])
+            moved = rest + scale * np.vstack([part.displacement_mm for part in parts.values()])
+            self._look(camera, np.vstack([rest, moved]))
+        if bar:
+            self.plotter.subplot(0, n)
+            self._draw_bar(mapper)
+        self.press(1.0)
+
+    def press(self, share: float) -> None:
+        """Show everything under a share of its load."""
+        for mesh, rest in self._moving:
+            mesh.points = rest + share * self._scale * mesh["full"]
+            if "of full" in mesh.array_names:
+                mesh["shown"] = share * mesh["of full"]
+            if "Normals" in mesh.array_names:
+                turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+                mesh["Normals"] = turned["Normals"]
+        for name, text in self._texts:
+            text.set_text("upper_edge", name if share == 1 else f"{share:.0%} of {name}")
+
+    def _draw(self, parts: Parts) -> pv.DataSetMapper:
+        mapper = None
+        for name, part in parts.items():
+            whole = grid_of(part)
+            whole["full"] = part.displacement_mm
+            if part.traction_mpa is not None:
+                self._draw_pads(whole, part.traction_mpa)
+                continue
+            if name not in ("matrix", "electrodes"):
+                whole["of full"] = self._quantity.of(part)
+            skin = whole.extract_surface(algorithm="dataset_surface")
+            if name == "electrodes":
+                middle = part.points_mm[:, 2].mean()
+                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - middle)
+            if name == "matrix":
+                skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
+                actor = self.plotter.add_mesh(self._moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                # PyVista's own smooth shading would draw a copy, which stays at rest
+                actor.prop.interpolation = "phong"
+            elif name == "electrodes":
+                self.plotter.add_mesh(self._moved(skin), color="#c98a4b", **SOLID)
+            else:
+                skin["shown"] = skin["of full"]
+                actor = self.plotter.add_mesh(
+                    self._moved(skin), scalars="shown", clim=self.limits, cmap=self._quantity.colours,
+                    show_scalar_bar=False, **SOLID,
+                )  # fmt: skip
+                mapper = actor.mapper
+            if name in ("matrix", "body"):
+                edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
+                self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
+                self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=1.5 * self._line)
+        return mapper
+
+    def _draw_pads(self, whole: pv.UnstructuredGrid, traction_mpa: FloatArray) -> None:
+        """Outline loaded pads in the strength of their traction."""
+        strength = np.linalg.norm(traction_mpa, axis=1)
+        whole.cell_data["strength"] = strength / max(strength.max(), 1e-300)
+        whole = whole.extract_cells(strength >= LEAST_STRENGTH * strength.max())
+        outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
+            boundary_edges=True, feature_edges=False, manifold_edges=False
+        )
+        self.plotter.add_mesh(
+            self._moved(outlines), scalars="strength", cmap="Reds", clim=(-0.3, 1.1), line_width=2.5 * self._line,
+            show_scalar_bar=False,
+        )  # fmt: skip
+
+    def _draw_bar(self, mapper: pv.DataSetMapper) -> None:
+        labels = len(colour_ticks(*self.limits))
+        self.plotter.add_scalar_bar(
+            title=self._quantity.title, mapper=mapper, color="black", fmt="%.3g", n_labels=labels, vertical=True,
+            position_x=0.15, position_y=0.12, width=0.42, height=0.76, title_font_size=20, label_font_size=20,
+        )  # fmt: skip
+
+    def _look(self, camera: Camera, points_mm: FloatArray) -> None:
+        """Turn the camera and bring it as near as lets all points be seen."""
+        direction, up = (np.array(vector, dtype=float) for vector in VIEWS[camera])
+        direction /= np.linalg.norm(direction)
+        right = np.cross(up, direction)
+        right /= np.linalg.norm(right)
+        up = np.cross(direction, right)
+        half = np.tan(np.radians(VIEW_ANGLE / 2)) * (1 - 2 * MARGIN)
+        aspect = self._size[0] / self._size[1]
+        focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
+        for _ in range(20):  # a fixed point: it settles in a few rounds
+            seen = points_mm - focus
+            depth = distance - seen @ direction
+            across, upward = seen @ right / depth, seen @ up / depth
+            focus = focus + distance * (
+                (across.max() + across.min()) / 2 * right + (upward.max() + upward.min()) / 2 * up
+            )
+            distance *= max(np.ptp(across) / aspect, np.ptp(upward)) / (2 * half)
+        self.plotter.camera.view_angle = VIEW_ANGLE
+        self.plotter.camera.position = focus + distance * direction
+        self.plotter.camera.focal_point = focus
+        self.plotter.camera.up = up
+        self.plotter.reset_camera_clipping_range()
+
+    def _moved(self, mesh: pv.PolyData) -> pv.PolyData:
+        self._moving.append((mesh, mesh.points.copy()))
+        return mesh
+
+
+def colour_limits(panels: Iterable[Parts], quantity: Quantity) -> tuple[float, float]:
+    """Round ends of one colour scale for several pictures, 0 among its values."""
+    solid = [part for parts in panels for name, part in parts.items() if name not in ("matrix", "electrodes", "pads")]
+    values = np.concatenate([quantity.of(part) for part in solid])
+    share = MOST if quantity.of_stress else 100.0
+    low, high = (float(np.percentile(values, q)) for q in (100 - share, share))
+    low, high = min(low, 0.0), max(high, 0.0)
+    step = round_step(high - low)
+    low, high = step * np.floor(round(low / step, 6)), step * np.ceil(round(high / step, 6))
+    return float(low), float(high if high > low else low + step)
+
+
+def colour_ticks(low: float, high: float) -> FloatArray:
+    """Round values from one end of a colour scale to the other, the ends included."""
+    return np.linspace(low, high, 1 + round((high - low) / round_step(high - low)))
+
+
+def round_step(most: float) -> float:
+    """The step of 1, 2, 2.5 or 5 times a power of ten of which four or a few more reach up to a value.
+
+    >>> round_step(2.66), round_step(0.41)
+    (0.5, 0.1)
+    """
+    if not most > 0:
+        return 1.0
+    tens = 10.0 ** np.floor(np.log10(most / 4))
+    return float(max(step * tens for step in (1, 2, 2.5, 5) if step * tens <= most / 4))
+
+
+def grid_of(part: Part) -> pv.UnstructuredGrid:
+    """A part at rest, without what was found on it."""
+    return pv.UnstructuredGrid({pv.CellType(part.cell_type): part.cells}, part.points_mm)

@@ -285,6 +285,11 @@ def cell_grid(design: SensorDesign, level: int) -> Grid:
     return Grid(x=lines[0], y=lines[1], z=z)
 
 
+def mirrored(lines: FloatArray) -> FloatArray:
+    """Lines of a quarter, from 0 on, and their mirror images."""
+    return np.concatenate([-lines[:0:-1], lines])
+
+
 def finer(settings: MeshSettings, level: float) -> MeshSettings:
     """Mesh settings with all edges divided by a level."""
     return replace(

@@ -8,7 +8,7 @@ over time (`ForceReader`, `replay`). Open `docs/frames.md` for what is on the wi
 
 from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
 from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
-from hardware.crossbar import Crossbar, CrossbarReadout
+from hardware.crossbar import Crossbar
 from hardware.frames import (
     PROTOCOL,
     Frame,
@@ -21,6 +21,7 @@ from hardware.frames import (
 )
 from hardware.live import ForceModel, ForceReader, Forces
 from hardware.ports import PortError, list_ports, open_port
+from hardware.readout import CrossbarReadout
 from hardware.recording import (
     Recording,
     parse_recording,

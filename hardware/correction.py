@@ -6,14 +6,11 @@ One Jacobian serves as long as it settles them; then one of their own number; wh
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geometry.layout import FloatArray
-
-if TYPE_CHECKING:
-    from hardware.crossbar import Crossbar
+from hardware.crossbar import Crossbar
 
 STEP_SHARE = 0.01  #: of the converter's step, to which apparent conductances are met, relative to full scale
 EXACT = 1e-9  #: the same where there is no converter
@@ -34,19 +31,30 @@ class _Tangent:
 
 
 class Corrector:
-    """`Crossbar.correct` for one scan after another: what it keeps of one makes the next quicker, not different.
+    """The inverse of `Crossbar.readings`; what it keeps of one scan makes the next quicker, not different.
 
-    Results agree with those of `Crossbar.correct` to a few hundredths of the converter's step. Not for several threads
-    at once.
+    One corrector for scans that come one after another agrees with a new one to a few hundredths of the converter's
+    step. Not for several threads at once.
     """
 
-    def __init__(self, crossbar: "Crossbar") -> None:
+    def __init__(self, crossbar: Crossbar) -> None:
         self.crossbar = crossbar
         self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
         self._tangent: _Tangent | None = None
 
     def correct(self, readings: FloatArray) -> FloatArray:
-        """As `Crossbar.correct`."""
+        """Resistances that would give these readings.
+
+        Parameters
+        ----------
+        readings : array, shape (n, rows·cols·3)
+            Shares of full scale, above 0 and, with a divider, below 1.
+
+        Returns
+        -------
+        array, shape (n, rows, cols, 3)
+            Pillars z, x, y [Ω], finite and above 0 whatever the readings.
+        """
         apparent = self.crossbar.apparent_conductances(readings)
         return self.crossbar.as_pillars(1.0 / self._conductances(apparent))
 

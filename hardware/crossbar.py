@@ -1,7 +1,7 @@
 """What the crossbar does to its readings: every wire that waits is a way around the pillar that is read.
 
-`Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `Crossbar.correct`
-inverts it (`hardware.correction`). Wires and the order of crossings are those of `geometry.wiring`.
+`Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `correction.py`
+inverts it. Wires and the order of crossings are those of `geometry.wiring`.
 """
 
 import math
@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import OPEN_OHM
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
-from hardware.correction import Corrector
 from hardware.frames import ScanMode
 
 LEAST_OHM, MOST_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
@@ -162,22 +160,6 @@ class Crossbar:
         inside = np.minimum(np.maximum(counts, 1), self.full_scale - 1)
         return inside / self.full_scale, inside != counts
 
-    def correct(self, readings: FloatArray) -> FloatArray:
-        """Resistances that would give these readings: the inverse of `readings`.
-
-        Parameters
-        ----------
-        readings : array, shape (n, rows·cols·3)
-            Shares of full scale, above 0 and, with a divider, below 1.
-
-        Returns
-        -------
-        array, shape (n, rows, cols, 3)
-            Pillars z, x, y [Ω], finite and above 0 whatever the readings. `hardware.correction.Corrector` is quicker
-            where scans come one after another.
-        """
-        return Corrector(self).correct(readings)
-
     def uncorrected(self, readings: FloatArray) -> FloatArray:
         """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
         if self.scan_mode == ScanMode.ZERO_POTENTIAL:
@@ -312,38 +294,3 @@ class Crossbar:
                 f"resistances of shape {resistance_ohm.shape}, expected (n, {self.rows}, {self.cols}, 3): "
                 "give the crossbar the array's rows and cols."
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CrossbarReadout:
-    """A crossbar as data generation passes resistances through it; a `dataset.measurement.Readout`."""
-
-    crossbar: Crossbar
-    corrected: bool = True  #: False leaves the crosstalk in
-
-    @property
-    def bits(self) -> int | None:
-        return self.crossbar.bits
-
-    def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
-
-        Raises
-        ------
-        DesignError
-            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
-        """
-        crossbar = self.crossbar
-        if crossbar.bits is None:
-            x = crossbar.readings(resistance_ohm)
-            x = x + crossbar.noise * generator.standard_normal(x.shape)
-        else:
-            x, is_bound = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
-            is_lost = crossbar.as_pillars(is_bound) & (resistance_ohm < OPEN_OHM)
-            if is_lost.any():
-                raise DesignError(
-                    f"the converter behind sense_ohm={crossbar.sense_ohm:g} cannot tell "
-                    f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
-                    "that pillars stay inside its range."
-                )
-        return crossbar.correct(x) if self.corrected else crossbar.uncorrected(x)

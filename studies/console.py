@@ -10,13 +10,21 @@ import typer
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
+from geometry.errors import DesignError
 
 if TYPE_CHECKING:
     from studies.progress import Bars
 
+#: headings under which --help lists the commands
+SOLVING, LEARNING, STUDYING, BOARD = (
+    "From a design to its response", "From data to a model", "Studies, pictures, help", "A sensor on the table"
+)  # fmt: skip
+
 DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
+VerbosityOption = Annotated[
+    bool | None, typer.Option("--verbose/--quiet", "-v/-q", help="A line a step with its time / no progress at all.")
+]
 
 
 def chosen(path: Path | None) -> SensorDesign:
@@ -24,10 +32,11 @@ def chosen(path: Path | None) -> SensorDesign:
     return SensorDesign() if path is None else read_design(path)
 
 
-def progress_bars(quiet: bool) -> "Bars":
+def progress_bars(verbosity: bool | None) -> "Bars":
+    """Progress as -v or -q ask for it, bars where neither does."""
     from studies.progress import Bars
 
-    return Bars(quiet=quiet)
+    return Bars(quiet=verbosity is False, verbose=verbosity is True)
 
 
 def say(note: str) -> None:
@@ -44,3 +53,9 @@ def wrote(files: Iterable[Path]) -> None:
     """Name every file written, last of all, on stderr."""
     for path in files:
         print(path, file=sys.stderr)
+
+
+def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:
+    """Refuse a file to write whose name says another kind, or a folder in its place."""
+    if path is not None and (path.suffix not in suffixes or path.is_dir()):
+        raise DesignError(f"{option} {path} must be a file that ends in {' or '.join(suffixes)}.")

@@ -1,33 +1,47 @@
 """Progress of long stages for people: one rich bar a stage, on stderr, so that stdout keeps to results."""
 
 from collections.abc import Callable
+from time import perf_counter
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 Advance = Callable[[float, str], None]  #: how much of the total is done since the last call, and a word on it
 
 
 class Bars:
-    """A context in which stages show their progress; silent if `quiet`.
+    """A context in which stages show their progress and the time left; silent if `quiet`, a line a step if `verbose`.
 
     >>> with Bars(quiet=True) as bars:
     ...     advance = bars.begin("mesh", total=2)
     ...     advance(1, "surfaces")
     """
 
-    def __init__(self, quiet: bool = False) -> None:
+    def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._verbose = verbose
+        self._start_s = perf_counter()
         self._progress = Progress(
             SpinnerColumn(finished_text="✓"),
             TextColumn("{task.description:24}"),
             BarColumn(bar_width=28),
             TaskProgressColumn(),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
             TextColumn("{task.fields[note]}", style="dim"),
-            console=Console(stderr=True),
-            disable=quiet,
+            console=self._console,
+            disable=quiet or verbose,
         )
 
     def __enter__(self) -> Self:
@@ -45,10 +59,11 @@ class Bars:
 
         def advance(amount: float, note: str = "") -> None:
             self._progress.update(task, advance=amount, note=note)
+            if self._verbose and note:
+                self.say(f"{perf_counter() - self._start_s:7.2f} s  {stage}: {note}")
 
         return advance
 
     def say(self, line: str) -> None:
         """Print a line above the bars."""
-        if not self._progress.disable:
-            self._progress.console.print(line, highlight=False)
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)

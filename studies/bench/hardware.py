@@ -68,7 +68,7 @@ def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> C
     exact = motion.resistance_ohm
     readings, _ = crossbar.fractions(crossbar.counts(exact))
     start = time.perf_counter()
-    found = crossbar.correct(readings)
+    found = Corrector(crossbar).correct(readings)
     batch_s = (time.perf_counter() - start) / len(readings)
     corrector, alone_s = Corrector(crossbar), []
     for k in range(len(readings)):
@@ -106,7 +106,7 @@ def mistaken(motion: Motion, mode: ScanMode) -> dict[str, Any]:
     """What is left if switches of 30 Ω are taken for 25 Ω: mean and worst error of a resistance, in percent."""
     true, taken = (Crossbar.suited(mode, switch_ohm=switch_ohm, bits=None) for switch_ohm in (30.0, 25.0))
     states = motion.resistance_ohm[::10]
-    error = 100.0 * np.abs(taken.correct(true.readings(states)) / states - 1.0)
+    error = 100.0 * np.abs(Corrector(taken).correct(true.readings(states)) / states - 1.0)
     return {"mode": mode.name, "mean_pct": float(error.mean()), "worst_pct": float(error.max())}
 
 

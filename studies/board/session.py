@@ -16,6 +16,7 @@ from decoupler.decoupler import Decoupler
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from hardware.calibration import Electronics, SensorCalibration, read_calibration
+from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
 from hardware.frames import FrameDecoder, encode
 from hardware.live import ForceReader, Forces
@@ -183,8 +184,8 @@ def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, floa
             f"pillar {PILLARS[pillar]} of row {row}, col {col} reads full scale, so its resistance is unknown: "
             f"choose a smaller sense resistor than {crossbar.sense_ohm:g} Ω, or mend a short."
         )
-    mean_ohm = crossbar.correct(readings.mean(axis=0, keepdims=True))
-    some = crossbar.correct(readings[-MOST_FOR_NOISE:])
+    mean_ohm = Corrector(crossbar).correct(readings.mean(axis=0, keepdims=True))
+    some = Corrector(crossbar).correct(readings[-MOST_FOR_NOISE:])
     scatter = some.std(axis=0) / mean_ohm[0] / math.sqrt(len(some))
     noise = np.hypot(scatter, crossbar.step_deviation(mean_ohm))
     return np.where(is_open, np.nan, mean_ohm[0]), float(np.median(noise[~is_open]))

@@ -1,6 +1,7 @@
-"""``python -m studies.paper``: the paper's table 2 and figures 9, 10 and 11 from our own data, beside its numbers."""
+"""``python -m studies.paper``: the paper's figures 6 to 11, tables 1 and 2 and its claim on spacing, from our data."""
 
-import sys
+import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -9,28 +10,48 @@ import typer
 from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.files import replacing
+from studies.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
+from studies.paper.deformation import deformation
+from studies.paper.document import Report, as_markdown, rich_table
+from studies.paper.drawing import draw_pictures
 from studies.paper.experiments import Experiments, recipe_of, run_experiments
-from studies.paper.figures import draw_figure_9, draw_figure_10, draw_figure_11
-from studies.paper.report import as_markdown, grids, rich_table, timing
+from studies.paper.page import as_html
+from studies.paper.report import Computed, report_of
 from studies.paper.results import Results, read_results, write_results
+from studies.paper.spacing import Asked, Spacing, read_spacing, spacing_recipe, study_spacing, write_spacing
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import show
 
+PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
+
 
 def paper(
-    out: Annotated[Path, typer.Option(help="Folder for pictures, report and JSON.")] = Path("out/paper"),
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
+    docs: Annotated[Path | None, typer.Option(help="Also put Markdown and pictures into this folder.")] = None,
+    json: JsonOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
-    """Repeat the paper's decoupling experiments; what was measured before under the same recipe is reused."""
-    with Bars(quiet=quiet) as bars:
+    """Write the report; what was computed before under the same recipe is reused."""
+    with progress_bars(verbosity) as bars:
         _, response = respond(SensorDesign(), bars)
-        results = results_for(response, Experiments(), out / "results.json", bars)
-    write_all(results, out)
-    for grid in grids(results):
-        show(rich_table(grid))
-    print(timing(results))
-    print(f"{out}: decoupler.md, results.json, figure-9.png, figure-10.png, figure-11.png", file=sys.stderr)
+        computed = Computed(
+            response=response,
+            deformation=deformation(response),
+            spacing=spacing_for(response.design, Asked(), out / SPACING, bars),
+            results=results_for(response, Experiments(), out / RESULTS, bars),
+        )
+        report = report_of(computed)
+        draw_pictures(computed, out, bars)
+    files = write_report(report, out)
+    if docs is not None:
+        files += put_into(docs, report, out)
+    if json:
+        show_json({name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")})
+    else:
+        for grid in (report.summary, *report.grids):
+            show(rich_table(grid))
+    wrote([out / RESULTS, out / SPACING, *files])
 
 
 def results_for(response: ArrayResponse, asked: Experiments, stored: Path, bars: Bars) -> Results:
@@ -44,13 +65,35 @@ def results_for(response: ArrayResponse, asked: Experiments, stored: Path, bars:
     return results
 
 
-def write_all(results: Results, out: Path) -> None:
-    """Write the pictures and the report."""
-    draw_figure_9(results, out / "figure-9.png")
-    draw_figure_10(results, out / "figure-10.png")
-    draw_figure_11(results, out / "figure-11.png")
-    with replacing(out / "decoupler.md") as temporary:
-        temporary.write_text(as_markdown(results), encoding="utf-8")
+def spacing_for(design: SensorDesign, asked: Asked, stored: Path, bars: Bars) -> Spacing:
+    """The same for the study of spacings."""
+    advance = bars.begin("spacing", total=2 * len(asked.pitches_mm) + len(asked.wider_mm))
+    found = read_spacing(stored, spacing_recipe(design, asked))
+    if found is None:
+        found = study_spacing(design, asked, lambda step: advance(1, step))
+        write_spacing(found, stored)
+    else:
+        advance(2 * len(asked.pitches_mm) + len(asked.wider_mm), "reused, nothing changed")
+    return found
+
+
+def write_report(report: Report, out: Path) -> list[Path]:
+    """Write the page and the Markdown beside the pictures; returns all files of the report."""
+    with replacing(out / PAGE) as temporary:
+        temporary.write_text(as_html(report, out), encoding="utf-8")
+    with replacing(out / MARKDOWN) as temporary:
+        temporary.write_text(as_markdown(report), encoding="utf-8")
+    return [*(out / picture.file for picture in report.pictures), out / MARKDOWN, out / PAGE]
+
+
+def put_into(docs: Path, report: Report, out: Path) -> list[Path]:
+    """Copy the Markdown and its pictures."""
+    copied = []
+    for name in (MARKDOWN, *(picture.file for picture in report.pictures)):
+        with replacing(docs / name) as temporary:
+            shutil.copyfile(out / name, temporary)
+        copied.append(docs / name)
+    return copied
 
 
 if __name__ == "__main__":

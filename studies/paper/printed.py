@@ -1,6 +1,24 @@
-"""What Song, Wang and Zhang print: Micromachines 2018, 9(5), 236, sections 3.2 and 3.3. Relative errors in %."""
+"""What Song, Wang and Zhang print: Micromachines 2018, 9(5), 236. Relative errors in %."""
+
+from dataclasses import dataclass
 
 from studies.comparison import PAPER_REL_ERR
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rubber:
+    """The conductive rubber, table 1."""
+
+    young_mpa: float
+    poisson: float
+    bulk_mpa: float
+    shear_mpa: float
+
+
+TABLE_1 = Rubber(young_mpa=6.1, poisson=0.49, bulk_mpa=101.67, shear_mpa=2.05)
+PRESSURES_MPA = (1.0, 3.0, 5.0)  #: of figure 7
+LARGEST_FORCE_N = 10.0  #: on a unit, section 3.1
+SPACING_MM = (10.0, 20.0)  #: distance of units "around 1–2 cm", section 3.1
 
 #: mean over the widths 10 to 19 by largest strain and component, section 3.2
 MEAN_OVER_WIDTHS = {
@@ -22,3 +40,6 @@ TABLE_2 = {
 
 #: the last row of table 2; the small set's Fz is 1.865 before rounding
 TABLE_2_AVERAGE = {2000: {"fz": 1.69, "fx": 2.61}, 200: {"fz": 1.86, "fx": 2.75}}
+
+#: nodes with the least error in figure 9, section 3.2
+BEST_WIDTH = {"fz": 17, "fx": 16}

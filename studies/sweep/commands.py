@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geometry.errors import DesignError
-from studies.console import JsonOption, QuietOption, progress_bars, say, show_json, wrote
+from studies.console import STUDYING, JsonOption, VerbosityOption, progress_bars, say, show_json, wrote
 
 if TYPE_CHECKING:
     from studies.progress import Bars
@@ -20,14 +20,16 @@ if TYPE_CHECKING:
 commands = typer.Typer()
 
 SweepArgument = Annotated[Path, typer.Argument(help="Sweep TOML: what is varied, and how.")]
-OutOption = Annotated[Path, typer.Option(help="Folder for rows, tables and pictures, named after the sweep file.")]
+OutOption = Annotated[
+    Path, typer.Option("--out", "-o", help="Folder for rows, tables and pictures, named after the sweep file.")
+]
 WorkersOption = Annotated[int | None, typer.Option("--workers", help="Worker processes here; default: one a core.")]
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler to use instead.")]
 TrainOption = Annotated[bool, typer.Option("--train", help="Also train the joint decoupler of every design.")]
 RetryOption = Annotated[bool, typer.Option("--retry", help="Judge designs that failed before once more.")]
 
 
-@commands.command()
+@commands.command(rich_help_panel=STUDYING)
 def sweep(
     file: SweepArgument,
     out: OutOption = Path("out"),
@@ -37,7 +39,7 @@ def sweep(
     retry: RetryOption = False,
     best: Annotated[int, typer.Option(help="Lines of the printed table.")] = 8,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Judge many designs from their response: error, range, crosstalk, cost. Goes on where it was stopped."""
     require_counts(workers=count, best=best)
@@ -57,7 +59,7 @@ def sweep(
     missing = [sample for sample in samples if sample.recipe not in found]
     if missing:
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(quiet) as bars, workers(count, scheduler, log) as client:
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
             found |= judge_all(missing, asked.judging, client, folder, shown(bars, "designs", len(missing)))
     rows = [found[sample.recipe] for sample in samples]
     files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
@@ -78,7 +80,7 @@ def sweep(
     wrote(files)
 
 
-@commands.command()
+@commands.command(rich_help_panel=STUDYING)
 def optimize(
     file: SweepArgument,
     out: OutOption = Path("out"),
@@ -86,7 +88,7 @@ def optimize(
     count: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Search for the design of least error within the file's bounds. Goes on where it was stopped."""
     require_counts(workers=count, trials=trials)
@@ -110,7 +112,7 @@ def optimize(
     left = max(0, asked.samples - len(done))
     if left or len(kept) < len({sample.recipe for sample in done}):
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(quiet) as bars, workers(count, scheduler, log) as client:
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
             rows = search(asked, study, client, folder, shown(bars, "trials", left))
     best = ranked(rows, asked)
     if not best:
@@ -143,17 +145,11 @@ def stoppable(folder: Path) -> Iterator[None]:
         raise
 
 
-def shown(bars: "Bars", what: str, total: int) -> Callable[["Row", float], None]:
-    """Progress of rows as a bar with the time left."""
+def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:
+    """Progress of rows as a bar."""
     advance = bars.begin(what, total=total)
     advance(0, "workers begin")
-
-    def shown_row(row: "Row", seconds_left: float) -> None:
-        minutes, seconds = divmod(round(seconds_left), 60)
-        failed = f", failed: {row.reason[:60]}" if row.failed else ""
-        advance(1, f"about {minutes}:{seconds:02} left{failed}")
-
-    return shown_row
+    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.figures['seconds']:.1f} s")
 
 
 def require_counts(**counts: int | None) -> None:

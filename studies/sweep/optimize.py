@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING
 
 from geometry.files import digest
@@ -62,19 +61,18 @@ def search(
     study: "optuna.Study",
     client: "Client",
     folder: Path,
-    progress: Callable[[Row, float], None] = lambda row, seconds_left: None,
+    progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Go on with a study until it has as many trials as the sweep has samples; the row of every trial.
 
     Trials are asked for in batches, one a worker, and told in their order: the search does not depend on which of a
-    batch ends first. `progress` as in `run.judge_all`.
+    batch ends first. `progress` is called with the row of each trial.
     """
     from optuna.distributions import BaseDistribution, FloatDistribution
 
     space: dict[str, BaseDistribution] = {variable.name: FloatDistribution(0.0, 1.0) for variable in sweep.variables}
     done = finished(study, sweep)
     rows = kept_rows(done, folder)
-    start, before = perf_counter(), len(done)
 
     def judged(samples: list[Sample]) -> None:
         missing = {sample.recipe: sample for sample in samples if sample.recipe not in rows}
@@ -89,8 +87,7 @@ def search(
         for trial, sample in zip(trials, batch, strict=True):
             study.tell(trial, value(rows[sample.recipe], sweep))
             done.append(sample)
-            seconds_each = (perf_counter() - start) / (len(done) - before)
-            progress(rows[sample.recipe], seconds_each * (sweep.samples - len(done)))
+            progress(rows[sample.recipe])
     return [rows[sample.recipe] for sample in done]
 
 

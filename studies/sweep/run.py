@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING
 
 from fem.array_response import ResponseSettings, response_recipe
@@ -31,18 +30,14 @@ def judge_all(
     judging: Judging,
     client: "Client",
     folder: Path,
-    progress: Callable[[Row, float], None] = lambda row, seconds_left: None,
+    progress: Callable[[Row], None] = lambda row: None,
 ) -> dict[str, Row]:
-    """Judge designs by the workers of a client; every row is written as it comes.
-
-    `progress` is called with each row and the seconds that the rest will take, going by those before it. Returns the
-    rows by recipe.
-    """
-    start, rows = perf_counter(), {}
+    """Judge designs by the workers of a client; every row is written as it comes. Returns the rows by recipe."""
+    rows = {}
     for row in _judged(samples, judging, client):
         write_row(row, folder)
         rows[row.recipe] = row
-        progress(row, (perf_counter() - start) / len(rows) * (len(samples) - len(rows)))
+        progress(row)
     return rows
 
 

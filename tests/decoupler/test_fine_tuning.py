@@ -79,3 +79,15 @@ def test_without_a_response_it_is_refused():
     model, _ = train(TRAIN, "all", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
     with pytest.raises(SampleError, match="needs the array's response"):
         fine_tune(model, PAIRS, None)
+
+
+def test_only_a_model_of_one_sensor_is_fine_tuned():
+    """Trained on the sensor as designed, noise and all, it may be given a calibration; otherwise it knows the gains."""
+    network, quick = NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(max_iterations=2)
+    noisy = NOISE * np.random.default_rng(4).standard_normal(TRAIN.resistance_ohm.shape)
+    designed = replace(TRAIN, resistance_ohm=TRAIN.resistance_ohm * (1 + noisy), noise=NOISE)
+    model, _ = train(designed, "all", network, quick, response=RESPONSE)
+    assert not model.is_fine_tuned
+    assert fine_tune(model, selected(PAIRS, slice(1)), RESPONSE).is_fine_tuned
+    own, _ = train(measured(TRAIN), "all", network, quick, response=RESPONSE)
+    assert own.is_fine_tuned

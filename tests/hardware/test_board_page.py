@@ -8,6 +8,7 @@ import pytest
 
 from dataset.imperfections import OPEN_OHM
 from geometry.wiring import crossings_from_pillars
+from hardware.correction import Corrector
 from hardware.crossbar import LEAST_OHM, Crossbar
 from hardware.frames import ScanMode
 
@@ -75,7 +76,7 @@ def test_what_full_scale_costs_in_a_full_array():
     rest = np.broadcast_to([10e3, 10e3 * 2**0.5, 10e3 * 2**0.5], (1, 6, 6, 3))
     for mode in ScanMode:
         crossbar = Crossbar.suited(mode, switch_ohm=70.0)
-        found = crossbar.correct(crossbar.readings(rest) * STEPS / 1023)
+        found = Corrector(crossbar).correct(crossbar.readings(rest) * STEPS / 1023)
         assert told[mode] == pytest.approx(10e3 - found[0, :, :, 0].mean(), abs=0.51)
 
 

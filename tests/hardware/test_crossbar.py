@@ -9,8 +9,9 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
 from hardware.correction import Corrector
-from hardware.crossbar import Crossbar, CrossbarReadout
+from hardware.crossbar import Crossbar
 from hardware.frames import ScanMode
+from hardware.readout import CrossbarReadout
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 MODES = list(ScanMode)
@@ -118,7 +119,7 @@ def test_correct_undoes_exact_readings(mode, switch_ohm):
     """To the tolerance without a converter, 1e-9, times the tenfold by which the plain divider's inverse amplifies."""
     crossbar = crossbar_of(mode, switch_ohm=switch_ohm, bits=None)
     state = pressed(50)
-    assert crossbar.correct(crossbar.readings(state)) == pytest.approx(state, rel=1e-8)
+    assert Corrector(crossbar).correct(crossbar.readings(state)) == pytest.approx(state, rel=1e-8)
 
 
 @pytest.mark.parametrize(("mode", "settings"), [
@@ -156,7 +157,7 @@ def test_what_the_steps_leave_is_as_said(mode):
     crossbar = crossbar_of(mode)
     state = pressed(1) * np.random.default_rng(4).uniform(0.99, 1.01, (400, 6, 6, 3))
     readings, _ = crossbar.fractions(crossbar.counts(state))
-    error = crossbar.correct(readings) / state - 1
+    error = Corrector(crossbar).correct(readings) / state - 1
     expected = crossbar.step_deviation(state[:1])
     assert np.sqrt((error**2).mean()) == pytest.approx(np.sqrt((expected**2).mean()), rel=0.25)
 
@@ -188,7 +189,7 @@ def test_one_scan_after_another_gives_what_all_at_once_give(mode):
     """To a hundredth of a step, 2.4e-6 of full scale, for both; a plain divider's inverse amplifies it 20-fold."""
     crossbar = crossbar_of(mode)
     readings, _ = crossbar.fractions(crossbar.counts(pressed(30)))
-    together, alone = crossbar.correct(readings), Corrector(crossbar)
+    together, alone = Corrector(crossbar).correct(readings), Corrector(crossbar)
     for k in range(30):
         assert alone.correct(readings[k : k + 1]) == pytest.approx(together[k : k + 1], rel=1e-4)
 
@@ -198,7 +199,7 @@ def test_readings_that_no_array_gives_end_in_finite_resistances(mode):
     crossbar = crossbar_of(mode)
     counts = np.random.default_rng(3).integers(0, 4096, (20, 108))
     readings, _ = crossbar.fractions(counts)
-    resistance_ohm = crossbar.correct(readings)
+    resistance_ohm = Corrector(crossbar).correct(readings)
     assert np.isfinite(resistance_ohm).all()
     assert (resistance_ohm > 0).all()
 
@@ -209,7 +210,7 @@ def test_a_broken_pillar_costs_no_other(mode):
     crossbar = crossbar_of(mode, bits=None)
     state = pressed(3)
     state[:, 2, 3, 0] = OPEN_OHM
-    found = crossbar.correct(crossbar.readings(state))
+    found = Corrector(crossbar).correct(crossbar.readings(state))
     whole = np.arange(108).reshape(6, 6, 3) != np.ravel_multi_index((2, 3, 0), (6, 6, 3))
     assert found[:, whole] == pytest.approx(state[:, whole], rel=1e-4)
     assert (found[:, 2, 3, 0] > 1e7).all()

@@ -20,12 +20,12 @@ from studies.board.commands.options import (
     require_positive,
     require_unused,
 )
-from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, show_json, wrote
+from studies.console import BOARD, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, show_json, wrote
 
 commands = typer.Typer()
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def tare(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
@@ -60,7 +60,7 @@ def tare(
     wrote([out])
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def calibrate(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
@@ -80,7 +80,7 @@ def calibrate(
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Find gain and offset of every pillar from known loads, by least squares; one of them should be no load at all."""
     from hardware.calibration import read_calibration, write_calibration
@@ -102,7 +102,7 @@ def calibrate(
         pairs = measured_in_recording(Path(port), loads, sensor, electronics)
     else:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         _, solved = respond(sensor, bars)
     found, residual = calibrated(pairs, solved, electronics, noise)
     write_calibration(found, out)

@@ -22,12 +22,12 @@ from studies.board.commands.options import (
     require_other,
     require_positive,
 )
-from studies.console import JsonOption, QuietOption, say, show_json, wrote
+from studies.console import BOARD, JsonOption, VerbosityOption, require_suffix, say, show_json, wrote
 
 commands = typer.Typer()
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def record(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .nc, or .mcap for Foxglove and ROS.")],
@@ -38,7 +38,7 @@ def record(
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Record raw counts; a killed recording loses less than a second. MCAP holds the forces of --model, too."""
     from decoupler.model_file import read_model
@@ -49,9 +49,9 @@ def record(
     decoupler = None if model is None else read_model(model)
     with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
         reading = None if decoupler is None else Session(scanner, decoupler, known)
-        advance = None if quiet else progress
+        advance = None if verbosity is False else progress
         recorded = record_scans(scanner, out, seconds, known if calibration else None, reading, append, advance)
-    if not quiet:
+    if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
     if json_:
         show_json({"file": str(out), "scans": recorded.scans, "statistics": asdict(recorded.statistics)})
@@ -65,7 +65,7 @@ def progress(seconds: float, scans: int, trouble: str | None) -> None:
     print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def replay(
     recording: Annotated[Path, typer.Argument(help="Recording: NetCDF, MCAP, or the bytes that a board sent.")],
     model: ModelOption,
@@ -76,7 +76,8 @@ def replay(
         float | None, typer.Option(help="Show it as 'live' does, at so many times its pace; default: all at once.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File for the forces of every frame: .nc, or .mcap with the counts beside.")
+        Path | None,
+        typer.Option("--out", "-o", help="File for the forces of every frame: .nc, or .mcap with the counts beside."),
     ] = None,
     crosstalk: Annotated[bool, typer.Option(help="Take the crossbar's crosstalk out of the counts.")] = True,
     json_: JsonOption = False,
@@ -87,6 +88,7 @@ def replay(
     from hardware import replay as replay_frames
     from studies.board.session import Session, board_on, hashes_of
 
+    require_suffix("--out", out, ".nc", ".mcap")
     require_other(out, recording, model, calibration)
     decoupler = read_model(model)
     if speed is not None:

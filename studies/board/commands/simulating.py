@@ -17,12 +17,22 @@ from studies.board.commands.options import (
     electronics_of,
     require_positive,
 )
-from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say
+from studies.console import (
+    BOARD,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    progress_bars,
+    require_suffix,
+    say,
+    wrote,
+)
 
 commands = typer.Typer()
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def simulate(
     board_: Annotated[
         Literal["auto", "atmega328p", "atmega2560", "python"],
@@ -51,7 +61,7 @@ def simulate(
     truth: Annotated[Path | None, typer.Option(help="NetCDF file for one period of the forces that act.")] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
-    quiet: QuietOption = False,
+    verbosity: VerbosityOption = None,
 ) -> None:
     """Be a board: the firmware on a simulated chip where simavr is installed, on a pseudo-terminal."""
     from dataset.imperfections import Imperfections
@@ -62,6 +72,7 @@ def simulate(
     from studies.board.simulated import counts_over_time, simulated, suited_kind
 
     require_positive(seconds=seconds, period=period)
+    require_suffix("--truth", truth, ".nc")
     scan_mode = scan_mode_named(mode)
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
@@ -69,7 +80,7 @@ def simulate(
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)
     script = PressAndSlide(peak_mpa=3.0 if pressure is None else pressure, seconds=period)
-    with progress_bars(quiet) as bars:
+    with progress_bars(verbosity) as bars:
         if scene is not None:
             from fem.scene_file import read_scene
 
@@ -97,3 +108,4 @@ def simulate(
             end_s = time.monotonic() + seconds
             while not is_ended() and time.monotonic() < end_s:
                 time.sleep(0.1)
+    wrote([] if truth is None else [truth])

@@ -20,12 +20,12 @@ from studies.board.commands.options import (
     TimeoutOption,
     require_positive,
 )
-from studies.console import JsonOption, say, show_json
+from studies.console import BOARD, JsonOption, say, show_json
 
 commands = typer.Typer()
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def ports(json_: JsonOption = False) -> None:
     """List the serial ports of this machine."""
     from hardware.ports import list_ports
@@ -39,7 +39,7 @@ def ports(json_: JsonOption = False) -> None:
         say("" if found else "no serial port: plug the board in, or run 'tripillar simulate'")
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def info(
     port: PortArgument, baud: BaudOption = BAUD, timeout: TimeoutOption = TIMEOUT_S, json_: JsonOption = False
 ) -> None:
@@ -57,7 +57,7 @@ def info(
             print(f"{name:10} {value}")
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def live(
     port: PortArgument,
     model: ModelOption,
@@ -84,7 +84,7 @@ def live(
         (print_lines if json_ else show_forces)(reading, seconds)
 
 
-@commands.command()
+@commands.command(rich_help_panel=BOARD)
 def bench(
     port: PortArgument,
     model: Annotated[Path | None, typer.Option(help="Model file; without one frames are only read.")] = None,

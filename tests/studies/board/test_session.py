@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
+from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
 from hardware.frames import ScanMode
 from studies.board.session import averaged
@@ -30,7 +31,7 @@ def test_scatter_counts_as_far_as_scans_do_not_average_it_out():
     crossbar = Crossbar(bits=16, noise=1e-3)
     counts = crossbar.counts(np.repeat(REST_OHM[None], 400, axis=0), np.random.default_rng(0))
     mean_ohm, noise = averaged(counts, crossbar)
-    single = np.median(crossbar.correct(crossbar.fractions(counts)[0]).std(axis=0) / REST_OHM)
+    single = np.median(Corrector(crossbar).correct(crossbar.fractions(counts)[0]).std(axis=0) / REST_OHM)
     assert noise == pytest.approx(single / np.sqrt(200), rel=0.1)  # of the last 200
     assert mean_ohm == pytest.approx(REST_OHM, rel=6 * noise)
 

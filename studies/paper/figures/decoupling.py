@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geometry.files import replacing
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
+from studies.paper.figures.style import BLACK, BLUE, COLOURS, GREEN, ORANGE, PURPLE, save
 from studies.paper.printed import MEAN_OVER_WIDTHS
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import Results, Shown
@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by colour-blind readers too
-BLUE, ORANGE, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
-COLOURS = (BLUE, ORANGE)  #: of the first and the second cap or set
 FILLS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "markersize": 4},
     {"marker": "s", "markersize": 7, "fillstyle": "none"},
@@ -107,7 +104,7 @@ def draw_figure_11(results: Results, path: Path) -> None:
     axes.set_xlabel("number of the force: unit by unit, sample after sample")
     figure.suptitle(f"Figure 11: {len(numbers)} forces Fz of random test samples, strain ≤ 30 %")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, markerscale=1.5)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _described(shown: Shown) -> str:
@@ -137,9 +134,4 @@ def _finish(figure: "Figure", panels: "dict[tuple[str, str], Axes]", x_label: st
         axes.set(title=f"{component.capitalize()}, {TITLES[loads]}")
         axes.set(xlabel=x_label if loads == LOADS[-1] else "", ylabel=ERROR_LABEL if component == COMPONENTS[0] else "")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
-    _save(figure, path)
-
-
-def _save(figure: "Figure", path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)

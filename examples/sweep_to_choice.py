@@ -1,0 +1,56 @@
+"""From a sweep to a choice: judge small arrays by their response alone, choose one, and see what a network makes of it.
+
+``python examples/sweep_to_choice.py`` takes some 20 seconds, less when the responses are in the cache already. For more
+designs than these use ``tripillar sweep FILE``, which shares the work among processes and goes on where it was stopped.
+"""
+
+from dataset import Imperfections
+from dataset.simulate import DatasetSettings, measured_again, simulate
+from decoupler import NetworkConfig, TrainingConfig, assess
+from decoupler.training import train
+from fem import array_response
+from geometry import design_from_toml
+from studies.sweep.judge import row_of
+from studies.sweep.sampling import samples_of
+from studies.sweep.sweep_file import sweep_from_dict
+from studies.sweep.table import ranked
+
+NOISE, BITS = 0.001, 12  # of the readings
+
+# 1. Eight 3 × 3 arrays: units how far apart, how tall, under pads how large? The sensor must fit on 24 cm², and carry
+#    450 N a pad before a pillar is strained by 30 %.
+sweep = sweep_from_dict({
+    "design": {"array": {"rows": 3, "cols": 3}},
+    "sweep": {"sampling": "sobol", "samples": 8, "seed": 1, "noise": NOISE, "bits": BITS},
+    "vary": [
+        {"key": "array.pitch_mm", "low": 13.0, "high": 20.0},
+        {"key": "unit.height_mm", "low": 6.0, "high": 12.0},
+        {"key": "pad.size_mm", "of": "array.pitch_mm", "low": 0.5, "high": 1.0},
+    ],
+    "bounds": {"area_cm2": {"most": 24.0}, "range_n": {"least": 450.0}},
+})  # fmt: skip
+
+# 2. Each design's figures, from its finite-element response: nothing is trained for them.
+rows = [row_of(sample, sweep.judging) for sample in samples_of(sweep)]
+
+# 3. Those within the bounds, the least noise-limited error first.
+best = ranked(rows, sweep)
+print(f"{len(best)} of {len(rows)} designs are small and strong enough:")
+print("pitch  height   pad    error   range   crosstalk")
+for row in best:
+    pitch_mm, height_mm, pad_mm = row.values.values()
+    error_n, range_n, talk = (row.figures[name] for name in ("error_n", "range_n", "crosstalk_1"))
+    print(f"{pitch_mm:5.1f} {height_mm:6.1f} {pad_mm:6.1f} mm {error_n:5.2f} N {range_n:5.0f} N   {talk:5.2f}")
+
+# 4. The choice, trained on loads of a few indenters. It learns what loads are usual, and so may pass the limit of the
+#    readings alone.
+design = design_from_toml(best[0].design)
+response, _, _ = array_response(design)
+sensor = Imperfections(noise=NOISE, bits=BITS)
+training, test = (
+    measured_again(simulate(response, DatasetSettings(protocol="contact", samples=samples, seed=seed)), sensor, seed)
+    for samples, seed in ((1000, 1), (200, 2))
+)
+model, _ = train(training, "all", NetworkConfig(feature="inverse"), TrainingConfig(), response=response)
+for name, one in assess(model, test, response).items():
+    print(f"{name}: error {one.errors.rmse_n:.2f} N, {one.ratio:.3f} times the limit of the readings")

@@ -1,0 +1,286 @@
+"""The paper's claim on spacing, tested: what units do to each other, and where a touch is felt, by pitch.
+
+The paper: for a load on about 1 cm² "the distance between the adjacent sensitive units should be around 1–2 cm;
+otherwise, it is very difficult for the sensitive units to feel or react to the touch" further off (section 3.1). Asked
+here of every pitch: how much a loaded pad moves its neighbours, what that costs the map from forces to lengths
+(finite elements of the whole array), and which touch is too light to be felt where units are farthest from it (closed
+form of an endless layer, since such a touch lies on no pad).
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from decoupler.components import component_named
+from decoupler.forward_model import ForwardModel
+from decoupler.limits import cramer_rao
+from fem.array_response import ResponseSettings, array_response, response_recipe
+from fem.layer import decay_length_mm, layer_mean_compliance
+from fem.response import ArrayResponse
+from geometry.design import Array, SensorDesign
+from geometry.files import digest, replacing
+from geometry.layout import (
+    AXES,
+    ELECTRODES,
+    PILLAR_TOP,
+    FloatArray,
+    electrode_squares,
+    pillar_ends,
+    rest_lengths,
+    unit_centres,
+)
+
+VERSION = 1  #: raise when the same settings give other numbers
+LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored
+RINGS = (1, 2, 3)  #: pitches between a loaded unit and a neighbour
+PLACES = 8  #: along x and y in one pitch, where a touch is tried
+PRESSED_N = 100.0  #: 1 MPa, the least of the paper's pressures, on its 1 cm²
+AROUND = 2  #: units on either side that may feel it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """Which spacings are looked at, and how."""
+
+    pitches_mm: tuple[float, ...] = (10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 18.0, 20.0)  #: the paper's 1 to 2 cm
+    wider_mm: tuple[float, ...] = (25.0, 30.0, 40.0)  #: beyond, for touches only
+    touch_mm: float = 10.0  #: side of the touch: the paper's 1 cm²
+    noise: float = 0.001  #: of a reading
+    sure: float = 3.0  #: standard deviations of noise that count as felt
+    tolerance: float = 1e-2  #: of the responses
+    far: float = 2.5  #: heights from the load, from where its decay is fitted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spaced:
+    """One pitch. Shares are the largest among neighbours over the largest of the loaded unit itself."""
+
+    pitch_mm: float
+    span_mm: float
+    pad_mm: float
+    electrode_share: dict[str, list[float]]  #: by load, for neighbours at each of RINGS: electrodes' displacement
+    reading_share: dict[str, list[float]]  #: the same of relative changes of pillars' resistances
+    condition: float  #: of the map from all forces to all relative changes of resistances, at rest
+    noise_n: dict[str, float]  #: least error of a force by the readings' noise, root mean square over the units [N]
+    distance_mm: list[float]  #: of every electrode from the middle of the loaded pad
+    moved: list[float]  #: displacement of that electrode by a normal load, over the loaded unit's
+    on_rim: list[bool]  #: whether its unit has no neighbour on some side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touch:
+    """The lightest touches that some pillar feels, at the place where that takes most, and where least [N]."""
+
+    pitch_mm: float
+    worst_n: dict[str, float]  #: by load
+    best_n: dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spacing:
+    """All that the study found."""
+
+    recipe: str
+    asked: Asked
+    smallest_mm: float  #: pitch below which the paper's units would merge
+    decay_mm: float  #: e-fold length of an endless layer, far from the load
+    fitted_mm: float  #: that of the finite elements inside the array
+    seconds: float
+    spaced: list[Spaced]
+    touches: list[Touch]
+
+    def at(self, pitch_mm: float) -> Spaced:
+        """What was found at a pitch."""
+        return next(one for one in self.spaced if one.pitch_mm == pitch_mm)
+
+    def touch_at(self, pitch_mm: float) -> Touch:
+        """The lightest touches at a pitch."""
+        return next(one for one in self.touches if one.pitch_mm == pitch_mm)
+
+
+def spacing_recipe(design: SensorDesign, asked: Asked) -> str:
+    """Hash of all that the study depends on."""
+    settings = ResponseSettings(tolerance=asked.tolerance)
+    responses = [response_recipe(design_at(design, pitch), settings) for pitch in asked.pitches_mm]
+    return digest("spacing", VERSION, design, asked, responses)
+
+
+def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], None] = lambda step: None) -> Spacing:
+    """Look at every pitch; `progress` is called as each begins.
+
+    Raises
+    ------
+    GeometryError, SolverError
+        If a response cannot be trusted.
+    """
+    started = perf_counter()
+    spaced = []
+    for pitch_mm in asked.pitches_mm:
+        progress(f"{pitch_mm:g} mm")
+        response, _, _ = array_response(design_at(design, pitch_mm), ResponseSettings(tolerance=asked.tolerance))
+        spaced.append(spaced_units(response, asked.noise))
+    touches = []
+    for pitch_mm in (*asked.pitches_mm, *asked.wider_mm):
+        progress(f"touches, {pitch_mm:g} mm")
+        touches.append(lightest_touch(design_at(design, pitch_mm), asked))
+    height_mm = design.unit.height_mm
+    return Spacing(
+        recipe=spacing_recipe(design, asked),
+        asked=asked,
+        smallest_mm=design.unit.footprint_mm,
+        decay_mm=decay_length_mm(height_mm, design.matrix_material.poisson),
+        fitted_mm=fitted_decay_mm(spaced, asked.far * height_mm),
+        seconds=perf_counter() - started,
+        spaced=spaced,
+        touches=touches,
+    )
+
+
+def design_at(design: SensorDesign, pitch_mm: float) -> SensorDesign:
+    """A design at another pitch: as it is where it fits, else with the widest span and pad that do."""
+    unit = design.unit
+    if unit.footprint_mm > pitch_mm:
+        spare = brentq(lambda span: replace(unit, span_mm=span).footprint_mm - pitch_mm, unit.span_mm / 4, unit.span_mm)
+        unit = replace(unit, span_mm=float(np.floor(100 * spare) / 100))
+    pad = replace(design.pad, size_mm=min(design.pad.size_mm, pitch_mm))
+    return replace(design, unit=unit, pad=pad, array=replace(design.array, pitch_mm=pitch_mm))
+
+
+def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
+    """What a response says of neighbours of a unit in the middle, and of the condition and noise of the whole map."""
+    design = response.design
+    rows, cols = design.array.rows, design.array.cols
+    forward = ForwardModel.of(response, component_named("all"))
+    at_rest = np.zeros((1, forward.n_forces))
+    lengths, slopes = forward.jacobian(at_rest)
+    readings = 2 * slopes[0] / lengths[0][:, None]  # ∂(ln R)/∂F, as R grows with l²
+    unbiased_n = cramer_rao(forward, at_rest, noise, None).reshape(-1, len(AXES))
+    by_unit = readings.reshape(rows, cols, 3, rows, cols, 3)
+    moved = np.linalg.norm(response.influence_mm_per_n, axis=3)  # of electrodes, whatever the direction
+    row, col = (rows - 1) // 2, (cols - 1) // 2
+    axes = {load: AXES.index(axis) for load, axis in LOADS.items()}
+    centre = unit_centres(design)[row * cols + col]
+    places = (electrode_squares(design).reshape(-1, 2, 2).mean(axis=1) - centre).reshape(-1, 2)
+    share = moved[..., row, col, axes["normal"]] / moved[row, col, :, row, col, axes["normal"]].max()
+    return Spaced(
+        pitch_mm=design.array.pitch_mm,
+        span_mm=design.unit.span_mm,
+        pad_mm=design.pad.size_mm,
+        electrode_share={load: _ring_shares(moved[..., row, col, axis], row, col) for load, axis in axes.items()},
+        reading_share={load: _ring_shares(np.abs(by_unit[..., row, col, a]), row, col) for load, a in axes.items()},
+        condition=float(np.linalg.cond(readings)),
+        noise_n={f"f{axis}": float(np.sqrt((unbiased_n[:, i] ** 2).mean())) for i, axis in enumerate(AXES)},
+        distance_mm=np.linalg.norm(places, axis=1).tolist(),
+        moved=share.ravel().tolist(),
+        on_rim=np.repeat(_on_rim(rows, cols), len(ELECTRODES)).tolist(),
+    )
+
+
+def _on_rim(rows: int, cols: int) -> NDArray[np.bool_]:
+    rim = np.ones((rows, cols), dtype=bool)
+    rim[1:-1, 1:-1] = False
+    return rim
+
+
+def _ring_shares(sizes: FloatArray, row: int, col: int) -> list[float]:
+    """Largest of sizes (rows, cols, n) among neighbours 1, 2, 3 along the row or column, over the unit's own."""
+    rows, cols, _ = sizes.shape
+    shares = []
+    for k in RINGS:
+        ring = [(row + k, col), (row - k, col), (row, col + k), (row, col - k)]
+        inside = [sizes[i, j].max() for i, j in ring if 0 <= i < rows and 0 <= j < cols]
+        shares.append(float(max(inside, default=0.0) / sizes[row, col].max()))
+    return shares
+
+
+def fitted_decay_mm(spaced: list[Spaced], from_mm: float) -> float:
+    """λ of the law exp(−r/λ)/√r that fits the electrodes inside the array best from a distance on [mm].
+
+    All pitches together, of the paper's unit alone: those narrowed to fit have another displacement of their own. Units
+    on the rim are left out: beside a free side the body is softer, and the law is that of a layer without sides.
+    """
+    widest = max(one.span_mm for one in spaced)
+    chosen = [one for one in spaced if one.span_mm == widest]
+    r, moved, on_rim = (
+        np.concatenate([getattr(one, name) for one in chosen]) for name in ("distance_mm", "moved", "on_rim")
+    )
+    far = (r >= from_mm) & ~on_rim
+    slope, _ = np.polyfit(r[far], np.log(moved[far] * np.sqrt(r[far])), 1)
+    return float(-1 / slope)
+
+
+def lightest_touch(design: SensorDesign, asked: Asked) -> Touch:
+    """The lightest touches that move some pillar's reading by more than noise, over all places in one pitch."""
+    pitch_mm = design.array.pitch_mm
+    steps = (np.arange(PLACES) / PLACES - 0.5) * pitch_mm
+    middles = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    felt = strongest_reading(design, middles, asked.touch_mm)
+    axes = {load: AXES.index(axis) for load, axis in LOADS.items()}
+    wanted = asked.sure * asked.noise
+    return Touch(
+        pitch_mm=pitch_mm,
+        worst_n={load: float(wanted / felt[:, axis].min()) for load, axis in axes.items()},
+        best_n={load: float(wanted / felt[:, axis].max()) for load, axis in axes.items()},
+    )
+
+
+def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: float) -> FloatArray:
+    """Largest relative change of any pillar's resistance by touches on an endless array.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Its unit, pitch and matrix count; the body is taken as an endless layer of the matrix.
+    middles_mm : array, shape (n, 2)
+        Where the touches are, from the centre of a unit.
+    touch_mm : float
+        Side of the square touched.
+
+    Returns
+    -------
+    array, shape (n, 3)
+        By a force along x, y and z [1/N]: 2 Δl/l, since R grows as l².
+    """
+    near = replace(design, array=Array(rows=2 * AROUND + 1, cols=2 * AROUND + 1, pitch_mm=design.array.pitch_mm))
+    touches = np.hstack([middles_mm - touch_mm / 2, middles_mm + touch_mm / 2])
+    compliance = layer_mean_compliance(
+        electrode_squares(near)[:, None], touches, design.unit.height_mm, design.matrix_material
+    )
+    moved = compliance.reshape(near.n_units, len(ELECTRODES), len(touches), 3, 3)
+    bottom, top = pillar_ends(design.unit).transpose(1, 0, 2)
+    along = (top - bottom) / rest_lengths(design.unit)[:, None] ** 2
+    readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, PILLAR_TOP])
+    strongest: FloatArray = np.abs(readings).max(axis=(0, 1))
+    return strongest
+
+
+def write_spacing(found: Spacing, path: Path) -> None:
+    """Write the JSON file, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")
+
+
+def read_spacing(path: Path, recipe: str) -> Spacing | None:
+    """What a file holds if it has that recipe; None if not, or if there is no such file."""
+    try:
+        plain = json.loads(path.read_text(encoding="utf-8"))
+        if plain["recipe"] != recipe:
+            return None
+        asked: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in plain["asked"].items()
+        }
+        parts = {
+            "asked": Asked(**asked),
+            "spaced": [Spaced(**one) for one in plain["spaced"]],
+            "touches": [Touch(**one) for one in plain["touches"]],
+        }
+        return Spacing(**plain | parts)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,20 @@
+"""The drawings of the documentation that need no solver: ``python -m studies.pictures docs``."""
+
+from pathlib import Path
+
+import typer
+
+from geometry.design import SensorDesign
+
+
+def draw(folder: Path) -> None:
+    """Draw the unit with its wiring, and one load of each protocol."""
+    from dataset.figures import draw_protocols
+    from geometry.figures import draw_build
+
+    draw_build(SensorDesign(), folder / "build.png")
+    draw_protocols(SensorDesign(), folder / "protocols.png")
+
+
+if __name__ == "__main__":
+    typer.run(draw)

@@ -1,0 +1,231 @@
+"""The array in 3-D: pillars inside a translucent slab under its pads, moved in place as loads change."""
+
+import os
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pyvista as pv
+
+from fem.array_field import ArrayField, FieldState, Observer
+from fem.deformed import Part, Surface, pillar_surface
+from fem.figures import QUANTITIES, colour_limits
+from fem.solution import QUADRILATERAL
+from geometry.layout import PILLARS, FloatArray, unit_centres
+from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_face, top_face, upright_edge
+from studies.viewer.page.superposition import Superposition
+
+RESISTANCE = "resistance"  #: the one colour of the page's own: of each pillar as a whole
+TITLES = {name: quantity.title.replace("\n", " ") for name, quantity in QUANTITIES.items()} | {
+    RESISTANCE: "change of resistance [%]"
+}
+LEAST_RANGE = {"displacement": 0.1, "vertical": 0.1, "mises": 0.1, "pressure": 0.1, RESISTANCE: 1.0}
+SLICES = 8  #: of a pillar along its axis
+MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
+BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
+SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
+PADS = ("#93a1ad", "#d64541")  #: outlines, from unloaded to most pressed
+VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
+FILLED = 0.92  #: of the window, by the undeformed array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """How the array is drawn."""
+
+    colour: str = "displacement"  #: one of TITLES
+    scale: float = 1.0  #: of displacements
+    chosen: int = 0  #: unit whose pad is marked
+    dark: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legend:
+    """The colour bar: what it shows, where it ends, and some of its colours from low to high."""
+
+    title: str
+    low: float
+    high: float
+    colours: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Points of some units that move with the field."""
+
+    observer: Observer
+    units: IntArray  #: (m,): whose points these are
+    rest_mm: FloatArray  #: (m, k, 3): undeformed
+
+    def moved_mm(self, state: FieldState) -> FloatArray:
+        """Displacement of the points, (m, k, 3) [mm]."""
+        return self.observer.displacement_mm(of_units(state, self.units))
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A mesh that moves with the field; one of many places draws faster than many."""
+
+    places: list[Place]
+    mesh: pv.PolyData
+
+    def move(self, state: FieldState, scale: float) -> FloatArray:
+        """Take the points to where the field moves them, `scale` times as far; their displacement (n, 3) [mm]."""
+        moved_mm = np.concatenate([place.moved_mm(state).reshape(-1, 3) for place in self.places])
+        rest_mm = np.concatenate([place.rest_mm.reshape(-1, 3) for place in self.places])
+        self.mesh.points = (rest_mm + scale * moved_mm).astype(np.float32)
+        return moved_mm
+
+
+def of_units(state: FieldState, units: IntArray) -> FieldState:
+    """The same state, of some of the units alone."""
+    return FieldState(force_n=state.force_n[units], port_mm=state.port_mm[units])
+
+
+class ArrayScene:
+    """A plotter with the array in it; draws nothing by itself."""
+
+    def __init__(self, field: ArrayField) -> None:
+        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+        self._field, self._loads = field, Superposition(field)
+        design = field.design
+        rows, cols = design.array.rows, design.array.cols
+        everyone = np.arange(design.n_units)
+        row, col = np.divmod(everyone, cols)
+        at_end = {(0, -1): col == 0, (0, 1): col == cols - 1, (1, -1): row == 0, (1, 1): row == rows - 1}
+        pillars = pillar_surface(design.unit, SLICES, around=1)
+        self._owner = np.repeat(np.arange(len(PILLARS)), len(pillars[0]) // len(PILLARS))
+        faces = [(top_face(design), everyone)]
+        faces += [(side_face(design, *side), everyone[there]) for side, there in at_end.items()]
+        edges = [(rims(design, *side), everyone[there]) for side, there in at_end.items()]
+        edges += [
+            (upright_edge(design, x_end, y_end), everyone[at_end[0, x_end] & at_end[1, y_end]])
+            for x_end in (-1, 1)
+            for y_end in (-1, 1)
+        ]
+        self._pillars = self._moving([(pillars, everyone)])
+        self._stress = field.observe(pillars[0], region=1)
+        self._faces, self._edges = self._moving(faces), self._moving(edges)
+        self._pads = self._moving([(pad_outline(design), everyone)])
+        self._mark = pv.lines_from_points(self._outline(0), close=True)
+        self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
+        self._fill()
+
+    def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
+        """Bring the scene to a load.
+
+        Parameters
+        ----------
+        traction_mpa : array, shape (n_units, 3)
+        change : array, shape (n_units, 3)
+            Of the resistances of the z, x and y pillars from rest, relative.
+        shown : Shown
+        """
+        state = self._loads.state(traction_mpa)
+        moved_mm = self._pillars.move(state, shown.scale)
+        for moving in (self._faces, self._edges, self._pads):
+            moving.move(state, shown.scale)
+        strength = np.linalg.norm(traction_mpa, axis=1)
+        self._pads.mesh["strength"] = np.repeat(strength, self._outline_size).astype(np.float32)
+        self._mark.points = self._outline(shown.chosen)
+        self.plotter.set_background(BACKGROUND[shown.dark])
+        if shown.colour == RESISTANCE:
+            values = 100.0 * change[:, self._owner].ravel()
+            most = max(float(np.abs(values).max()), LEAST_RANGE[RESISTANCE])
+            return self._coloured(shown.colour, values, (-most, most), "coolwarm_r")
+        quantity = QUANTITIES[shown.colour]
+        stress = self._stress.stress_mpa(state).reshape(-1, 6) if quantity.of_stress else None
+        part = Part(
+            points_mm=moved_mm, cells=np.empty((0, 4), dtype=np.int64), cell_type=QUADRILATERAL,
+            displacement_mm=moved_mm, stress_mpa=stress,
+        )  # fmt: skip
+        low, high = colour_limits([{"pillars": part}], quantity)
+        if high - low < LEAST_RANGE[shown.colour]:
+            high = LEAST_RANGE[shown.colour]
+        return self._coloured(shown.colour, quantity.of(part), (low, high), quantity.colours)
+
+    def _coloured(self, colour: str, values: FloatArray, ends: tuple[float, float], colours: str) -> Legend:
+        """Colour the pillars by values (n_points,)."""
+        self._pillars.mesh["shown"] = values.astype(np.float32)
+        mapper = self._actor.mapper
+        mapper.lookup_table.apply_cmap(colours, 256)
+        mapper.scalar_range = ends
+        some = [f"rgb({red},{green},{blue})" for red, green, blue, _ in mapper.lookup_table.values[::17].tolist()]
+        return Legend(title=TITLES[colour], low=ends[0], high=ends[1], colours=some)
+
+    def look_from_the_start(self) -> None:
+        """Put the camera where it was at first: the undeformed array fills the window."""
+        camera, renderer = self.plotter.camera, self.plotter.renderer
+        wide, high = self.plotter.render_window.GetSize()
+        x, y, z = self._field.design.slab_mm
+        corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
+        self.plotter.view_vector(VIEW, viewup=(0.0, 0.0, 1.0))
+        for _ in range(4):  # distance and perspective depend on each other
+            matrix = camera.GetCompositeProjectionTransformMatrix(wide / high, -1.0, 1.0)
+            project = pv.array_from_vtkmatrix(matrix)
+            seen = np.column_stack([corners, np.ones(len(corners))]) @ project.T
+            seen = seen[:, :2] / seen[:, 3:]
+            middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, (seen.max(axis=0) - seen.min(axis=0)) / 2
+            at = np.array(camera.focal_point)
+            depth = np.linalg.norm(at - camera.position)
+            up_mm = depth * np.tan(np.radians(camera.view_angle / 2))
+            forward = (at - camera.position) / depth
+            right = np.cross(forward, (0.0, 0.0, 1.0))
+            right /= np.linalg.norm(right)
+            at = at + up_mm * (middle[0] * wide / high * right + middle[1] * np.cross(right, forward))
+            camera.focal_point = at
+            camera.position = at - forward * depth * half.max() / FILLED
+        renderer.ResetCameraClippingRange()
+        self._start = camera.position
+
+    def fit(self) -> None:
+        """Fill a window of another size, unless the camera has been moved."""
+        if self.plotter.camera.position == self._start:
+            self.look_from_the_start()
+
+    @property
+    def _outline_size(self) -> int:
+        """Points of a pad's outline."""
+        return self._pads.places[0].rest_mm.shape[1]
+
+    def _outline(self, unit: int) -> FloatArray:
+        """Where the outline of a unit's pad is now, (k, 3) [mm]."""
+        return np.asarray(self._pads.mesh.points).reshape(-1, self._outline_size, 3)[unit].copy()
+
+    def _moving(self, surfaces: list[tuple[Surface, IntArray]]) -> Moving:
+        """One mesh of surfaces of the cell, each in some of the units."""
+        places, cells, n_points = [], [], 0
+        for (points, own), units in surfaces:
+            centres = np.pad(unit_centres(self._field.design)[units], ((0, 0), (0, 1)))
+            places.append(Place(self._field.observe(points), units, centres[:, None] + points))
+            size, copies = own.shape[1], np.arange(len(units))[:, None, None]
+            numbers = n_points + (own + len(points) * copies).reshape(-1, size)
+            cells.append(np.column_stack([np.full(len(numbers), size), numbers]).ravel())
+            n_points += len(points) * len(units)
+        rest_mm = np.concatenate([place.rest_mm.reshape(-1, 3) for place in places]).astype(np.float32)
+        counted = np.concatenate(cells)
+        return Moving(places, pv.PolyData(rest_mm, lines=counted) if size == 2 else pv.PolyData(rest_mm, faces=counted))
+
+    def _fill(self) -> None:
+        plotter = self.plotter
+        plotter.render_window.SetMultiSamples(0)  # smooth edges cost software three to five times the time
+        plotter.add_light(pv.Light(light_type="headlight"))  # each further light, half as much again
+        self._pillars.mesh["shown"] = np.zeros(self._pillars.mesh.n_points, np.float32)
+        self._pads.mesh["strength"] = np.zeros(self._pads.mesh.n_points, np.float32)
+        plotter.add_mesh(self._faces.mesh, color=SLAB, opacity=0.18)
+        plotter.add_mesh(self._edges.mesh, color=EDGE, line_width=2)
+        self._actor = plotter.add_mesh(self._pillars.mesh, scalars="shown", show_scalar_bar=False)
+        plotter.add_mesh(
+            self._pads.mesh, scalars="strength", cmap=_shades(*PADS), clim=(0.0, MOST_PRESSED_MPA), line_width=2,
+            show_scalar_bar=False,
+        )  # fmt: skip
+        plotter.add_mesh(self._mark, color=CHOSEN, line_width=4)
+        plotter.reset_camera()
+        self.look_from_the_start()
+
+
+def _shades(pale: str, strong: str, n: int = 64) -> list[str]:
+    """Colours from one to another."""
+    ends = np.array([pv.Color(colour).float_rgb for colour in (pale, strong)])
+    return [pv.Color(ends[0] + share * (ends[1] - ends[0])).hex_rgb for share in np.linspace(0.0, 1.0, n)]

@@ -1,0 +1,53 @@
+"""The scripts of examples/ run, and what they print is so."""
+
+import os
+import re
+import subprocess
+import sys
+
+from studies.sweep.sweep_file import read_sweep
+from tests.docs.terminal import ROOT
+
+
+def printed_by(name, folder):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / name)],
+        cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_sweep_gives_the_best_design_within_bounds(tmp_path):
+    """Designs are listed by their error; the net of the first errs by what the readings allow, or less."""
+    first, _, *lines = printed_by("sweep_to_choice.py", tmp_path).splitlines()
+    within, judged = map(int, re.match(r"(\d+) of (\d+) designs", first).groups())
+    rows = [[float(value) for value in re.findall(r"[\d.]+", line)] for line in lines[:within]]
+    assert 0 < within < judged
+    errors = [error_n for _, _, _, error_n, _, _ in rows]
+    assert errors == sorted(errors)
+    for pitch_mm, _, _, _, range_n, _ in rows:
+        assert (3 * pitch_mm / 10) ** 2 <= 24.0 + 0.2  # cm², of a pitch that is printed to 0.1 mm
+        assert range_n >= 450
+    ratios = [float(re.fullmatch(r"f[xyz]: error [\d.]+ N, ([\d.]+) times .*", line)[1]) for line in lines[within:]]
+    assert len(ratios) == 3
+    assert max(ratios) < 1.15
+
+
+def test_the_sweep_file_is_one():
+    assert read_sweep(ROOT / "examples" / "sweep.toml").samples == 64
+
+
+def test_a_design_gives_forces_near_their_limit(tmp_path):
+    """Within what the project promises of joint nets, and far nearer than each pillar alone."""
+    lines = printed_by("design_to_forces.py", tmp_path).splitlines()
+    errors = [re.fullmatch(r"(f[xyz]) +([\d.]+) N +([\d.]+) N +([\d.]+) +([\d.]+) N", line) for line in lines]
+    found = {row[1]: [float(value) for value in row.groups()[1:]] for row in errors if row}
+    assert set(found) == {"fx", "fy", "fz"}
+    for error_n, limit_n, ratio, alone_n in found.values():
+        assert abs(ratio - error_n / limit_n) < 0.05  # of rounded values
+        assert ratio < 1.15
+        assert alone_n > 20 * error_n
+    last = re.search(r"Fz ([\d.]+) ± ([\d.]+) N, applied ([\d.]+)", lines[-1])
+    force_n, deviation_n, applied_n = map(float, last.groups())
+    assert abs(force_n - applied_n) < 4 * deviation_n  # one normal error in 16,000 is larger

@@ -1,0 +1,75 @@
+"""Pages of the documentation say what is so: commands and options exist, tables are those of the code."""
+
+import re
+
+import click
+import pytest
+import typer
+
+from geometry.design import SensorDesign
+from geometry.design_file import design_from_toml, design_to_toml
+from geometry.layout import PILLARS, electrode_squares, pillar_ends, unit_centres
+from geometry.wiring import crossings, pillar_of_crossing
+from tests.docs.terminal import ROOT
+from tripillar import app
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMANDS = typer.main.get_command(app)
+NO_COMMANDS = {"recording"}  #: `tripillar recording` is what a recording's attribute `format` says
+
+
+def commands_named(text: str) -> list[str]:
+    """What stands in a page as a command of ours, whether in a block or in a line of text."""
+    text = re.sub(r" \\\n> +", " ", text)  # a command typed over two lines
+    inline = re.findall(r"`(tripillar [^`]+)`", text)
+    blocks = re.findall(r"^ *(?:\$ )?(tripillar .*)$", text, re.MULTILINE)
+    return inline + [line.split("  #")[0].split("   ")[0] for line in blocks]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_and_options_exist(page):
+    for line in commands_named(page.read_text(encoding="utf-8")):
+        _, name, *words = line.split()
+        if name in NO_COMMANDS:
+            continue
+        command = COMMANDS.get_command(click.Context(COMMANDS), name)
+        assert command is not None, line
+        known = {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
+        given = {word.partition("=")[0] for word in words if re.fullmatch(r"--?[a-z][a-z-]*(=.*)?", word)}
+        assert given <= known | {"--help"}, line
+
+
+def test_the_design_file_shown_is_the_one_written():
+    (shown,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/geometry.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert design_from_toml(shown) == SensorDesign()
+    assert shown.strip() == design_to_toml(SensorDesign()).partition("\n\n")[2].strip()
+
+
+BUILDING = (ROOT / "docs" / "building.md").read_text(encoding="utf-8").replace("−", "-")
+
+
+def test_the_crossbars_table_is_the_wiring():
+    """Each pillar stands at its crossing, and nothing at an empty one."""
+    rows = re.findall(r"^\| \*\*(\d+)\*\* \| (.*) \|$", BUILDING, re.MULTILINE)
+    shown = {(int(row), column): cell for row, cells in rows for column, cell in enumerate(cells.split(" | "))}
+    expected = dict.fromkeys(((row, column) for row in range(12) for column in range(12)), "·")
+    for (row, column), place in zip(crossings(6, 6).tolist(), pillar_of_crossing(6, 6).tolist(), strict=True):
+        unit, pillar = divmod(place, len(PILLARS))
+        expected[row, column] = f"{PILLARS[pillar]}{unit // 6}{unit % 6}"
+    assert shown == expected
+
+
+def test_wires_lie_over_the_electrodes_that_they_join():
+    """Row wires at the y of upper electrodes, column wires at the x of lower ones."""
+    design = SensorDesign()
+    row, column = (rf"(\d+) \| ([-\d.]+) \| ({kind}\d) of {of} (\d)" for kind, of in (("U", "row"), ("L", "column")))
+    wires = re.findall(rf"^\| {row} \| \| {column} \|$", BUILDING, re.MULTILINE)
+    assert len(wires) == 12
+    upper = electrode_squares(design).reshape(6, 6, 2, 4)
+    lower = {"L1": pillar_ends(design.unit)[0, 0], "L2": pillar_ends(design.unit)[1, 0]}
+    for row_wire, y, u, row, column_wire, x, low, column in wires:
+        electrode = ("U1", "U2").index(u)
+        assert int(row_wire) == 2 * int(row) + electrode
+        assert upper[int(row), :, electrode, [1, 3]].mean(axis=0) == pytest.approx(float(y))
+        assert int(column_wire) == 2 * int(column) + ("L1", "L2").index(low)
+        assert unit_centres(design)[int(column), 0] + lower[low][0] == pytest.approx(float(x))

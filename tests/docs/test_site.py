@@ -1,0 +1,81 @@
+"""`make docs`: the pages are built without a warning, need nothing from elsewhere, and look right in a browser."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import dataset
+import decoupler
+import fem
+import geometry
+import hardware
+from tests.docs.terminal import ROOT
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    return folder
+
+
+def test_the_pages_are_built_without_a_warning(site):
+    """Every page of docs/ is there."""
+    pages = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in (ROOT / "docs").rglob("*.md")}
+    assert pages
+    assert all((site / page).is_file() for page in pages)
+    assert not list(site.rglob("*.py"))
+
+
+def test_nothing_is_loaded_from_elsewhere(site):
+    """Scripts, styles, fonts and pictures are the site's own files; pictures exist."""
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"([^\"]+)\"", text)
+        links = re.findall(r"<link\b[^>]*>", text)
+        loaded += [re.search(r"href=\"([^\"]+)\"", link)[1] for link in links if 'rel="canonical"' not in link]
+        for place in loaded:
+            assert not re.match(r"(?:https?:)?//", place), f"{page.name} loads {place}"
+            if page.name != "404.html" and not place.startswith("data:"):
+                assert (page.parent / place.partition("?")[0]).is_file(), f"{page.name} lacks {place}"
+
+
+def test_public_names_are_on_their_pages(site):
+    """With what stands in the comments of their fields, units and shapes included."""
+    for package in (geometry, fem, dataset, decoupler, hardware):
+        text = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
+        for name in package.__all__:
+            home = getattr(getattr(package, name), "__module__", "")  # of a function named like its module
+            assert f'id="{package.__name__}.{name}"' in text or f'id="{home}.{name}"' in text
+    assert "centre-to-centre distance of units" in (site / "api/geometry.html").read_text(encoding="utf-8")
+    assert "(rows, cols, 2, 3, rows, cols, 3)" in (site / "api/fem.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+def test_in_a_browser_pictures_load_and_nothing_leaves_the_machine(site):
+    playwright = pytest.importorskip("playwright.sync_api")
+    asked, wrong = [], []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        for name in ("index.html", "accuracy.html", "robustness.html", "api/fem.html"):
+            page.goto(f"file://{site}/{name}", wait_until="load")
+            assert page.locator("h1").count() == 1
+            assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
+        browser.close()
+    assert not wrong
+    assert len(asked) > 10
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []

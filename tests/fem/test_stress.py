@@ -1,0 +1,142 @@
+"""Stress at points: exact where it is uniform, whatever the elements; equilibrium where it is not."""
+
+import numpy as np
+import pytest
+from skfem import Basis, ElementTetP1, ElementTetP2
+
+from fem.elements import Elements
+from fem.grid import Grid
+from fem.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.linear_solver import checked_solve, factorized
+from fem.patch import patch_means
+from fem.stress import corner_numbers, corner_stress, pressure, von_mises
+from geometry.design import Material
+
+RUBBER = Material(young_mpa=6.1, poisson=0.49)
+SOFT = Material(young_mpa=1.0, poisson=0.3)
+STRAIN = np.array([[0.02, 0.01, -0.03], [0.01, -0.05, 0.005], [-0.03, 0.005, 0.04]])
+TURN = np.array([[0.0, 0.1, 0.2], [-0.1, 0.0, -0.3], [-0.2, 0.3, 0.0]])  #: rotation, which stresses nothing
+
+
+def hooke(material, strain):
+    lame, mu = material.lame_mpa
+    tensor = lame * np.trace(strain) * np.eye(3) + 2 * mu * strain
+    return tensor[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
+
+
+def grid_elements(element, lean=(0.2, -0.1)):
+    basis = GridBasis(
+        Grid(x=np.array([0.0, 1.0, 3.0, 4.0]), y=np.array([0.0, 2.0, 3.0]), z=np.array([0.0, 1.5, 2.0]), lean=lean),
+        element,
+    )
+    return Elements.of_basis(basis, np.zeros(basis.element_dofs.shape[1], dtype=np.int64))
+
+
+def all_elements(disordered_cube):
+    zeros = np.zeros(disordered_cube.nelements, dtype=np.int64)
+    return [
+        grid_elements("Q2"),
+        grid_elements("S2"),
+        Elements.of_basis(Basis(disordered_cube, ElementTetP1()), zeros),
+        Elements.of_basis(Basis(disordered_cube, ElementTetP2()), zeros),
+    ]
+
+
+def test_points_are_found_where_they_are(disordered_cube):
+    """Shape functions at the place found put the points back: exact on straight-sided elements."""
+    for elements in all_elements(disordered_cube):
+        share = np.random.default_rng(0).uniform(0, 1, (50, len(elements.corners[0])))
+        inside = np.random.default_rng(1).integers(len(elements.nodes), size=50)
+        points = np.einsum(
+            "pa,pai->pi", share / share.sum(axis=1)[:, None], elements.points_mm[elements.corners[inside]]
+        )
+        places, local = elements.places(points)
+        assert np.array_equal(places, inside)
+        assert np.allclose(elements.interpolation(places, local) @ elements.points_mm, points, rtol=0, atol=1e-12)
+
+
+def test_a_point_far_from_all_centres_is_found_too():
+    """Of long flat boxes the nearest centres are not those of the box that holds a point at its end."""
+    basis = GridBasis(Grid(x=np.array([0.0, 100.0]), y=np.array([0.0, 1.0]), z=np.linspace(0, 1, 41)))
+    elements = Elements.of_basis(basis, np.zeros(40, dtype=np.int64))
+    places, local = elements.places(np.array([[99.0, 0.5, 0.0125], [1.0, 0.5, 0.9875]]))
+    assert np.array_equal(places, [0, 39])
+    assert np.allclose(local, [[0.99, 0.5, 0.5], [0.01, 0.5, 0.5]])
+
+
+def test_uniform_stress_is_exact_in_every_element(disordered_cube):
+    for elements in all_elements(disordered_cube):
+        u = elements.points_mm @ (STRAIN + TURN).T
+        found = corner_stress(elements, [RUBBER], np.stack([u, -2 * u], axis=-1))
+        expected = hooke(RUBBER, STRAIN)
+        assert np.abs(found.stress_mpa[..., 0] - expected).max() < 1e-11 * np.abs(expected).max()
+        assert np.allclose(found.stress_mpa[..., 1], -2 * found.stress_mpa[..., 0])
+
+
+def test_stress_jumps_between_rubbers(disordered_cube):
+    """Two rubbers stretched alike: each keeps its own stress up to the interface."""
+    region = (disordered_cube.p[2, disordered_cube.t].mean(axis=0) > 5.0).astype(np.int64)
+    elements = Elements.of_basis(Basis(disordered_cube, ElementTetP2()), region)
+    u = elements.points_mm @ STRAIN.T
+    found = corner_stress(elements, [RUBBER, SOFT], u[..., None])
+    middle = np.array([[5.0, 5.0, 5.0]])
+    for number, material in enumerate((RUBBER, SOFT)):
+        at = found.at(elements, *elements.places(middle, number))[0, :, 0]
+        assert np.allclose(at, hooke(material, STRAIN), rtol=0, atol=1e-10)
+
+
+def test_the_pressure_of_the_mixed_form_is_what_its_elements_know(disordered_cube):
+    """p = λ div u given in place of it: the same uniform stress, even where u says nothing about div u."""
+    elements = Elements.of_basis(Basis(disordered_cube, ElementTetP2()), np.zeros(disordered_cube.nelements, np.int64))
+    lame, _ = RUBBER.lame_mpa
+    u = elements.points_mm @ STRAIN.T
+    p = np.full((corner_numbers(elements).max() + 1, 1), lame * np.trace(STRAIN))
+    found = corner_stress(elements, [RUBBER], u[..., None], p)
+    assert np.allclose(found.stress_mpa[..., 0], hooke(RUBBER, STRAIN), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.4999])
+def test_confined_compression_is_exact_at_any_incompressibility(poisson):
+    """A column between frictionless walls: σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), by solving, not by interpolating."""
+    material = Material(young_mpa=6.1, poisson=poisson)
+    basis = GridBasis(Grid(x=np.array([0.0, 1.0, 4.0]), y=np.array([0.0, 2.0, 4.0]), z=np.array([0.0, 1.0, 3.0])))
+    stiffness = grid_stiffness(basis, [material])
+    held = np.zeros((basis.N, 3), dtype=bool)
+    for axis in range(3):
+        place = basis.doflocs[axis]
+        held[:, axis] = (place == 0.0) | ((place == 4.0) & (axis < 2))
+    free = np.flatnonzero(~held.ravel())
+    force = -2.0 * 16.0 * patch_means(basis, np.array([[0.0, 0.0, 4.0, 4.0]])).T.toarray()[:, 2:]
+    u = np.zeros((3 * basis.N, 1))
+    K = stiffness[free][:, free].tocsr()
+    u[free], _ = checked_solve(K, factorized(K, definite=True), force[free])
+    elements = Elements.of_basis(basis, np.zeros(8, dtype=np.int64))
+    found = corner_stress(elements, [material], u.reshape(-1, 3, 1)).stress_mpa[..., 0]
+    side = -2.0 * poisson / (1 - poisson)
+    assert np.abs(found - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 1e-8  # rounding, times λ/μ = 5000 at ν = 0.4999
+
+
+def test_a_clamped_block_hands_its_load_down():
+    """Locking would show here: ν = 0.4999, base clamped. Mean σ_zz of every section is the load over the area."""
+    material = Material(young_mpa=6.1, poisson=0.4999)
+    lines = np.linspace(0.0, 10.0, 7)
+    basis = GridBasis(Grid(x=lines, y=lines, z=np.linspace(0.0, 10.0, 7)))
+    body = grid_body(basis, grid_stiffness(basis, [material]))
+    force = -100.0 * patch_means(basis, np.array([[0.0, 0.0, 10.0, 10.0]])).T.toarray()[:, 2:]
+    x, _ = checked_solve(body.matrix, factorized(body.matrix, definite=True), body.loads(force))
+    elements = Elements.of_basis(basis, np.zeros(basis.element_dofs.shape[1], dtype=np.int64))
+    stress = corner_stress(elements, [material], body.displacements(x).reshape(-1, 3, 1))
+    t, w = np.polynomial.legendre.leggauss(24)
+    for z in (2.0, 5.0, 8.0):
+        points = np.array([[5 * a + 5, 5 * b + 5, z] for a in t for b in t])
+        zz = stress.at(elements, *elements.places(points))[:, 2, 0]
+        assert np.outer(w, w).ravel() @ zz / 4 == pytest.approx(-1.0, rel=0.02)  # the grid's own error, 1.7 mm a box
+
+
+def test_von_mises_and_pressure_of_what_is_known():
+    shear = np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0])
+    squeezed = np.array([-3.0, -3.0, -3.0, 0.0, 0.0, 0.0])
+    assert von_mises(shear) == pytest.approx(2 * np.sqrt(3))
+    assert von_mises(squeezed) == 0.0
+    assert pressure(squeezed) == 3.0
+    assert pressure(np.stack([shear, squeezed])).tolist() == [0.0, 3.0]

@@ -1,0 +1,82 @@
+"""Figures 6 to 8 in numbers: superposition, Hooke's law for a pillar alone, and the cap where it is said to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fem.array_response import ResponseSettings, array_response
+from fem.response import ArrayResponse
+from geometry.design import Array, Material, SensorDesign
+from studies.paper.deformation import CAP, LOADED, Deformation, deformation, middle_unit, one_pad, pressed
+from studies.paper.sections import deformation as words
+from studies.paper.sections import material
+
+DESIGN = SensorDesign(array=Array(rows=3, cols=4))
+
+
+@pytest.fixture(scope="module")
+def response(tmp_path_factory) -> ArrayResponse:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return array_response(DESIGN, ResponseSettings(method="layer"))[0]
+
+
+@pytest.fixture(scope="module")
+def found(response) -> Deformation:
+    return deformation(response)
+
+
+def test_one_pad_is_pressed_in_the_middle_and_nowhere_else():
+    traction = one_pad(DESIGN, 3.0)
+    assert np.argwhere(traction).tolist() == [[5, 2]]  # row 1 of 0..2, column 1 of 0..3
+    assert traction[5, 2] == -3.0
+    assert middle_unit(SensorDesign()) == 14
+
+
+def test_displacement_is_in_proportion_and_compression_shortens(found):
+    for loaded in LOADED:
+        mine = [one for one in found.pressed if one.loaded == loaded]
+        assert [one.pressure_mpa for one in mine] == [1.0, 3.0, 5.0]
+        np.testing.assert_allclose([one.largest_mm / one.pressure_mpa for one in mine], mine[0].largest_mm)
+        assert all(one.force_n == one.pressure_mpa * 144.0 for one in mine)
+    alone = found.pressed[0]
+    assert alone.largest_at == middle_unit(DESIGN)
+    assert alone.strain["z"] < alone.strain["x"] < 0
+    assert alone.largest_strain == pytest.approx(-alone.strain["z"])
+
+
+def test_the_cap_is_reached_where_it_is_said_to_be(response, found):
+    for loaded, mpa in found.cap_mpa.items():
+        assert pressed(response, loaded, mpa).largest_strain == pytest.approx(CAP, abs=1e-4)  # 1e-4 MPa of bisection
+
+
+def test_a_pillar_alone_follows_equation_6(found):
+    """F/S = E Δl/l: 10 N on 4 mm² of 6.1 MPa."""
+    assert found.alone_strain == pytest.approx(10.0 / 4.0 / 6.1)
+    assert found.alone_n == pytest.approx(0.3 * 6.1 * 4.0)
+
+
+def test_the_sample_is_pressed_and_dragged_within_the_cap(found):
+    traction = np.array(found.sample.traction_mpa)
+    assert (traction[:, 2] < 0).all()
+    assert np.abs(traction[:, :2]).max() > 0
+    assert 0 < found.sample.sideways_mm < found.sample.largest_mm
+    assert 0 < found.sample.largest_strain <= CAP
+
+
+def test_words_turn_with_the_numbers(found):
+    said = words.pressures(found, DESIGN).verdict.reproduces
+    assert said.startswith("Larger pressure gives larger deformation, most at the pressed unit")
+    elsewhere = [replace(one, largest_at=0, largest_mm=1.0) for one in found.pressed]
+    said = words.pressures(replace(found, pressed=elsewhere), DESIGN).verdict.reproduces
+    assert said.startswith("Larger pressure does not always give larger deformation, though not most at")
+
+
+def test_table_1_is_the_paper_s_and_no_other_rubber_passes_for_it():
+    said = material.section(SensorDesign()).verdict.reproduces
+    assert "101.67 and 2.05 MPa, are the two" in said
+    softer = replace(SensorDesign(), pillar_material=Material(young_mpa=3.0))
+    said = material.section(softer).verdict.reproduces
+    assert "not those of the paper" in said
+    assert "are not the two" in said

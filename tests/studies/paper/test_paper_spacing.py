@@ -1,0 +1,137 @@
+"""The spacing study against the layer's closed form, an actual load's resistances, and itself at other settings."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from dataset.resistance import pillar_lengths, pillar_resistances
+from dataset.simulate import displacements
+from fem.array_response import ResponseSettings, array_response
+from fem.layer import decay_length_mm
+from geometry.design import Array, Pad, SensorDesign
+from geometry.layout import pillar_volumes
+from studies.paper.sections import spacing as words
+from studies.paper.spacing import (
+    LOADS,
+    RINGS,
+    Asked,
+    Spacing,
+    design_at,
+    fitted_decay_mm,
+    lightest_touch,
+    read_spacing,
+    spaced_units,
+    spacing_recipe,
+    strongest_reading,
+    study_spacing,
+    write_spacing,
+)
+
+PAPER = SensorDesign()
+SMALL = replace(PAPER, array=Array(rows=4, cols=4))
+FEW = Asked(pitches_mm=(10.0, 14.0, 20.0), wider_mm=(30.0, 40.0))
+
+
+def in_closed_form(design):
+    return array_response(design, ResponseSettings(method="layer"))[0]
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> Spacing:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return study_spacing(SMALL, FEW)
+
+
+def test_a_design_is_kept_where_it_fits_and_else_as_wide_as_does():
+    assert design_at(PAPER, 15.0) == PAPER
+    assert design_at(PAPER, 20.0) == replace(PAPER, array=Array(pitch_mm=20.0))
+    narrow = design_at(PAPER, 11.0)
+    assert 10.98 < narrow.unit.footprint_mm <= 11.0  # span cut to 0.01 mm, which the oblique width doubles at most
+    assert narrow.pad.size_mm == 11.0
+
+
+def test_influence_on_an_endless_layer_decays_as_theory_says():
+    """The whole array in closed form, with no rim; its nearest electrodes are not yet far: 6 % on λ from 4 heights."""
+    one = spaced_units(in_closed_form(PAPER), noise=0.001)
+    far = replace(one, on_rim=[False] * len(one.on_rim))
+    assert fitted_decay_mm([far], 40.0) == pytest.approx(decay_length_mm(10.0, 0.49), rel=0.06)
+
+
+def test_shares_fall_with_distance_and_pitch():
+    by_pitch = [spaced_units(in_closed_form(design_at(PAPER, pitch)), noise=0.001) for pitch in (14.0, 17.0, 20.0)]
+    for load in LOADS:
+        shares = np.array([one.reading_share[load] for one in by_pitch])
+        assert (np.diff(shares, axis=1) < 0).all()
+        assert (np.diff(shares[:, 1:], axis=0) < 0).all()
+    conditions = [one.condition for one in by_pitch]
+    assert conditions == sorted(conditions, reverse=True)
+    assert all(len(one.moved) == len(one.distance_mm) == len(one.on_rim) == 72 for one in by_pitch)
+
+
+def test_noise_costs_force_in_proportion():
+    """Noise enters the forces' error in proportion, and nothing else."""
+    response = in_closed_form(PAPER)
+    quiet, loud = (spaced_units(response, noise) for noise in (0.001, 0.002))
+    assert loud.noise_n["fz"] == pytest.approx(2 * quiet.noise_n["fz"])
+    assert replace(loud, noise_n=quiet.noise_n) == quiet
+    loaded = np.argsort(quiet.distance_mm)[:2]
+    np.testing.assert_allclose(np.array(quiet.moved)[loaded].max(), 1.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_touch_on_a_pad_changes_readings_as_that_pad_does(axis):
+    """Two routes: readings by slopes, and resistances of the pillars of a loaded array in closed form.
+
+    10 mN bend no pillar: terms beyond the slope are 1e-6 of it.
+    """
+    design = replace(PAPER, array=Array(rows=5, cols=5, pitch_mm=18.0), pad=Pad(size_mm=10.0))
+    traction = np.zeros((1, 25, 3))
+    traction[0, 12, axis] = 0.01 / 100.0
+    moved = displacements(in_closed_form(design), traction)
+    lengths = [pillar_lengths(u, design.unit) for u in (moved, np.zeros_like(moved))]
+    loaded, rest = (pillar_resistances(one, pillar_volumes(design.unit), 4000.0) for one in lengths)
+    change = np.abs(loaded / rest - 1).max() / 0.01
+    assert strongest_reading(design, np.zeros((1, 2)), 10.0)[0, axis] == pytest.approx(change, rel=1e-4)
+
+
+def test_the_lightest_touch_is_as_light_as_the_noise():
+    once, twice = (lightest_touch(PAPER, Asked(noise=noise)) for noise in (0.001, 0.002))
+    for load in LOADS:
+        assert twice.worst_n[load] == pytest.approx(2 * once.worst_n[load])
+        assert 0 < once.best_n[load] < once.worst_n[load]
+
+
+def test_the_study_holds_every_pitch_and_comes_back_from_its_file(found, tmp_path):
+    assert [one.pitch_mm for one in found.spaced] == [10.0, 14.0, 20.0]
+    assert [one.pitch_mm for one in found.touches] == [10.0, 14.0, 20.0, 30.0, 40.0]
+    for one in found.spaced:
+        assert one.reading_share["normal"][RINGS.index(3)] == 0.0  # 4 × 4 units: none so far from one in the middle
+    path = tmp_path / "spacing.json"
+    write_spacing(found, path)
+    assert read_spacing(path, found.recipe) == found
+    assert read_spacing(path, spacing_recipe(SMALL, replace(FEW, noise=0.01))) is None
+    path.write_text(json.dumps(asdict(found))[:-20])
+    assert read_spacing(path, found.recipe) is None
+
+
+def test_finite_elements_and_the_layer_agree_inside_the_array(found):
+    """The layer has no free side; inside a 4 × 4 array one is a pitch away: a tenth."""
+    closed = spaced_units(in_closed_form(design_at(SMALL, 20.0)), noise=0.001)
+    inside = ~np.array(closed.on_rim)
+    np.testing.assert_allclose(np.array(found.at(20.0).moved)[inside], np.array(closed.moved)[inside], rtol=0.1)
+
+
+def test_words_turn_with_the_numbers(found):
+    section = words.section(found, SMALL)
+    assert "do interfere" in section.verdict.cannot
+    assert "No: even at 20 mm" in section.blocks[1]
+    assert "Touches fade" in section.verdict.reproduces
+    still = {load: [0.01, 0.001, 0.0] for load in LOADS}
+    alone = replace(found, spaced=[replace(one, reading_share=still) for one in found.spaced])
+    assert "do not interfere" in words.section(alone, SMALL).verdict.cannot
+    assert "leave one another alone" in words.section(alone, SMALL).blocks[1]
+    keen = replace(found, touches=[replace(one, worst_n=one.best_n) for one in found.touches])
+    assert "do not fade" in words.section(keen, SMALL).verdict.reproduces
