@@ -19,7 +19,7 @@ class Trial:
     component: str
     cap: float  #: largest strain of a pillar in the data
     samples: int  #: for training and test together
-    network: str  #: its name in `experiments.NETWORKS`, or of what is no network: `FLOOR`, `HOOKE` or `LINEAR` there
+    network: str  #: its name in `experiments.NETWORKS`; `experiments.FLOOR`; or that of a mark in `decoupler.baseline`
     hidden: int  #: nodes; 0 where there are none
     fold: int = 0  #: from 1; 0 where there are none
 

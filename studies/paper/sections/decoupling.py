@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from decoupler.baseline import HOOKE, LINEAR
 from studies.paper.document import Grid, Picture, Section, Verdict
 from studies.paper.experiments import (
     COMPONENTS,
     FIGURE_9,
     FLOOR,
-    HOOKE,
     INFORMED,
-    LINEAR,
     LOADS,
     NETWORKS,
     PAPERS,
