@@ -18,6 +18,7 @@ from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError, TriPillarError
 from studies.board.commands import board
 from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, say, show_json, wrote
+from studies.viewer.command import viewer
 
 if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
@@ -461,32 +462,7 @@ def run(
     wrote(files_of(outcome.stages))
 
 
-@app.command()
-def view(
-    save: Annotated[Path, typer.Option(help="PNG file to write.")],
-    pressure: Annotated[float, typer.Option(help="Largest pressure, over the middle of the array [MPa].")] = 3.0,
-    design: DesignOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Draw the array deformed by a round indenter over its middle, at true scale."""
-    if save.suffix != ".png":
-        raise DesignError(f"--save {save} must end in .png.")
-    if not (math.isfinite(pressure) and 0 < pressure <= 100):
-        raise DesignError(f"--pressure {pressure:g} must be above 0 and at most 100 MPa; the paper uses 1 to 5.")
-    from fem.figures import bell_pressure, draw_deformed
-    from geometry.mesh import sensor_mesh, suited_settings
-
-    sensor = chosen(design)
-    with progress_bars(quiet) as bars:
-        advance = bars.begin("view", total=2)
-        advance(0, "mesh")
-        body, _, _ = sensor_mesh(sensor, suited_settings(sensor))
-        advance(1, "solve and draw")
-        draw_deformed(sensor, body, bell_pressure(sensor, pressure), save)
-        advance(1, "")
-    wrote([save])
-
-
+app.add_typer(viewer)  # pictures of sensors and scenes
 app.add_typer(board)  # the commands of a connected sensor
 
 

@@ -35,13 +35,12 @@ BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out 
 class FieldState:
     """What loads an array, and how its cells answer: all that observers need."""
 
-    traction_mpa: FloatArray  #: (n_units, 3), z negative pushing down
-    force_n: FloatArray  #: (n_units, 3), on each pad
+    force_n: FloatArray  #: (n_units, 3) on each pad, z negative pushing down; of k loaded rectangles (n_units, k·3)
     port_mm: FloatArray  #: (n_units, n_modes·3), port displacements of each cell
 
     @property
     def amplitudes(self) -> FloatArray:
-        """Port displacements and pad force of each cell, shape (n_units, n_modes·3 + 3)."""
+        """Port displacements and forces of each cell, shape (n_units, n_modes·3 + k·3)."""
         return np.hstack([self.port_mm, self.force_n])
 
 
@@ -84,6 +83,7 @@ class ArrayField:
     """An array ready to be loaded: its cell solved, its copies coupled and factored."""
 
     design: SensorDesign
+    rectangles_mm: FloatArray  #: (k, 4): x0, y0, x1, y1 of what can be loaded on each cell; one, the pad, unless told
     interior: CellInterior = field(repr=False)
     coupled: CoupledArray = field(repr=False)
 
@@ -108,9 +108,12 @@ class ArrayField:
                 f"traction_mpa has shape {traction.shape}, expected finite numbers ({self.design.n_units}, 3): "
                 "one row a unit, along x, y and z."
             )
-        force = traction * self.design.pad.size_mm**2
-        port, _ = self.coupled.port_displacements(force[:, :, None])
-        return FieldState(traction_mpa=traction, force_n=force, port_mm=port[:, :, 0])
+        return self.under(traction * self.design.pad.size_mm**2)
+
+    def under(self, force_n: FloatArray) -> FieldState:
+        """Load every cell's rectangles: forces (n_units, k·3) spread evenly over each, along x, y, z [N]."""
+        port, _ = self.coupled.port_displacements(force_n[:, :, None])
+        return FieldState(force_n=force_n, port_mm=port[:, :, 0])
 
     def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
         """Choose points of the cell to look at.
@@ -140,19 +143,35 @@ class ArrayField:
         return Observer(self.interior, points, None if self.design.is_homogeneous else region)
 
 
-def array_field(design: SensorDesign, progress: Callable[[str], None] = lambda step: None) -> ArrayField:
+def array_field(
+    design: SensorDesign,
+    progress: Callable[[str], None] = lambda step: None,
+    rectangles_mm: FloatArray | None = None,
+) -> ArrayField:
     """Solve a design's cell inside and out, and couple its copies.
 
-    `progress` is called with the name of each step as it begins.
+    Parameters
+    ----------
+    design : SensorDesign
+    progress : function
+        Called with the name of each step as it begins.
+    rectangles_mm : array, shape (k, 4), optional
+        What can be loaded on each cell instead of its pad: x0, y0, x1, y1 in the cell's own coordinates; then `under`
+        takes the forces.
 
     Raises
     ------
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
+
+    Notes
+    -----
+    A cell of one rubber is a grid; its level and the degree of its ports are chosen for pictures, and not extrapolated
+    to the limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
     pitch, height = design.array.pitch_mm, design.unit.height_mm
     alone = lone_unit(design)
-    pad = pad_squares(alone)
+    rectangles = pad_squares(alone) if rectangles_mm is None else rectangles_mm
     if design.is_homogeneous:
         progress("cell")
         quarter = cell_grid(design, GRID_LEVEL)
@@ -167,7 +186,7 @@ def array_field(design: SensorDesign, progress: Callable[[str], None] = lambda s
         body = elastic_body(alone, mesh)
         region, degree = mesh.region.astype(np.int64), MESH_DEGREE
     ports = PortModes(pitch / 2, height, degree, degree)
-    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, pad)
+    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
-    return ArrayField(design=design, interior=interior, coupled=coupled)
+    return ArrayField(design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled)

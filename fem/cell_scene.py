@@ -32,14 +32,9 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
         raise SceneError("cells answer mean probes of arrays only: switch the saving 'substructuring' off.")
     design = scene.body.design
     local: dict[Rectangle, int] = {}
-    loads = [_split(load.rectangle, scene.body, local) for load in scene.loads]
-    probes = [_split(probe.rectangle, scene.body, local) for probe in scene.probes]
+    probes = [split_by_cells(probe.rectangle, scene.body, local) for probe in scene.probes]
+    newtons = forces_on_cells(scene, scene.body, local)
     rectangles = np.array(list(local))
-    newtons = np.zeros((design.n_units, len(local), 3))
-    for load, shares in zip(scene.loads, loads, strict=True):
-        whole = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
-        for unit, rectangle, share in shares:
-            newtons[unit, rectangle] += share * whole
     forces = newtons.reshape(design.n_units, -1, 1)
 
     seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
@@ -75,7 +70,18 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     )
 
 
-def _split(rectangle: Rectangle, body: Sensor, local: dict[Rectangle, int]) -> list[Share]:
+def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
+    """What loads put on each cell, (n_units, k, 3) [N], of the k rectangles of cells that `local` then numbers."""
+    loads = [split_by_cells(load.rectangle, body, local) for load in scene.loads]
+    newtons = np.zeros((body.design.n_units, len(local), 3))
+    for load, shares in zip(scene.loads, loads, strict=True):
+        whole = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
+        for unit, rectangle, share in shares:
+            newtons[unit, rectangle] += share * whole
+    return newtons
+
+
+def split_by_cells(rectangle: Rectangle, body: Sensor, local: dict[Rectangle, int]) -> list[Share]:
     """The parts of a rectangle on each cell, as rectangles in the cell's own coordinates, numbered in `local`."""
     half = body.design.array.pitch_mm / 2
     x0, y0, x1, y1 = rectangle

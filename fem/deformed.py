@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.array_field import ArrayField, FieldState
+from fem.assembly import IntArray
 from fem.solution import HEXAHEDRON, QUADRILATERAL
 from fem.substructured import cell_grid, mirrored
-from geometry.design import SensorDesign, Unit
+from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres, upper_electrodes
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
@@ -29,6 +30,13 @@ class Part:
     displacement_mm: FloatArray  #: (n, 3)
     stress_mpa: FloatArray | None = None  #: (n, 6) where asked for: xx, yy, zz, yz, xz, xy; tension positive
     traction_mpa: FloatArray | None = None  #: (m, 3), on the cells of a part that is loaded
+
+    @property
+    def stress(self) -> FloatArray:
+        """Stress at the points, (n, 6) [MPa]; ValueError where it was not asked for."""
+        if self.stress_mpa is None:
+            raise ValueError("this part has no stress: ask for it where parts are made.")
+        return self.stress_mpa
 
     def times(self, share: float) -> "Part":
         """The same under a share of the load: everything is linear."""
@@ -52,29 +60,12 @@ def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> d
 
     Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes.
     """
-    design = array.design
-
-    def repeated(surface: Surface, region: int) -> Part:
-        """A surface of the cell on every unit."""
-        points, quads = surface
-        observer = array.observe(points, region)
-        centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        copies = np.arange(design.n_units)[:, None, None] * len(points)
-        return Part(
-            points_mm=(centres[:, None] + points).reshape(-1, 3),
-            cells=(copies + quads).reshape(-1, 4),
-            cell_type=QUADRILATERAL,
-            displacement_mm=observer.displacement_mm(state).reshape(-1, 3),
-            stress_mpa=observer.stress_mpa(state).reshape(-1, 6) if stress else None,
-        )
-
-    pads = repeated(pad_surface(design), region=0)
-    each = len(pads.cells) // design.n_units
+    unit = array.design.unit
     return {
-        "pillars": repeated(pillar_surface(design.unit), region=1),
+        "pillars": _on_units(array, state, pillar_surface(unit), stress, region=1),
         "matrix": _slab(array, state, stress),
-        "electrodes": repeated(electrode_surface(design.unit), region=1),
-        "pads": replace(pads, traction_mpa=np.repeat(state.traction_mpa, each, axis=0)),
+        "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
+        "pads": _pads(array, state, stress),
     }
 
 
@@ -104,12 +95,6 @@ def electrode_surface(unit: Unit) -> Surface:
     return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), 2) for at in (*upper, *lower)])
 
 
-def pad_surface(design: SensorDesign) -> Surface:
-    """The pad of a unit in the unit's own frame."""
-    centre = np.array([design.pad.offset_x_mm, design.pad.offset_y_mm, design.unit.height_mm])
-    return rectangle_surface(centre, np.full(2, design.pad.size_mm), ACROSS)
-
-
 def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Surface:
     """A horizontal rectangle of steps × steps quadrilaterals."""
     share = np.linspace(-0.5, 0.5, steps + 1)
@@ -124,6 +109,50 @@ def joined(surfaces: list[Surface]) -> Surface:
     first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
     quads = [quads + start for (_, quads), start in zip(surfaces, first[:-1], strict=True)]
     return np.vstack([points for points, _ in surfaces]), np.vstack(quads)
+
+
+def _on_units(
+    array: ArrayField,
+    state: FieldState,
+    surface: Surface,
+    stress: bool,
+    region: int,
+    units: slice | IntArray = slice(None),
+) -> Part:
+    """A surface of the cell on all units, or some."""
+    points, quads = surface
+    observer = array.observe(points, region)
+    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))[units]
+    copies = np.arange(len(centres))[:, None, None] * len(points)
+    return Part(
+        points_mm=(centres[:, None] + points).reshape(-1, 3),
+        cells=(copies + quads).reshape(-1, 4),
+        cell_type=QUADRILATERAL,
+        displacement_mm=observer.displacement_mm(state)[units].reshape(-1, 3),
+        stress_mpa=observer.stress_mpa(state)[units].reshape(-1, 6) if stress else None,
+    )
+
+
+def _pads(array: ArrayField, state: FieldState, stress: bool) -> Part:
+    """The rectangles that are loaded, each with its traction; all if none is."""
+    parts, tractions = [], []
+    forces = state.force_n.reshape(array.design.n_units, -1, 3)
+    for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
+        units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
+        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, array.design.unit.height_mm])
+        surface = rectangle_surface(centre, np.array([x1 - x0, y1 - y0]), ACROSS)
+        parts.append(_on_units(array, state, surface, stress, 0, units))
+        traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
+        tractions.append(np.repeat(traction, ACROSS**2, axis=0))
+    points, cells = joined([(part.points_mm, part.cells) for part in parts])
+    return Part(
+        points_mm=points,
+        cells=cells,
+        cell_type=QUADRILATERAL,
+        displacement_mm=np.vstack([part.displacement_mm for part in parts]),
+        stress_mpa=np.vstack([part.stress for part in parts]) if stress else None,
+        traction_mpa=np.vstack(tractions),
+    )
 
 
 def _slab(array: ArrayField, state: FieldState, stress: bool) -> Part:

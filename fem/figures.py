@@ -19,11 +19,14 @@ from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 Camera = Literal["iso", "top", "front", "side"]
+Medium = Literal["file", "window", "page"]
 
 SIZE_PX = {1: (1376, 800), 2: (880, 560)}  #: of one picture, and of each of several
+PAGE_PX = (1440, 720)  #: of a page that holds all
 BAR_PX = 224  #: width of the colour bar's column
 MARGIN = 0.06  #: of a picture's width or height, around what it shows
-VIEW_ANGLE = 26.0  #: degrees, of the camera: little perspective
+VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
+LEAST_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
 LIFT_MM = 0.08  #: by which electrodes are drawn before the pillars' ends
 MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
@@ -49,8 +52,8 @@ class Quantity:
 QUANTITIES: dict[Colour, Quantity] = {
     "displacement": Quantity("displacement\n[mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), "viridis"),
     "vertical": Quantity("vertical\ndisplacement\n[mm]", lambda p: p.displacement_mm[:, 2], "viridis_r"),
-    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress_mpa), "plasma", of_stress=True),
-    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress_mpa), "YlOrRd", of_stress=True),
+    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress), "plasma", of_stress=True),
+    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress), "YlOrRd", of_stress=True),
 }
 
 
@@ -146,8 +149,8 @@ class DeformedPicture:
     scale : float
         Factor by which displacement is drawn; 1 is true.
     camera : {"iso", "top", "front", "side"}
-    off_screen : bool
-        False opens a window when `plotter.show` is called.
+    medium : {"file", "window", "page"}
+        What it is drawn for. Pages have no text and no colour bar: they add their own, by `names`, `title`, `limits`.
     """
 
     def __init__(
@@ -156,31 +159,39 @@ class DeformedPicture:
         colour: Colour = "displacement",
         scale: float = 1.0,
         camera: Camera = "iso",
-        off_screen: bool = True,
+        medium: Medium = "file",
     ) -> None:
         if sys.platform == "linux" and not os.environ.get("DISPLAY"):
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
         self._quantity, self._scale = QUANTITIES[colour], scale
-        self._limits = colour_limits(panels.values(), self._quantity)
+        self.names, self.title, self.colours = tuple(panels), self._quantity.title, self._quantity.colours
+        self.limits = colour_limits(panels.values(), self._quantity)
         self._moving: list[tuple[pv.PolyData, FloatArray]] = []
-        n = len(panels)
-        width, height = self._size = SIZE_PX[min(n, 2)]
+        n, on_page = len(panels), medium == "page"
+        width, height = self._size = (PAGE_PX[0] // n, PAGE_PX[1]) if on_page else SIZE_PX[min(n, 2)]
+        self._line = 1.0 if on_page else 2.0  # supersampling thins lines
+        bar = [] if on_page else [BAR_PX]
         self.plotter = pv.Plotter(
-            off_screen=off_screen,
-            shape=(1, n + 1),
-            col_weights=[width] * n + [BAR_PX],
-            window_size=(n * width + BAR_PX, height),
+            off_screen=medium != "window",
+            shape=(1, n + len(bar)),
+            col_weights=[width] * n + bar,
+            window_size=(n * width + sum(bar), height),
             border=False,
         )
         self.plotter.set_background("white", all_renderers=True)
-        self.plotter.enable_anti_aliasing("ssaa", all_renderers=True)
+        if not on_page:
+            self.plotter.enable_anti_aliasing("ssaa", all_renderers=True)
+        self._texts = []
         for column, (name, parts) in enumerate(panels.items()):
             self.plotter.subplot(0, column)
             mapper = self._draw(parts)
-            self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
+            if not on_page:
+                text = self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
+                self._texts.append((name, text))
             self._look(camera, np.vstack([part.points_mm for part in parts.values()]))
-        self.plotter.subplot(0, n)
-        self._draw_bar(mapper)
+        if bar:
+            self.plotter.subplot(0, n)
+            self._draw_bar(mapper)
         self.press(1.0)
 
     def press(self, share: float) -> None:
@@ -189,14 +200,16 @@ class DeformedPicture:
             mesh.points = rest + share * self._scale * mesh["full"]
             if "of full" in mesh.array_names:
                 mesh["shown"] = share * mesh["of full"]
+        for name, text in self._texts:
+            text.set_text("upper_edge", name if share == 1 else f"{share:.0%} of {name}")
 
     def _draw(self, parts: Parts) -> pv.DataSetMapper:
         mapper = None
         for name, part in parts.items():
             whole = grid_of(part)
             whole["full"] = part.displacement_mm
-            if name == "pads":
-                self._draw_pads(part, whole)
+            if part.traction_mpa is not None:
+                self._draw_pads(whole, part.traction_mpa)
                 continue
             if name not in ("matrix", "electrodes"):
                 whole["of full"] = self._quantity.of(part)
@@ -211,31 +224,31 @@ class DeformedPicture:
             else:
                 skin["shown"] = skin["of full"]
                 actor = self.plotter.add_mesh(
-                    self._moved(skin), scalars="shown", clim=self._limits, cmap=self._quantity.colours,
+                    self._moved(skin), scalars="shown", clim=self.limits, cmap=self._quantity.colours,
                     show_scalar_bar=False, **SOLID,
                 )  # fmt: skip
                 mapper = actor.mapper
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(60, boundary_edges=False)
-                self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=2)  # as it was at rest
-                self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=3)
+                self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
+                self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=1.5 * self._line)
         return mapper
 
-    def _draw_pads(self, part: Part, whole: pv.UnstructuredGrid) -> None:
+    def _draw_pads(self, whole: pv.UnstructuredGrid, traction_mpa: FloatArray) -> None:
         """Outline loaded pads in the strength of their traction."""
-        strength = np.linalg.norm(part.traction_mpa, axis=1)
+        strength = np.linalg.norm(traction_mpa, axis=1)
         whole.cell_data["strength"] = strength / max(strength.max(), 1e-300)
+        whole = whole.extract_cells(strength >= LEAST_STRENGTH * strength.max())
         outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
             boundary_edges=True, feature_edges=False, manifold_edges=False
         )
         self.plotter.add_mesh(
-            self._moved(outlines), scalars="strength", cmap="Reds", clim=(-0.3, 1.1), line_width=5,
+            self._moved(outlines), scalars="strength", cmap="Reds", clim=(-0.3, 1.1), line_width=2.5 * self._line,
             show_scalar_bar=False,
         )  # fmt: skip
 
     def _draw_bar(self, mapper: pv.DataSetMapper) -> None:
-        low, high = self._limits
-        labels = 1 + round((high - low) / round_step(high - low))
+        labels = len(colour_ticks(*self.limits))
         self.plotter.add_scalar_bar(
             title=self._quantity.title, mapper=mapper, color="black", fmt="%.3g", n_labels=labels, vertical=True,
             position_x=0.15, position_y=0.12, width=0.42, height=0.76, title_font_size=20, label_font_size=20,
@@ -278,7 +291,13 @@ def colour_limits(panels: Iterable[Parts], quantity: Quantity) -> tuple[float, f
     low, high = (float(np.percentile(values, q)) for q in (100 - share, share))
     low, high = min(low, 0.0), max(high, 0.0)
     step = round_step(high - low)
-    return step * np.floor(round(low / step, 6)), step * np.ceil(round(high / step, 6))
+    low, high = step * np.floor(round(low / step, 6)), step * np.ceil(round(high / step, 6))
+    return float(low), float(high if high > low else low + step)
+
+
+def colour_ticks(low: float, high: float) -> FloatArray:
+    """Round values from one end of a colour scale to the other, the ends included."""
+    return np.linspace(low, high, 1 + round((high - low) / round_step(high - low)))
 
 
 def round_step(most: float) -> float:

@@ -196,7 +196,7 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
         error_estimate=estimate,
         seconds=seconds,
         steps=tuple(steps),
-        field=_field(last) if with_field else None,
+        field=_field(last, scene, plan) if with_field else None,
     )
 
 
@@ -343,7 +343,7 @@ def _estimate(answers: Sequence[dict[str, FloatArray]]) -> float:
     return worst
 
 
-def _field(answer: Answer) -> Field:
+def _field(answer: Answer, scene: Scene, plan: Plan) -> Field:
     """Displacement of the whole body at the edge nodes of its hexahedra and midway between them."""
     part = answer.part
     basis = GridBasis(part.grid, "S2")
@@ -352,4 +352,4 @@ def _field(answer: Answer) -> Field:
     for parity, u in answer.displacements.items():
         values = np.stack([along_axes(rows, component) for component in u], axis=-1)
         sampled.append((parity, values[basis.number >= 0]))
-    return whole_field(basis, sampled, part.mirrors)
+    return whole_field(basis, sampled, scene, plan)

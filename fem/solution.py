@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.design import Material
 from geometry.layout import FloatArray
 
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
@@ -23,6 +24,7 @@ class Field:
     cell_type: int  #: VTK's number
     displacement_mm: FloatArray  #: shape (n, 3)
     region: NDArray[np.int64]  #: shape (m,): 0 for the body, above for what is in it
+    material: tuple[Material, ...]  #: of each region
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
 from fem.elasticity import LEAST_POISSON, lame_of_regions
 from fem.elements import Elements, shape_gradients, shape_values
@@ -87,6 +88,38 @@ def corner_stress(
     if pressure is not None:
         total[:, :3] += pressure[:, None]
     return CornerStress(number, total)
+
+
+def projected_pressure(elements: Elements, material: list[Material], u: FloatArray) -> FloatArray:
+    """The pressure of the mixed form of tetrahedra, from its displacements.
+
+    Parameters as in `corner_stress`, whose `pressure` it is: ∫ div u q − ∫ p q / λ = 0 for all q defines it.
+    """
+    number = corner_numbers(elements)
+    lame_mpa, _ = lame_of_regions(material, elements.region, LEAST_POISSON)
+    slopes = shape_gradients(elements.element, elements.corner_element.doflocs.T)
+    div = np.einsum("qak,eki,eaic->eqc", slopes, elements.inverse_jacobian, u[elements.nodes], optimize=True)
+    mass = elements.volumes_mm3[:, None, None] * (1 + np.eye(4)) / 20
+    rows, columns = (np.broadcast_to(numbers, mass.shape) for numbers in (number[:, :, None], number[:, None, :]))
+    shape = (int(number.max()) + 1,) * 2
+    matrix = sp.csc_matrix(((mass / lame_mpa[:, None, None]).ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+    rhs = np.zeros((shape[0], u.shape[2]))
+    np.add.at(rhs, number, mass @ div)
+    return splu(matrix).solve(rhs)
+
+
+def nodal_stress(elements: Elements, material: list[Material], u: FloatArray, region: int) -> FloatArray:
+    """Stress of one answer (n_nodes, 3) at the nodes of one region, shape (n_nodes, 6); elsewhere not a number."""
+    mixed = None
+    if len(elements.element.doflocs) == 10:
+        mixed = projected_pressure(elements, material, u[:, :, None])
+    found = corner_stress(elements, material, u[:, :, None], mixed)
+    own = np.flatnonzero(elements.region == region)
+    values = shape_values(elements.corner_element, elements.element.doflocs.T)
+    at_nodes = np.einsum("av,evs->eas", values, found.stress_mpa[found.number[own], :, 0])
+    stress = np.full((len(elements.points_mm), 6), np.nan)
+    stress[elements.nodes[own]] = at_nodes  # those that share a node agree on it
+    return stress
 
 
 def _samples(elements: Elements) -> tuple[FloatArray, FloatArray]:

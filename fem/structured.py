@@ -21,7 +21,7 @@ from fem.multigrid import rigid_body_modes
 from fem.patch import patch_means
 from fem.plan import Plan
 from fem.scene import Probe, Rectangle, Scene
-from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution, relative_errors
+from fem.solution import QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON, Field, Solution, relative_errors
 from geometry.layout import FloatArray
 
 COARSE = 5e-3  #: tolerance from which the first grid is of level 1; otherwise of level 2
@@ -224,7 +224,7 @@ def _answer(
         parts.append((parity, u.reshape(-1, 3)))
         spent("solve")
     answer = Answer(probes=probes, energy_mj=energy_mj, residual=residual, unknowns=unknowns)
-    return answer, (whole_field(basis, parts, plan.mirrors) if with_field else None)
+    return answer, (whole_field(basis, parts, scene, plan) if with_field else None)
 
 
 def free_modes(body: ElasticBody) -> FloatArray:
@@ -253,38 +253,41 @@ def probe_rows(basis: GridBasis, probe: Probe, mirrors: tuple[Mirror, ...], pari
     return (sp.diags_array(signs) @ sp.kron(values, sp.eye_array(3))).tocsr()
 
 
-def whole_field(basis: GridBasis, parts: list[tuple[Parity, FloatArray]], mirrors: tuple[Mirror, ...]) -> Field:
-    """Displacement of the whole body at the 20 edge nodes of its boxes, from even and odd parts (N, 3) of one part."""
-    corners = basis.local
-    order = [int(np.flatnonzero((corners == place).all(axis=1))[0]) for place in VTK_PLACES]
+def whole_field(basis: GridBasis, parts: list[tuple[Parity, FloatArray]], scene: Scene, plan: Plan) -> Field:
+    """Displacement of the whole body at the nodes of its boxes, from even and odd parts (N, 3) of one part."""
+    n = len(basis.local)
+    order = [int(np.flatnonzero((basis.local == place).all(axis=1))[0]) for place in VTK_PLACES[:n]]
     cells, points = basis.element_dofs[order].T, basis.doflocs.T
     all_points, all_moved, all_cells = [], [], []
-    for number, (flipped, _) in enumerate(images(mirrors, (1, 1))):
+    for number, (flipped, _) in enumerate(images(plan.mirrors, (1, 1))):
         image = cells
         for mirror in flipped:
-            image = image[:, VTK_MIRRORED[mirror.axis]]
+            image = image[:, VTK_MIRRORED[mirror.axis][:n]]
         all_cells.append(image + number * len(points))
         all_points.append(flipped_points(points, flipped))
         moved = np.zeros_like(points)
         for parity, u in parts:
-            moved += u * next(signs for planes, signs in images(mirrors, parity) if planes == flipped)
+            moved += u * next(signs for planes, signs in images(plan.mirrors, parity) if planes == flipped)
         all_moved.append(moved)
     region = np.broadcast_to(basis.grid.region, basis.grid.shape).ravel()
     return Field(
         points_mm=np.vstack(all_points),
         cells=np.vstack(all_cells),
-        cell_type=QUADRATIC_HEXAHEDRON,
+        cell_type=TRIQUADRATIC_HEXAHEDRON if n == 27 else QUADRATIC_HEXAHEDRON,
         displacement_mm=np.vstack(all_moved),
         region=np.tile(region, len(all_cells)),
+        material=(scene.material, *(material for _, material in plan.regions)),
     )
 
 
-#: the 20 nodes of VTK's quadratic hexahedron in half steps: corners, lower edges, upper edges, uprights
+#: the nodes of VTK's hexahedra in half steps: corners, lower edges, upper edges, uprights; in the triquadratic one also
+#: the middles of the sides across x, y and z, and of the whole
 VTK_PLACES = np.array(
     [
         *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
         *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
         *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
     ]
 )
 #: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out

@@ -119,7 +119,7 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, field: bool = False) -> Soluti
         error_estimate=float(max(errors.values())),
         seconds=seconds,
         steps=tuple(steps),
-        field=_field(found) if field else None,
+        field=_field(found, materials_of(scene, plan)) if field else None,
     )
 
 
@@ -178,7 +178,7 @@ def _solved(scene: Scene, plan: Plan, mesh: MeshTet, seconds: dict[str, float]) 
         seconds[step] += now - clock
         clock = now
 
-    materials = list(dict.fromkeys([scene.material, *(material for _, material in plan.regions)]))
+    materials = materials_of(scene, plan)
     of_prism = np.array([0, *(materials.index(material) for _, material in plan.regions)])
     region = of_prism[prism_of_cells(mesh, [prism for prism, _ in plan.regions])]
     body = _assembled(mesh, materials, region, plan.element)
@@ -224,6 +224,11 @@ def _solved(scene: Scene, plan: Plan, mesh: MeshTet, seconds: dict[str, float]) 
         unknowns=body.matrix.shape[0],
         indicators=indicators,
     )
+
+
+def materials_of(scene: Scene, plan: Plan) -> list[Material]:
+    """The different rubbers of a scene, by the numbers of regions; the body's first."""
+    return list(dict.fromkeys([scene.material, *(material for _, material in plan.regions)]))
 
 
 def _assembled(mesh: MeshTet, materials: list[Material], region: IntArray, element: str) -> ElasticBody:
@@ -285,7 +290,7 @@ def _dual_loads(
     return forces, scales, [weight[is_mean] / areas for weight in weights]
 
 
-def _field(found: Level) -> Field:
+def _field(found: Level, materials: list[Material]) -> Field:
     """The displacement of the whole body, in VTK's order of nodes, which is scikit-fem's."""
     basis, mesh = found.body.basis, found.mesh
     quadratic = bool(basis.edge_dofs.size)
@@ -296,4 +301,5 @@ def _field(found: Level) -> Field:
         cell_type=QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
         displacement_mm=found.u.reshape(-1, 3),
         region=found.region.astype(np.int64),
+        material=tuple(materials),
     )

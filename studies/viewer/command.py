@@ -1,0 +1,181 @@
+"""`tripillar view`: a deformed sensor or scene, in a window or as a file."""
+
+import math
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.core import TyperCommand
+
+from geometry.errors import DesignError, FileFormatError
+from studies.console import DesignOption, JsonOption, QuietOption, chosen, progress_bars, show_json, wrote
+
+PRESSURES = (3.0,)  #: [MPa] where none is asked for
+MOST_MPA, MOST_PANELS, MOST_SCALE = 100.0, 6, 1e6
+#: kinds of files, with the pip extra and the packages that each needs
+NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    ".png": ("", ()),
+    ".html": ("page", ("trame", "trame_vtk", "trame_pyvista")),
+    ".mp4": ("film", ("imageio", "imageio_ffmpeg")),
+    ".vtm": ("", ()),
+}
+
+viewer = typer.Typer()
+
+
+class SeveralPressures(TyperCommand):
+    """Lets `--pressure` take several values, `--pressure 1 3 5`, which click's options cannot."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, repeated(args, "--pressure"))
+
+
+def repeated(words: list[str], option: str) -> list[str]:
+    """Repeat an option before each further number that follows its value.
+
+    >>> repeated(["--pressure", "1", "3", "sensor.toml"], "--pressure")
+    ['--pressure', '1', '--pressure', '3', 'sensor.toml']
+    """
+    found: list[str] = []
+    taking = False  # whether numbers belong to the option
+    for before, word in zip(["", *words], words, strict=False):
+        if before == option or word.startswith(f"{option}="):
+            taking = True
+        elif taking and _is_number(word):
+            found.append(option)
+        else:
+            taking = False
+        found.append(word)
+    return found
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+@viewer.command(cls=SeveralPressures)
+def view(
+    body: Annotated[
+        Path | None, typer.Argument(metavar="[SCENE|DESIGN]", help="TOML of either; default: the paper's sensor.")
+    ] = None,
+    pressure: Annotated[
+        list[float] | None,
+        typer.Option(metavar="MPA...", help="Largest pressure on the pads; several: side by side; default: 3."),
+    ] = None,
+    load: Annotated[
+        Literal["indenter", "uniform"] | None,
+        typer.Option(help="A round indenter over the middle of the array, or all pads alike; default: indenter."),
+    ] = None,
+    colour: Annotated[
+        Literal["displacement", "vertical", "mises", "pressure"],
+        typer.Option("--colour", "--color", help="What colour shows."),
+    ] = "displacement",
+    scale: Annotated[str, typer.Option(metavar="true|FACTOR|auto", help="Of the displacement as drawn.")] = "true",
+    camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Where it is seen from.")] = "iso",
+    save: Annotated[
+        Path | None, typer.Option(help="File to write: .png, .html, .mp4 or .vtm; default: open a window.")
+    ] = None,
+    design: DesignOption = None,
+    json_: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Show a sensor or a scene deformed: pillars in a translucent matrix, by displacement or stress."""
+    if body is not None and design is not None:
+        raise DesignError(f"{body} and --design {design} both say what to show: give one of them.")
+    pressures = _pressures(pressure)
+    factor = _factor(scale)
+    if save is None and not has_display():
+        raise DesignError("there is no display to open a window on: give --save FILE.png, .html, .mp4 or .vtm.")
+    if save is not None:
+        require_savable(save)
+    start = perf_counter()
+    from fem.scene import Scene
+    from studies.viewer.sights import largest_mm, panels_of, read_body, suited_scale
+
+    shown = chosen(design) if body is None else read_body(body)
+    if isinstance(shown, Scene) and (pressure is not None or load is not None):
+        raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
+    from fem.figures import QUANTITIES, DeformedPicture, Medium
+    from studies.viewer.saving import FRAMES, SAVERS, save_blocks
+
+    kind = "" if save is None else save.suffix
+    with progress_bars(quiet) as bars:
+        advance = bars.begin("fields", total=4)
+        stress = kind == ".vtm" or QUANTITIES[colour].of_stress
+        panels = panels_of(shown, pressures, load or "indenter", stress, lambda step: advance(1, step))
+        factor = suited_scale(panels) if factor is None else factor
+        advance(1, "")
+        if save is not None:
+            drawn = bars.begin("picture", total=FRAMES if kind == ".mp4" else 1)
+            if kind == ".vtm":
+                save_blocks(panels, save)
+            else:
+                medium: Medium = "page" if kind == ".html" else "file"
+                SAVERS[kind](DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
+    if save is None:
+        DeformedPicture(panels, colour, factor, camera, "window").plotter.show()
+    largest = {name: max(largest_mm(part.displacement_mm) for part in parts.values()) for name, parts in panels.items()}
+    if json_:
+        show_json({
+            "file": None if save is None else str(save),
+            "scale": factor,
+            "largest_displacement_mm": largest,
+            "seconds": perf_counter() - start,
+        })  # fmt: skip
+    else:
+        for name, millimetres in largest.items():
+            print(
+                f"{name}: largest displacement {millimetres:.3g} mm{'' if factor == 1 else f', drawn {factor:g} times'}"
+            )
+    wrote([] if save is None else [save])
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def require_savable(path: Path) -> None:
+    """Refuse what cannot be written, before anything is computed."""
+    if path.suffix not in NEEDS:
+        raise DesignError(f"--save {path} must end in {', '.join(NEEDS)}.")
+    if path.is_dir():
+        raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
+    if path.suffix == ".vtm" and path.with_suffix("").exists() and not path.exists():
+        raise FileFormatError(
+            f"{path.with_suffix('')} exists, but no {path.name} that it belongs to: give another name."
+        )
+    extra, packages = NEEDS[path.suffix]
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
+        raise DesignError(f"{path.suffix} needs {', '.join(missing)}, not installed: pip install 'tripillar[{extra}]'.")
+
+
+def _pressures(given: list[float] | None) -> tuple[float, ...]:
+    """The values of --pressure, sound and different."""
+    pressures = PRESSURES if given is None else tuple(given)
+    for value in pressures:
+        if not (math.isfinite(value) and 0 < value <= MOST_MPA):
+            raise DesignError(
+                f"--pressure {value:g} must be above 0 and at most {MOST_MPA:g} MPa; the paper uses 1 to 5."
+            )
+    if len(set(pressures)) < len(pressures) or len(pressures) > MOST_PANELS:
+        raise DesignError(f"--pressure takes at most {MOST_PANELS} different values, one for each picture.")
+    return pressures
+
+
+def _factor(scale: str) -> float | None:
+    """The factor that --scale says; None: to be chosen."""
+    if scale in ("true", "auto"):
+        return 1.0 if scale == "true" else None
+    if not _is_number(scale) or not (math.isfinite(float(scale)) and 0 < float(scale) <= MOST_SCALE):
+        raise DesignError(f"--scale {scale} must be true, auto, or a number above 0 and at most {MOST_SCALE:g}.")
+    return float(scale)

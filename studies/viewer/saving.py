@@ -1,0 +1,124 @@
+"""A picture as a file: PNG, a page, a film, or parts with their fields for ParaView."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pyvista as pv
+
+from fem.deformed import Parts
+from fem.figures import DeformedPicture, colour_ticks, grid_of
+from fem.stress import pressure, von_mises
+from geometry.files import replacing
+
+FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those of them that hold the whole load, and how many a second
+
+
+def save_png(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
+    """Write a PNG."""
+    with replacing(path) as temporary:
+        picture.plotter.screenshot(temporary)
+    done()
+
+
+def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
+    """Write a page to turn the picture in, with all that it needs inside: it opens without a network."""
+    import asyncio
+
+    from trame.app import get_server
+    from trame.widgets import vtk
+
+    server = get_server(pv.global_theme.trame.jupyter_server_name)  # where PyVista looks for it
+    vtk.initialize(server)
+
+    async def exported() -> str:
+        """The page, as a server on loopback that nobody else is told of makes it."""
+        server.start(
+            exec_mode="task", host="127.0.0.1", port=0, open_browser=False, show_connection_info=False,
+            disable_logging=True, timeout=0, backend="aiohttp",
+        )  # fmt: skip
+        await server.ready
+        try:
+            return picture.plotter.trame.export_html(None).getvalue()
+        finally:
+            await server.stop()
+
+    page = asyncio.run(exported())
+    with replacing(path) as temporary:
+        head, end, tail = page.rpartition("</body>")
+        temporary.write_text(head + _legend(picture) + end + tail, encoding="utf-8")
+    done()
+
+
+def _legend(picture: DeformedPicture) -> str:
+    """Names above the pictures and a colour bar, which the viewer in the page does not draw well, as HTML."""
+    n, (low, high) = len(picture.names), picture.limits
+    names = [
+        f'<div style="left:{100 * (k + 0.5) / n:.2f}%;top:12px;transform:translateX(-50%);font-size:20px">{name}</div>'
+        for k, name in enumerate(picture.names)
+    ]
+    shades = pv.LookupTable(picture.colours, n_values=24).values
+    gradient = ", ".join(f"rgb({red},{green},{blue})" for red, green, blue, _ in shades)
+    ticks = [
+        f'<div style="right:{90 + 360 * (high - tick) / (high - low):.1f}px;bottom:12px;transform:translateX(50%)">'
+        f"{tick:.3g}</div>"
+        for tick in colour_ticks(low, high)
+    ]
+    bar = (
+        f'<div style="right:90px;bottom:36px;width:360px;height:14px;background:linear-gradient(to right, {gradient})">'
+        f'</div><div style="right:90px;bottom:56px;width:360px;text-align:center">{picture.title}</div>'
+    )
+    style = "<style>.legend div{position:fixed;z-index:9;font:16px sans-serif;color:black;pointer-events:none}</style>"
+    stage = '<div class="content" style="position:fixed;inset:0"></div>'  # for the viewer, which empties what it fills
+    return f'{stage}{style}<div class="legend">{"".join(names)}{bar}{"".join(ticks)}</div>'
+
+
+def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
+    """Write an MP4 of the load rising from nothing; `done` is called after each frame."""
+    import imageio
+
+    with replacing(path) as temporary, imageio.get_writer(temporary, fps=RATE, quality=8) as film:
+        for share in np.linspace(0.0, 1.0, FRAMES - HELD).tolist() + HELD * [1.0]:
+            picture.press(share)
+            picture.plotter.render()  # a screenshot alone takes the last picture again
+            film.append_data(picture.plotter.screenshot(return_img=True))
+            done()
+
+
+def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
+    """Parts at rest with displacement and stress at their points, as VTM and a folder of the same name."""
+    blocks = pv.MultiBlock({name: pv.MultiBlock(_datasets(parts)) for name, parts in panels.items()})
+    if len(panels) == 1:
+        blocks = blocks[0]
+    folder = path.with_suffix("")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.stem}-") as temporary:
+        blocks.save(Path(temporary) / path.name)
+        if folder.exists():
+            shutil.rmtree(folder)
+        (Path(temporary) / folder.name).replace(folder)
+        (Path(temporary) / path.name).replace(path)
+
+
+def _datasets(parts: Parts) -> dict[str, pv.DataSet]:
+    found = {}
+    for name, part in parts.items():
+        grid = grid_of(part)
+        grid.point_data["displacement_mm"] = part.displacement_mm
+        if part.stress_mpa is not None:
+            grid.point_data["stress_mpa"] = part.stress_mpa
+            grid.point_data["von_mises_mpa"] = von_mises(part.stress_mpa)
+            grid.point_data["pressure_mpa"] = pressure(part.stress_mpa)
+        if part.traction_mpa is not None:
+            grid.cell_data["traction_mpa"] = part.traction_mpa
+        found[name] = grid
+    return found
+
+
+SAVERS: dict[str, Callable[[DeformedPicture, Path, Callable[[], None]], None]] = {
+    ".png": save_png,
+    ".html": save_html,
+    ".mp4": save_film,
+}
