@@ -45,7 +45,7 @@ def draw_spacing(found: Spacing, height_mm: float, material: Material, path: Pat
         wider = [one.pitch_mm for one in found.touches]
         touch.plot(wider, forces, color=colour, marker="o", markersize=4, linewidth=1, label=f"{load} touch")
     share.set(yscale="log", xlabel="pitch [mm]", ylabel="reading of a neighbour over the loaded unit's [%]")
-    share.set(title="neighbours")
+    share.set(title="neighbours", ylim=(0.05, None))  # room for the legend
     touch.axhline(PRESSED_N, color=BLACK, linestyle=":", linewidth=1.2, label="1 MPa on 1 cm²")
     touch.axhline(LARGEST_FORCE_N, color=PURPLE, linestyle=":", linewidth=1.5, label="the paper's largest force")
     touch.set(yscale="log", xlabel="pitch [mm]", ylabel="lightest touch felt wherever it falls [N]", title="touches")
