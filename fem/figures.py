@@ -116,13 +116,14 @@ def draw_electrode_grid(
     now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
     figure = Figure(figsize=(8.0, 5.2), layout="constrained")
     axes = figure.add_subplot(projection="3d")
+    whole = {"depthshade": False, "clip_on": False}  # zoomed in, the corners of the grid leave the axes' rectangle
     for lines in (now, now.swapaxes(0, 1)):
         for line in lines:
-            axes.plot(*line.T, color="#5f7486", linewidth=1)
-    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", depthshade=False, label="at rest")
+            axes.plot(*line.T, color="#5f7486", linewidth=1, clip_on=False)
+    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", label="at rest", **whole)
     if traction_mpa is not None:
         dots = axes.scatter(
-            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, depthshade=False, label="loaded"
+            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, label="loaded", **whole
         )
         bar = figure.colorbar(dots, ax=axes, shrink=0.6, pad=0.1)
         bar.set_label("displacement of the electrode [mm]")
