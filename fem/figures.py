@@ -119,10 +119,10 @@ def draw_electrode_grid(
     for lines in (now, now.swapaxes(0, 1)):
         for line in lines:
             axes.plot(*line.T, color="#5f7486", linewidth=1)
-    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", depthshade=False, label="at rest")
+    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", label="at rest", depthshade=False)
     if traction_mpa is not None:
         dots = axes.scatter(
-            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, depthshade=False, label="loaded"
+            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, label="loaded", depthshade=False
         )
         bar = figure.colorbar(dots, ax=axes, shrink=0.6, pad=0.1)
         bar.set_label("displacement of the electrode [mm]")
@@ -132,7 +132,7 @@ def draw_electrode_grid(
     low = min(0.0, float(now[..., 2].min()))
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    axes.set_box_aspect((1, 1, 0.35), zoom=1.2)
+    axes.set_box_aspect((1, 1, 0.35), zoom=1.05)  # more would cut the corners off
     axes.view_init(elev=24, azim=-58)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=160)
