@@ -20,7 +20,6 @@ from scipy.sparse.linalg import splu
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
-
 WIDTH = 128  #: columns of whole solves at a time: as quick as all at once, and their copies take far less memory
 
 

@@ -20,28 +20,36 @@ if TYPE_CHECKING:
 GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front, and how many are drawn thick
 AGAINST = (("range_n", True), ("area_cm2", False))  #: figures of the Pareto picture, and whether more is better
 BESIDE = ("range_n", "crosstalk_1", "condition")  #: figures of the parallel axes, after the keys
+HOPELESS = 100.0  #: times the least error (or another figure) from which designs are drawn at the edge: no good anyhow
+PALE = 0.55  #: strength of colour of the lines that are not among the best
 WIDE = 20.0  #: ratio of the largest to the least value from which an axis is logarithmic
 
 
 def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     """Write a PNG: error against force range and against size, with the designs that no other one beats in both."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
     within = np.array([not sweep.excess(row.figures) for row in sound])
-    error = _column(sound, sweep.least)
+    whole = _column(sound, sweep.least)
+    error = _clipped(whole)
     key = telling_key(sound, sweep)
     shade = np.array([row.values[key] for row in sound])
+    norm = _norm(shade)
     figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
     for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
         other = _column(sound, name)
         if not within.all():
-            axes.scatter(other[~within], error[~within], s=26, facecolors="none", edgecolors=GREY, label="out of bounds")
-        dots = axes.scatter(
-            other[within], error[within], c=shade[within], s=42, cmap="viridis", norm=_norm(shade),
-            edgecolors="white", linewidths=0.6, zorder=3,
-        )  # fmt: skip
-        front = pareto(np.where(within, error, np.inf), -other if more else other)
+            axes.scatter(
+                other[~within], error[~within], s=26, facecolors="none", edgecolors=GREY, label="out of bounds"
+            )
+        for marker, those in (("o", within & (error == whole)), ("^", within & (error < whole))):
+            axes.scatter(
+                other[those], error[those], c=shade[those], s=42, marker=marker, cmap="viridis", norm=norm,
+                edgecolors="white", linewidths=0.6, zorder=3,
+            )  # fmt: skip
+        front = pareto(np.where(within & (error == whole), error, np.inf), -other if more else other)
         order = front[np.argsort(other[front])]
         label = "beaten by no other design in both"
         axes.step(
@@ -60,9 +68,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         axes.grid(visible=True, which="major", alpha=0.25)
     figure.axes[0].set_ylabel(f"{_named(sweep.least)}, less is better")
     figure.axes[1].legend(fontsize=9, loc="best")
-    figure.colorbar(dots, ax=figure.axes, label=key, pad=0.01)
-    failed = len(rows) - len(sound)
-    figure.suptitle(f"{len(sound)} designs" + (f", {failed} more failed" if failed else ""), fontsize=12)
+    figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=key, pad=0.01)
+    counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int((error < whole).sum())}
+    parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
+    figure.suptitle("; ".join(parts), fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -71,6 +80,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     """Write a PNG of parallel coordinates: a line a design through its keys and figures, the best ones thick."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
@@ -80,35 +90,39 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         _named(name, "\n") for name in figures
     ]
     columns = [np.array([row.values[variable.name] for row in sound]) for variable in sweep.variables]
-    columns += [_column(sound, name) for name in figures]
-    kept = [(label, column) for label, column in zip(labels, columns, strict=True) if np.isfinite(column).any()]
-    heights = np.array([_share(column) for _, column in kept])
+    columns += [_clipped(_column(sound, name)) for name in figures]
+    cut = [False] * len(sweep.variables) + [
+        bool((_column(sound, name) > HOPELESS * _least(sound, name)).any()) for name in figures
+    ]
+    axis = zip(labels, columns, cut, strict=True)
+    kept = [(label, column, ends) for label, column, ends in axis if np.isfinite(column).any()]
+    heights = np.array([_share(column) for _, column, _ in kept])
     goal = heights[len(sweep.variables)]
     shades = colormaps["viridis"]
-    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=120, layout="constrained")
+    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=100, layout="constrained")
     axes = figure.subplots()
     places = np.arange(len(kept))
-    for k in np.argsort([-best.get(row.recipe, BEST) for row in sound]):  # the best are drawn last, on top
+    for k in np.argsort(-goal):  # the best are drawn last, on top
         thick = sound[k].recipe in best
-        inside = not sweep.excess(sound[k].figures)
-        axes.plot(
-            places, heights[:, k], color=shades(0.95 * goal[k]) if inside else GREY, linewidth=2.6 if thick else 1.0,
-            alpha=1.0 if thick else 0.45, zorder=3 if thick else 2,
-        )  # fmt: skip
-    for place, (_, column) in zip(places, kept, strict=True):
+        colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].figures) else to_rgb(GREY))
+        paler = colour if thick else 1.0 - PALE * (1.0 - colour)
+        axes.plot(places, heights[:, k], color=tuple(paler), linewidth=2.6 if thick else 1.0, zorder=3 if thick else 2)
+    for place, (_, column, ends) in enumerate(kept):
         axes.axvline(place, color="#333333", linewidth=1.0, zorder=1)
         for share, text in _ticks(column):
-            axes.text(place + 0.05, share, text, fontsize=8, va="center", zorder=5, bbox=_PAPER)
+            above = "≥ " if ends and share == 1.0 else ""
+            axes.text(place + 0.05, share, above + text, fontsize=8, va="center", zorder=5, bbox=_PAPER)
             axes.plot([place - 0.03, place + 0.03], [share, share], color="#333333", linewidth=1.0)
-    axes.set_xticks(places, [label for label, _ in kept], fontsize=9)
+    axes.set_xticks(places, [label for label, _, _ in kept], fontsize=9)
     axes.xaxis.set_ticks_position("top")
     axes.tick_params(length=0)
+    failed = len(rows) - len(sound)
+    axes.set_title(f"{len(sound)} designs" + (f"; {failed} more failed" if failed else ""), fontsize=12, pad=14)
     axes.set(yticks=[], xlim=(-0.3, places[-1] + 0.6), ylim=(-0.04, 1.04))
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
-    bar.set_label(
-        f"{sweep.least}: dark is least; thick: the {min(BEST, len(best))} best; grey: out of bounds", fontsize=9
-    )
+    grey = "; grey: out of bounds" if sweep.bounds else ""
+    bar.set_label(f"{sweep.least}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -130,11 +144,13 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 
 def telling_key(rows: Sequence[Row], sweep: Sweep) -> str:
-    """The varied key whose order agrees best with that of the figure that is to be least."""
+    """The varied key that agrees best in order with the figure that is to be least, where that is not hopeless."""
     error = _column(rows, sweep.least)
+    sane = error == _clipped(error)
+    error = error[sane]
 
     def agreement(key: str) -> float:
-        values = np.array([row.values[key] for row in rows])
+        values = np.array([row.values[key] for row in rows])[sane]
         if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
             return 0.0
         return abs(float(spearmanr(values, error).statistic))
@@ -145,6 +161,16 @@ def telling_key(rows: Sequence[Row], sweep: Sweep) -> str:
 def _column(rows: Sequence[Row], name: str) -> FloatArray:
     found = [row.figures.get(name) for row in rows]
     return np.array([np.nan if value is None else value for value in found])
+
+
+def _least(rows: Sequence[Row], name: str) -> float:
+    return float(np.nanmin(_column(rows, name), initial=np.inf))
+
+
+def _clipped(values: FloatArray) -> FloatArray:
+    """Values not above `HOPELESS` times the least, so that a few singular designs do not squeeze all others."""
+    least = np.nanmin(values, initial=np.inf)
+    return np.minimum(values, HOPELESS * least) if least > 0 else values
 
 
 def _named(name: str, between: str = " ") -> str:

@@ -61,9 +61,9 @@ def search(
     Trials are asked for in batches, one a worker, and told in their order: the search does not depend on which of a
     batch ends first. `progress` as in `run.judge_all`.
     """
-    from optuna.distributions import FloatDistribution
+    from optuna.distributions import BaseDistribution, FloatDistribution
 
-    space = {variable.name: FloatDistribution(0.0, 1.0) for variable in sweep.variables}
+    space: dict[str, BaseDistribution] = {variable.name: FloatDistribution(0.0, 1.0) for variable in sweep.variables}
     done = finished(study, sweep)
     rows = kept_rows(done, folder)
     start, before = perf_counter(), len(done)

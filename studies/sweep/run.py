@@ -15,7 +15,7 @@ from studies.sweep.sampling import Sample
 from studies.sweep.sweep_file import Judging
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 IN_FLIGHT = 2  #: designs a worker has at a time: one to work on, one to go on with
 
@@ -55,7 +55,7 @@ def _judged(samples: Sequence[Sample], judging: Judging, client: "Client") -> It
     made: set[str] = set()
     making: set[str] = set()
     flying = as_completed()
-    flights: dict[str, Sample] = {}
+    flights: dict[Future, Sample] = {}
 
     def send() -> None:
         room = IN_FLIGHT * max(1, sum(client.nthreads().values())) - len(flights)
@@ -66,13 +66,13 @@ def _judged(samples: Sequence[Sample], judging: Judging, client: "Client") -> It
             if not own & making:
                 making.update(own)
                 future = client.submit(row_of, sample, judging, pure=False)
-                flights[future.key] = waiting.pop(recipe)
+                flights[future] = waiting.pop(recipe)
                 flying.add(future)
                 room -= 1
 
     send()
     for future in flying:
-        sample = flights.pop(future.key)
+        sample = flights.pop(future)
         making -= stages[sample.recipe]
         made |= stages[sample.recipe]
         error = future.exception()

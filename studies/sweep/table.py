@@ -1,5 +1,6 @@
 """The best designs of a sweep as a table for people."""
 
+import re
 from collections.abc import Sequence
 
 from rich.markup import escape
@@ -15,7 +16,6 @@ SHOWN = {
     "area_cm2": ("area", "cm²"),
     "crosstalk_1": ("crosstalk", ""),
     "condition": ("condition", ""),
-    "error_estimate": ("FE error", "%"),
 }  #: figures with their heads
 
 
@@ -41,13 +41,11 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
         title=f"The {min(count, len(best))} designs of least {sweep.least} of {sound}{outside}; {failed} failed",
     )
     for variable in sweep.variables:
-        group, _, name = variable.name.rpartition(".")
-        table.add_column(f"{group}\n{name}", justify="right")
+        table.add_column("\n".join(re.split(r"[._]", variable.name)), justify="right", vertical="bottom")
     for head, unit in SHOWN.values():
         table.add_column(f"{head}\n{escape(f'[{unit}]') if unit else ''}", justify="right")
     for row in best[:count]:
-        percent = {"error_estimate": 100.0}
-        cells = [f"{figure(row, name) * percent.get(name, 1.0):.3g}" for name in SHOWN]
+        cells = [f"{figure(row, name):.3g}" for name in SHOWN]
         table.add_row(*(f"{row.values[variable.name]:.4g}" for variable in sweep.variables), *cells)
     return table
 

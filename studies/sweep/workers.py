@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 MEMORY_BYTES = 4 * 2**30  #: a local worker that takes more is ended and its design judged again, thrice at most
-CONNECT_S = 10  #: how long a scheduler is waited for
+CONNECT_S = 15  #: how long a scheduler is waited for, and then its first worker
 
 
 @contextmanager
@@ -83,8 +83,12 @@ def _connected(scheduler: str) -> Iterator["Client"]:
     except (OSError, ValueError) as error:
         raise DesignError(f"no scheduler at {scheduler} ({error}): start one by 'dask scheduler'.") from None
     with client:
-        if not client.scheduler_info()["workers"]:
-            raise DesignError(f"the scheduler at {scheduler} has no workers: start some by 'dask worker {scheduler}'.")
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise DesignError(
+                f"the scheduler at {scheduler} has no workers: start some by 'dask worker {scheduler}'."
+            ) from None
         yield client
 
 
