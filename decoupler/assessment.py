@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset import LabelledData
-from decoupler.baseline import hooke_forces
+from decoupler.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.components import force_columns, readable_columns
 from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
@@ -55,9 +55,9 @@ def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | 
     errors = component_errors(predicted, data, component)
     baselines = {}
     if data.design is not None and dead is None:
-        baselines["eq. 8, each pillar alone"] = hooke_forces(resistance_ohm, data.design, component)
+        baselines[HOOKE] = hooke_forces(resistance_ohm, data.design, component)
     if decoupler.least_squares is not None:
-        baselines["least squares on √R"] = decoupler.least_squares.forces(resistance_ohm)
+        baselines[LINEAR] = decoupler.least_squares.forces(resistance_ohm)
     compared = {name: component_errors(forces, data, component) for name, forces in baselines.items()}
     limits = _limits(decoupler, data, response)
     covered = None

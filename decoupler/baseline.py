@@ -11,6 +11,8 @@ from decoupler.components import Component, force_columns, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
 
+HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: what tables call the two marks
+
 #: sign of the lengthening of the pillar that senses an axis under a positive force along it
 _LENGTHENS = {"x": -1.0, "y": 1.0, "z": -1.0}
 

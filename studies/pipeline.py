@@ -24,11 +24,12 @@ from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError
-from geometry.files import digest, replacing
+from geometry.files import digest
 from geometry.mesh import sensor_mesh, suited_settings
 from geometry.quality import quality
 from studies.comparison import Comparison, compare
 from studies.progress import Bars
+from studies.writing import write_json, write_text
 
 CAD_METHOD = 1  #: raise when the same design gives other CAD files
 #: protocols of the table, each with the force component it loads
@@ -99,8 +100,7 @@ def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False
     ]
     outcome = Outcome(stages=stages, comparisons=comparisons)
     table = out / "table.json"
-    with replacing(table) as temporary:
-        temporary.write_text(json.dumps(outcome.as_plain(), indent=2) + "\n", encoding="utf-8")
+    write_json(outcome.as_plain(), table)
     stages.append(Stage(name="table", seconds=0.0, reused=False, files=(table,)))
     return outcome
 
@@ -118,11 +118,9 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
 
         files = write_cad(design, folder)
         hashes = {path.name: _file_hash(path) for path in files}
-        with replacing(made) as temporary:
-            temporary.write_text(json.dumps({"recipe": recipe, "files": hashes}, indent=2) + "\n", encoding="utf-8")
+        write_json({"recipe": recipe, "files": hashes}, made)
     description = folder / "design.toml"
-    with replacing(description) as temporary:
-        temporary.write_text(design_to_toml(design), encoding="utf-8")
+    write_text(design_to_toml(design), description)
     advance(1, "reused" if reused else f"{len(files)} files")
     return Stage(name="CAD", seconds=perf_counter() - start, reused=reused, files=(description, *files))
 

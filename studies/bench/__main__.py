@@ -1,19 +1,19 @@
 """``python -m studies.bench``: the table, the JSON and the pictures of run time against error."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from geometry.files import replacing
 from studies.bench.contenders import CONTENDERS
 from studies.bench.figures import draw_work_precision
 from studies.bench.scenes import all_scenes
-from studies.bench.surroundings import surroundings
 from studies.bench.table import ratio_table, work_precision_table
-from studies.bench.work_precision import Settings, as_json, measure_scene
+from studies.bench.work_precision import Settings, as_plain, measure_scene
+from studies.console import say, wrote
 from studies.report import show
+from studies.surroundings import surroundings
+from studies.writing import write_json
 
 SCENES = ("block-normal-0.49", "slab-12-normal")  #: a symmetric scene and one that is not
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
@@ -33,24 +33,23 @@ def bench(
     if quick:
         settings = Settings(runs=1, threads=threads, patience_s=20.0)
     chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
-    out.mkdir(parents=True, exist_ok=True)
     scenes = all_scenes()
-    everything = []
+    everything, pictures = [], []
     for name in scene or SCENES:
         if name not in scenes:
             raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
-        found = measure_scene(name, scenes[name], chosen, settings, lambda line: print(line, file=sys.stderr))
+        found = measure_scene(name, scenes[name], chosen, settings, say)
         everything += found
-        draw_work_precision(name, found, out / f"{name}.png")
+        pictures.append(out / f"{name}.png")
+        draw_work_precision(name, found, pictures[-1])
         show(work_precision_table(name, found))
         show(ratio_table(name, found, loaded=True))
         if len(scenes[name].probes) > 1:
             show(ratio_table(name, found))
     measured = {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
     about = surroundings(PACKAGES) | measured
-    with replacing(out / "bench.json") as temporary:
-        temporary.write_text(as_json(everything, about), encoding="utf-8")
-    print(f"{out}: bench.json and a picture of each scene", file=sys.stderr)
+    write_json(as_plain(everything, about), out / "bench.json")
+    wrote([*pictures, out / "bench.json"])
 
 
 if __name__ == "__main__":

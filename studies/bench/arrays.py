@@ -17,10 +17,11 @@ import typer
 from rich.table import Table
 
 from geometry.design import Array, Material, SensorDesign
-from geometry.files import replacing
 from studies.bench.memory import peak_mib
 from studies.bench.whole_grid import whole_grid_response
+from studies.console import wrote
 from studies.report import show
+from studies.writing import write_json
 
 REFERENCES = Path(__file__).with_name("references.json")
 #: name, units a side, settings of the response (or the level of one grid of the whole slab), matrix's modulus [MPa]
@@ -119,8 +120,8 @@ def bench(
         table.add_row(name, f"{units} × {units}", f"{total:.1f}", parts, f"{found['peak_mib']:.0f}", estimate, judged)
         print(f"{name}, {units} × {units}: {total:.1f} s", file=sys.stderr)
     show(table)
-    with replacing(out) as temporary:
-        temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    write_json(rows, out)
+    wrote([out])
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from geometry.files import replacing
 from studies.bench.work_precision import Measurement
+from studies.figures import save
 
 COLOURS = {  # of families; those of ours stand out
     "TriPillar": "#c1272d",
@@ -53,5 +53,4 @@ def draw_work_precision(scene: str, measurements: list[Measurement], path: Path)
         axes.invert_xaxis()  # better answers to the right
     figure.suptitle(f"{scene}: run time without imports; further right and lower is better")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)

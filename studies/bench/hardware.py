@@ -4,7 +4,6 @@
 slid over by a round indenter.
 """
 
-import json
 import time
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
@@ -18,7 +17,6 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.decoupler import Decoupler
 from geometry.design import SensorDesign
-from geometry.files import replacing
 from hardware.calibration import Electronics, SensorCalibration
 from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
@@ -32,9 +30,11 @@ from studies.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
 from studies.board.paper_sensor import board_info, joint_net
 from studies.board.session import Session, scans
 from studies.board.simulated import CHIP_BITS
+from studies.console import wrote
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
+from studies.writing import write_json
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
@@ -195,8 +195,8 @@ def bench(
         }
     for name, rows in found.items():
         show(plain_table(TITLES[name], rows))
-    with replacing(out) as temporary:
-        temporary.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    write_json(found, out)
+    wrote([out])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """``python -m studies.bench.inference``: errors of trained nets beside the time of one scan and of many."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -19,9 +18,10 @@ from decoupler.training import train
 from fem.array_response import array_response
 from fem.response import ArrayResponse
 from geometry.design import SensorDesign
-from geometry.files import replacing
 from geometry.layout import FloatArray
+from studies.console import wrote
 from studies.report import show
+from studies.writing import write_json
 
 SAMPLES = {"train": (2000, 1), "test": (500, 2)}  #: number and seed
 MANY = 10_000  #: scans of a batch
@@ -107,8 +107,8 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
         times = f"{one.training_s:.1f}", f"{one.scan_us:.0f}", f"{one.batch_ms:.0f}"
         table.add_row(one.loads, " ".join(one.full_scale_pct), net, errors, *times)
     show(table)
-    with replacing(out) as temporary:
-        temporary.write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n", encoding="utf-8")
+    write_json([asdict(one) for one in found], out)
+    wrote([out])
 
 
 if __name__ == "__main__":

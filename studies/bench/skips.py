@@ -1,6 +1,5 @@
 """``python -m studies.bench.skips``: what each saving of the plan saves, and that the answer stays."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -12,9 +11,10 @@ from rich.table import Table
 from fem.scene import Inclusion, Load, Scene
 from fem.solution import largest_error
 from fem.solve import solve_scene
-from geometry.files import replacing
 from studies.bench.scenes import patch_scenes
+from studies.console import wrote
 from studies.report import show
+from studies.writing import write_json
 
 BLOCK = replace(patch_scenes()["block-normal-0.49"], tolerance=3e-3)
 PILLAR = Inclusion(base_mm=(13.0, 15.0, 0.0), top_mm=(17.0, 15.0, 10.0), section_mm=(2.0, 2.0), material=BLOCK.material)
@@ -56,8 +56,8 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
             f"{change:.1e}",
         )
     show(table)
-    with replacing(out) as temporary:
-        temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    write_json(rows, out)
+    wrote([out])
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -137,13 +138,13 @@ def describe(measurement: Measurement) -> str:
     return f"{head}: {measurement.seconds:.2f} s, error {measurement.worst_error:.1e}, {measurement.peak_mib:.0f} MiB"
 
 
-def as_json(measurements: list[Measurement], about: dict) -> str:
-    """Every measurement with what it was made on; what failed has null for numbers."""
+def as_plain(measurements: list[Measurement], about: dict[str, Any]) -> dict[str, Any]:
+    """Every measurement with what it was made on; what failed has None for numbers."""
     rows = []
     for measurement in measurements:
         row = asdict(measurement)
         rows.append({key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in row.items()})
-    return json.dumps({"about": about, "measurements": rows}, indent=1, ensure_ascii=False) + "\n"
+    return {"about": about, "measurements": rows}
 
 
 def fastest_below(measurements: list[Measurement], error: float, loaded: bool = False) -> dict[str, Measurement]:

@@ -22,6 +22,7 @@ from studies.paper.spacing import Asked, Spacing, read_spacing, spacing_recipe, 
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import show
+from studies.writing import write_text
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
 
@@ -79,10 +80,8 @@ def spacing_for(design: SensorDesign, asked: Asked, stored: Path, bars: Bars) ->
 
 def write_report(report: Report, out: Path) -> list[Path]:
     """Write the page and the Markdown beside the pictures; returns all files of the report."""
-    with replacing(out / PAGE) as temporary:
-        temporary.write_text(as_html(report, out), encoding="utf-8")
-    with replacing(out / MARKDOWN) as temporary:
-        temporary.write_text(as_markdown(report), encoding="utf-8")
+    write_text(as_html(report, out), out / PAGE)
+    write_text(as_markdown(report), out / MARKDOWN)
     return [*(out / picture.file for picture in report.pictures), out / MARKDOWN, out / PAGE]
 
 

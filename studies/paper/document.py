@@ -3,8 +3,10 @@
 Words may hold ``**bold**``, ``*italic*``, ```code``` and ``[text](address)``, as in Markdown; no other mark.
 """
 
+import re
 from dataclasses import dataclass
 
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -86,12 +88,21 @@ class Report:
 
 def rich_table(grid: Grid) -> Table:
     """A grid for the terminal."""
-    table = Table(title=grid.title)
+    table = Table(title=_unmarked(grid.title), show_lines=grid.words)
     for column, header in enumerate(grid.header):
-        table.add_column(header, justify="left" if grid.words or not column else "right")
+        table.add_column(_unmarked(header), justify="left" if grid.words or not column else "right")
     for row in grid.rows:
-        table.add_row(*row)
+        table.add_row(*map(_unmarked, row))
     return table
+
+
+def _unmarked(words: str) -> str:
+    """Words without marks, and safe from rich, which takes what is in brackets for a style.
+
+    >>> _unmarked("**A** `b` of [mm], see [there](#c)")
+    'A b of \\\\[mm], see there'
+    """
+    return escape(re.sub(r"[*`]", "", re.sub(r"\[([^\]]+)\]\([^)\s]+\)", r"\1", words)))
 
 
 def as_markdown(report: Report) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from dataset import LabelledData
 from dataset.resistance import pillar_strains
 from dataset.simulate import DatasetSettings, dataset_recipe, measured_again, simulate
-from decoupler.baseline import LeastSquares, hooke_forces
+from decoupler.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.components import component_named, force_columns
 from decoupler.crossval import Fold, Job, fold, in_parallel, jobs_of, selected, split_folds
 from decoupler.floor import pca_floor
@@ -34,7 +34,6 @@ CAPS = tuple(MEAN_OVER_WIDTHS)  #: largest strains of figure 9; table 2 and figu
 TABLE_2_SAMPLES = tuple(PRINTED_TABLE_2)
 
 PAPERS, SKIP, INFORMED, FLOOR = "plain, LM", "skip", "skip + response", "PCA floor"
-HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: what needs no training
 #: networks by name; the paper's takes its number of nodes from the trial
 NETWORKS = {
     PAPERS: (NetworkConfig(net="plain", feature="resistance"), TrainingConfig(trainer="lm")),

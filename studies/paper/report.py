@@ -1,8 +1,6 @@
 """The report from what was computed: sections in the order of the paper, and what all of it was made of."""
 
-import platform
 from dataclasses import dataclass
-from importlib.metadata import version
 
 from fem.response import ArrayResponse
 from geometry.files import digest
@@ -11,6 +9,7 @@ from studies.paper.document import Report
 from studies.paper.results import Results
 from studies.paper.sections import decoupling, deformation, material, spacing
 from studies.paper.spacing import Spacing
+from studies.surroundings import surroundings
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
 
@@ -65,10 +64,7 @@ def provenance(computed: Computed) -> list[list[str]]:
         ["data sets", ", ".join(dict.fromkeys(f"`{one.content_hash}`" for one in results.data_sets))],
         ["trainings", timing(results)],
         ["spacing", f"{len(spaced.spaced)} arrays, touches at {len(spaced.touches)} pitches in {spaced.seconds:.0f} s"],
-        [
-            "versions",
-            f"Python {platform.python_version()}, {', '.join(f'{name} {version(name)}' for name in PACKAGES)}",
-        ],
+        ["made on", ", ".join(f"{name} {value}" for name, value in surroundings(PACKAGES).items())],
     ]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.files import replacing
+from studies.writing import write_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class Trial:
     component: str
     cap: float  #: largest strain of a pillar in the data
     samples: int  #: for training and test together
-    network: str  #: its name in `experiments.NETWORKS`, or of what is no network: `FLOOR`, `HOOKE` or `LINEAR` there
+    network: str  #: its name in `experiments.NETWORKS`; `experiments.FLOOR`; or that of a mark in `decoupler.baseline`
     hidden: int  #: nodes; 0 where there are none
     fold: int = 0  #: from 1; 0 where there are none
 
@@ -85,8 +85,7 @@ class Results:
 
 def write_results(results: Results, path: Path) -> None:
     """Write the JSON file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(asdict(results), indent=1) + "\n", encoding="utf-8")
+    write_json(asdict(results), path)
 
 
 def read_results(path: Path, recipe: str) -> Results | None:

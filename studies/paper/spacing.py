@@ -25,7 +25,7 @@ from fem.array_response import ResponseSettings, array_response, response_recipe
 from fem.layer import decay_length_mm, layer_mean_compliance
 from fem.response import ArrayResponse
 from geometry.design import Array, SensorDesign
-from geometry.files import digest, replacing
+from geometry.files import digest
 from geometry.layout import (
     AXES,
     ELECTRODES,
@@ -36,6 +36,7 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
+from studies.writing import write_json
 
 VERSION = 1  #: raise when the same settings give other numbers
 LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored
@@ -263,8 +264,7 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
 
 def write_spacing(found: Spacing, path: Path) -> None:
     """Write the JSON file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")
+    write_json(asdict(found), path)
 
 
 def read_spacing(path: Path, recipe: str) -> Spacing | None:

@@ -1,4 +1,4 @@
-"""Pictures of the study, in the colours of Okabe and Ito, which colour-blind eyes tell apart."""
+"""Pictures of the study."""
 
 import re
 from collections.abc import Sequence
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geometry.files import replacing
+from studies.figures import BLUE, GREEN, ORANGE, save
 from studies.robustness.study import ROSE, Named, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = {"fx": "#0072b2", "fy": "#d55e00", "fz": "#009e73"}
+COLOURS = {"fx": BLUE, "fy": ORANGE, "fz": GREEN}
 MARKERS = {"fx": "o", "fy": "s", "fz": "^"}
 NETS = {"inverse": ("-", "full", "inverse net"), "root": ("--", "none", "root net")}  #: line, fill of markers, label
 NONE = 0.5  #: where "no pairs" is on a logarithmic axis
@@ -37,8 +37,7 @@ def draw_readings(rows: list[Row], path: Path) -> None:
     panels[0].set_ylabel("error [% of full scale]")
     figure.suptitle("Three-axis nets against the limit of their readings; lower is better")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=9)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)
 
 
 def draw_pairs(rows: list[Row], path: Path) -> None:
@@ -59,8 +58,7 @@ def draw_pairs(rows: list[Row], path: Path) -> None:
         "gains ± 20 %, offsets of 200 Ω, noise 0.1 %: what measured pairs buy\nmean and range over draws of pairs"
     )
     axes.legend(fontsize=9, ncols=3, loc="upper right")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)
 
 
 def draw_dead(named: Sequence[Named], path: Path) -> None:
@@ -86,8 +84,7 @@ def draw_dead(named: Sequence[Named], path: Path) -> None:
                 axes.set_ylabel(f"{force}: array rows")
     figure.colorbar(shades, ax=panels, label="error over that of the healthy sensor", shrink=0.6)
     figure.suptitle(f"{named[0].net} net; numbers: rose more than {ROSE:g}-fold; squares: named by untrusted()")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)
 
 
 def _lines(axes: "Axes", rows: list[Row]) -> None:

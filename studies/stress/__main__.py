@@ -5,7 +5,6 @@ element, a tighter solve, a linear map), or is refused with a reason. An answer 
 own estimate allows is WRONG, and makes the exit status 1.
 """
 
-import json
 import os
 import sys
 import tempfile
@@ -18,11 +17,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from geometry.files import replacing
+from studies.console import wrote
 from studies.report import show
 from studies.stress.scenes import scene_trials
 from studies.stress.training import training_trials
 from studies.stress.trials import Finding, Trial, tried
+from studies.writing import write_json
 
 
 def all_trials() -> list[Trial]:
@@ -77,9 +77,8 @@ def stress(
             findings.append(tried(trial))
             print(f"{trial.name}, {trial.value}: {findings[-1].verdict}, {findings[-1].seconds:.1f} s", file=sys.stderr)
     show(stress_table(findings))
-    out.mkdir(parents=True, exist_ok=True)
-    with replacing(out / "stress.json") as temporary:
-        temporary.write_text(json.dumps([asdict(one) for one in findings], indent=1) + "\n", encoding="utf-8")
+    write_json([asdict(one) for one in findings], out / "stress.json")
+    wrote([out / "stress.json"])
     if any(one.verdict.startswith("WRONG") for one in findings):
         raise typer.Exit(1)
 

@@ -12,6 +12,7 @@ import torch
 from dataset import Imperfections, LabelledData
 from dataset.simulate import DatasetSettings, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
+from decoupler.baseline import LINEAR
 from decoupler.components import force_columns, pillar_columns, readable_columns
 from decoupler.crossval import in_parallel, selected
 from decoupler.damping import Point
@@ -38,7 +39,6 @@ FLAT = 1e-6  #: of the first slope; a cost tells points apart to √ε = 1e-8 on
 SEEDS = 20
 DECADE = 10.0  #: times the median; another minimum costs some of it, a training that diverged costs many
 MANY = 100_000
-LINEAR = "least squares on √R"
 
 
 @dataclass(frozen=True, kw_only=True)

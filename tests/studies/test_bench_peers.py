@@ -1,6 +1,5 @@
 """Every peer is checked on a body whose answer is known, so that what the benchmark says of it is its own doing."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from studies.bench.peers.grids import scene_lines
 from studies.bench.reference import read_reference
 from studies.bench.scenes import all_scenes
 from studies.bench.table import ratio_table, work_precision_table
-from studies.bench.work_precision import Measurement, Settings, as_json, fastest_below, measure_scene
+from studies.bench.work_precision import Measurement, Settings, as_plain, fastest_below, measure_scene
 
 BLOCK = all_scenes()["block-normal-0.49"]
 #: covered all over and free to widen: sinks by p h / E, exactly, in any element
@@ -121,7 +120,7 @@ def test_tables_and_json_hold_what_was_measured():
     assert work_precision_table("scene", found).row_count == 4
     ratios = ratio_table("scene", found)
     assert [list(column.cells) for column in ratios.columns][2] == ["2.00 s", "3.00 s, 1.5×"]
-    rows = json.loads(as_json(found, {"threads": 2}))["measurements"]
+    rows = as_plain(found, {"threads": 2})["measurements"]
     assert rows[0]["seconds"] == 2.0
     assert rows[3]["seconds"] is None
 

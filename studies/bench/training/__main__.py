@@ -1,7 +1,5 @@
 """``python -m studies.bench.training``: the tables, the JSON and the pictures of training time against error."""
 
-import json
-import sys
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
@@ -14,14 +12,15 @@ from dataset.simulate import DatasetSettings, simulate
 from decoupler.settings import Net
 from fem.array_response import array_response
 from geometry.design import SensorDesign
-from geometry.files import replacing
-from studies.bench.surroundings import surroundings
 from studies.bench.training.contenders import CONTENDERS
 from studies.bench.training.dense import step_difference
 from studies.bench.training.figures import draw_race
 from studies.bench.training.race import Case, race
 from studies.bench.training.table import ratio_table, time_table
+from studies.console import say, wrote
 from studies.report import show
+from studies.surroundings import surroundings
+from studies.writing import write_json
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
 TEST_SAMPLES = 200
@@ -46,20 +45,19 @@ def bench(
     if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:
         raise typer.BadParameter(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
     chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
-    out.mkdir(parents=True, exist_ok=True)
-    found = []
+    found, pictures = [], []
     with tempfile.TemporaryDirectory() as folder:
         for case in cases(Path(folder), protocols, nets, hidden, samples, patience):
             difference = step_difference(case.problem())
-            runs = race(case, chosen, lambda line: print(line, file=sys.stderr))
-            draw_race(case.name, runs, out / f"training-{case.name}.png")
+            runs = race(case, chosen, say)
+            pictures.append(out / f"training-{case.name}.png")
+            draw_race(case.name, runs, pictures[-1])
             show(time_table(case.name, runs, difference))
             show(ratio_table(case.name, runs))
             found.append({"name": case.name, "step_difference": difference, "runs": [asdict(run) for run in runs]})
     about = surroundings(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
-    with replacing(out / "training.json") as temporary:
-        temporary.write_text(json.dumps({"about": about, "cases": found}, indent=1) + "\n", encoding="utf-8")
-    print(f"{out}: training.json and a picture of each case", file=sys.stderr)
+    write_json({"about": about, "cases": found}, out / "training.json")
+    wrote([*pictures, out / "training.json"])
 
 
 def cases(

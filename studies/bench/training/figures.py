@@ -3,9 +3,9 @@
 from itertools import accumulate
 from pathlib import Path
 
-from geometry.files import replacing
 from studies.bench.training.race import Run
 from studies.bench.training.trace import GOALS
+from studies.figures import save
 
 OURS = ("#7f1d3a", "#c1272d", "#e07b39", "#e6b35a")  #: reds stand out
 PEERS = ("#0081a7", "#3a5a40", "#6a4c93", "#7a7a7a")
@@ -42,5 +42,4 @@ def draw_race(title: str, runs: list[Run], path: Path) -> None:
     axes.set_title(f"{title}: lower and further left is better; squares mark the end")
     axes.grid(visible=True, which="major", alpha=0.25)
     axes.legend(loc="lower left", fontsize=9)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save(figure, path)

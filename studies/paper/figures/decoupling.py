@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from studies.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
-from studies.paper.figures.style import BLACK, BLUE, COLOURS, GREEN, ORANGE, PURPLE, save
 from studies.paper.printed import MEAN_OVER_WIDTHS
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import Results, Shown
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+COLOURS = (BLUE, ORANGE)  #: of the first and the second cap or set
 FILLS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "markersize": 4},
     {"marker": "s", "markersize": 7, "fillstyle": "none"},

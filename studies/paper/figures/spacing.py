@@ -7,7 +7,7 @@ import numpy as np
 from fem.layer import layer_mean_compliance
 from geometry.design import Material
 from geometry.layout import FloatArray
-from studies.paper.figures.style import BLACK, BLUE, COLOURS, GREEN, ORANGE, PURPLE, save
+from studies.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.printed import LARGEST_FORCE_N, SPACING_MM
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spaced, Spacing
 
@@ -36,7 +36,7 @@ def draw_spacing(found: Spacing, height_mm: float, material: Material, path: Pat
     decay.set(title=f"decay; theory: λ = {found.decay_mm:.2f} mm")
 
     pitches = [one.pitch_mm for one in found.spaced]
-    for load, colour in zip(LOADS, COLOURS, strict=True):
+    for load, colour in zip(LOADS, (BLUE, ORANGE), strict=True):
         for k, marker in zip(RINGS, "os^", strict=True):
             values = [100 * one.reading_share[load][k - 1] for one in found.spaced]
             label = f"{load} load, {k} pitch{'es' if k > 1 else ''} away"
@@ -45,7 +45,7 @@ def draw_spacing(found: Spacing, height_mm: float, material: Material, path: Pat
         wider = [one.pitch_mm for one in found.touches]
         touch.plot(wider, forces, color=colour, marker="o", markersize=4, linewidth=1, label=f"{load} touch")
     share.set(yscale="log", xlabel="pitch [mm]", ylabel="reading of a neighbour over the loaded unit's [%]")
-    share.set(title="neighbours")
+    share.set(title="neighbours", ylim=(0.05, None))  # room for the legend
     touch.axhline(PRESSED_N, color=BLACK, linestyle=":", linewidth=1.2, label="1 MPa on 1 cm²")
     touch.axhline(LARGEST_FORCE_N, color=PURPLE, linestyle=":", linewidth=1.5, label="the paper's largest force")
     touch.set(yscale="log", xlabel="pitch [mm]", ylabel="lightest touch felt wherever it falls [N]", title="touches")

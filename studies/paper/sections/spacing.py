@@ -74,8 +74,8 @@ def _felt(found: Spacing) -> str:
         f"1 MPa on 1 cm² is felt everywhere up to {max(felt):g} mm" if felt else "1 MPa on 1 cm² is missed at places"
     )
     return (
-        f"Touches {'fade' if fades else 'do not fade'} where units are more than 2 cm apart: the lightest normal touch "
-        f"felt wherever it falls is {at.worst_n['normal']:.0f} N at {at.pitch_mm:g} mm and "
+        f"{'Touches fade' if fades else 'Not that touches fade'} where units are more than 2 cm apart: the lightest "
+        f"normal touch felt wherever it falls is {at.worst_n['normal']:.0f} N at {at.pitch_mm:g} mm and "
         f"{last.worst_n['normal']:.0f} N at {last.pitch_mm:g} mm, a tangential one {at.worst_n['tangential']:.0f} "
         f"and {last.worst_n['tangential']:.0f} N; {limit}."
     )
@@ -99,11 +99,13 @@ def _disturbed(found: Spacing) -> str:
         f"{whole_percent(closest.reading_share[load][0])} to {whole_percent(widest.reading_share[load][0])}"
         for load in ("normal", "tangential")
     )
-    keeps = max(widest.reading_share[load][0] for load in LOADS) <= QUIET
+    quiet = max(widest.reading_share[load][0] for load in LOADS) <= QUIET
+    claim = (
+        "Nothing: units so spaced are independent" if quiet else "Independence of the units: so spaced they interfere"
+    )
     return (
-        f"Units so spaced {'do not interfere' if keeps else 'do interfere, whatever the paper says'}: from "
-        f"{closest.pitch_mm:g} to {widest.pitch_mm:g} mm a normal load changes a reading next door by {normal} of the "
-        f"loaded unit's own, a tangential one by {tangential}."
+        f"{claim}: from {closest.pitch_mm:g} to {widest.pitch_mm:g} mm a normal load changes a reading next door by "
+        f"{normal} of the loaded unit's own, a tangential one by {tangential}."
     )
 
 

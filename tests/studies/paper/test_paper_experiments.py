@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dataset.simulate import DatasetSettings
+from decoupler.baseline import HOOKE, LINEAR
 from studies.paper import experiments
 from studies.paper.__main__ import results_for
 from studies.paper.experiments import (
@@ -14,9 +15,7 @@ from studies.paper.experiments import (
     COMPONENTS,
     FIGURE_9,
     FLOOR,
-    HOOKE,
     INFORMED,
-    LINEAR,
     LOADS,
     NETWORKS,
     PAPERS,

@@ -1,4 +1,4 @@
-"""Colours and the way to write a picture, the same for all of them."""
+"""What the studies' pictures share: colours, and how a picture is written."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,6 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by colour-blind readers too
 BLUE, ORANGE, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
-COLOURS = (BLUE, ORANGE)  #: of the first and the second of two kinds
 
 
 def save(figure: "Figure", path: Path) -> None:
