@@ -31,6 +31,13 @@ class Part:
     stress_mpa: FloatArray | None = None  #: (n, 6) where asked for: xx, yy, zz, yz, xz, xy; tension positive
     traction_mpa: FloatArray | None = None  #: (m, 3), on the cells of a part that is loaded
 
+    @property
+    def stress(self) -> FloatArray:
+        """Stress at the points, (n, 6) [MPa]; ValueError where it was not asked for."""
+        if self.stress_mpa is None:
+            raise ValueError("this part has no stress: ask for it where parts are made.")
+        return self.stress_mpa
+
     def times(self, share: float) -> "Part":
         """The same under a share of the load: everything is linear."""
 
@@ -128,23 +135,23 @@ def _on_units(
 
 def _pads(array: ArrayField, state: FieldState, stress: bool) -> Part:
     """The rectangles that are loaded, each with its traction; all if none is."""
-    parts = []
+    parts, tractions = [], []
     forces = state.force_n.reshape(array.design.n_units, -1, 3)
     for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
         units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
         centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, array.design.unit.height_mm])
         surface = rectangle_surface(centre, np.array([x1 - x0, y1 - y0]), ACROSS)
-        part = _on_units(array, state, surface, stress, 0, units)
+        parts.append(_on_units(array, state, surface, stress, 0, units))
         traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
-        parts.append(replace(part, traction_mpa=np.repeat(traction, ACROSS**2, axis=0)))
+        tractions.append(np.repeat(traction, ACROSS**2, axis=0))
     points, cells = joined([(part.points_mm, part.cells) for part in parts])
     return Part(
         points_mm=points,
         cells=cells,
         cell_type=QUADRILATERAL,
         displacement_mm=np.vstack([part.displacement_mm for part in parts]),
-        stress_mpa=np.vstack([part.stress_mpa for part in parts]) if stress else None,
-        traction_mpa=np.vstack([part.traction_mpa for part in parts]),
+        stress_mpa=np.vstack([part.stress for part in parts]) if stress else None,
+        traction_mpa=np.vstack(tractions),
     )
 
 

@@ -26,6 +26,7 @@ PAGE_PX = (1440, 720)  #: of a page that holds all
 BAR_PX = 224  #: width of the colour bar's column
 MARGIN = 0.06  #: of a picture's width or height, around what it shows
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
+LEAST_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
 LIFT_MM = 0.08  #: by which electrodes are drawn before the pillars' ends
 MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
@@ -51,8 +52,8 @@ class Quantity:
 QUANTITIES: dict[Colour, Quantity] = {
     "displacement": Quantity("displacement\n[mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), "viridis"),
     "vertical": Quantity("vertical\ndisplacement\n[mm]", lambda p: p.displacement_mm[:, 2], "viridis_r"),
-    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress_mpa), "plasma", of_stress=True),
-    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress_mpa), "YlOrRd", of_stress=True),
+    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress), "plasma", of_stress=True),
+    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress), "YlOrRd", of_stress=True),
 }
 
 
@@ -207,8 +208,8 @@ class DeformedPicture:
         for name, part in parts.items():
             whole = grid_of(part)
             whole["full"] = part.displacement_mm
-            if name == "pads":
-                self._draw_pads(part, whole)
+            if part.traction_mpa is not None:
+                self._draw_pads(whole, part.traction_mpa)
                 continue
             if name not in ("matrix", "electrodes"):
                 whole["of full"] = self._quantity.of(part)
@@ -233,10 +234,11 @@ class DeformedPicture:
                 self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=1.5 * self._line)
         return mapper
 
-    def _draw_pads(self, part: Part, whole: pv.UnstructuredGrid) -> None:
+    def _draw_pads(self, whole: pv.UnstructuredGrid, traction_mpa: FloatArray) -> None:
         """Outline loaded pads in the strength of their traction."""
-        strength = np.linalg.norm(part.traction_mpa, axis=1)
+        strength = np.linalg.norm(traction_mpa, axis=1)
         whole.cell_data["strength"] = strength / max(strength.max(), 1e-300)
+        whole = whole.extract_cells(strength >= LEAST_STRENGTH * strength.max())
         outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
             boundary_edges=True, feature_edges=False, manifold_edges=False
         )

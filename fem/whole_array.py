@@ -1,4 +1,4 @@
-"""The whole array as one mesh of Taylor-Hood tetrahedra: what condensed cells are held against and pictures show."""
+"""The whole array as one mesh of Taylor-Hood tetrahedra: what condensed cells are held against."""
 
 from collections.abc import Callable
 from time import perf_counter

@@ -6,7 +6,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -42,7 +42,7 @@ viewer = typer.Typer()
 class SeveralPressures(TyperCommand):
     """Lets `--pressure` take several values, `--pressure 1 3 5`, which click's options cannot."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, repeated(args, "--pressure"))
 
 
@@ -122,14 +122,15 @@ def view(
     if save is not None:
         require_savable(save)
     start = perf_counter()
-    from fem.figures import QUANTITIES, DeformedPicture, Medium
     from fem.scene import Scene
-    from studies.viewer.saving import FRAMES, SAVERS, save_blocks
     from studies.viewer.sights import largest_mm, panels_of, read_body, suited_scale
 
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
+    from fem.figures import QUANTITIES, DeformedPicture, Medium
+    from studies.viewer.saving import FRAMES, SAVERS, save_blocks
+
     kind = "" if save is None else save.suffix
     with progress_bars(quiet) as bars:
         advance = bars.begin("fields", total=4)

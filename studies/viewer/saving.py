@@ -27,10 +27,18 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     """Write a page to turn the picture in, with all that it needs inside: it opens without a network."""
     import asyncio
 
-    from trame_pyvista.jupyter import launch_server
+    from trame.app import get_server
+    from trame.widgets import vtk
+
+    server = get_server(pv.global_theme.trame.jupyter_server_name)  # where PyVista looks for it
+    vtk.initialize(server)
 
     async def exported() -> str:
-        server = launch_server(pv.global_theme.trame.jupyter_server_name)  # on loopback, and only for the export
+        """The page, as a server on loopback that nobody else is told of makes it."""
+        server.start(
+            exec_mode="task", host="127.0.0.1", port=0, open_browser=False, show_connection_info=False,
+            disable_logging=True, timeout=0, backend="aiohttp",
+        )  # fmt: skip
         await server.ready
         try:
             return picture.plotter.trame.export_html(None).getvalue()
@@ -63,7 +71,8 @@ def _legend(picture: DeformedPicture) -> str:
         f'</div><div style="right:90px;bottom:56px;width:360px;text-align:center">{picture.title}</div>'
     )
     style = "<style>.legend div{position:fixed;z-index:9;font:16px sans-serif;color:black;pointer-events:none}</style>"
-    return f'{style}<div class="legend">{"".join(names)}{bar}{"".join(ticks)}</div>'
+    stage = '<div class="content" style="position:fixed;inset:0"></div>'  # for the viewer, which empties what it fills
+    return f'{stage}{style}<div class="legend">{"".join(names)}{bar}{"".join(ticks)}</div>'
 
 
 def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
@@ -73,6 +82,7 @@ def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     with replacing(path) as temporary, imageio.get_writer(temporary, fps=RATE, quality=8) as film:
         for share in np.linspace(0.0, 1.0, FRAMES - HELD).tolist() + HELD * [1.0]:
             picture.press(share)
+            picture.plotter.render()  # a screenshot alone takes the last picture again
             film.append_data(picture.plotter.screenshot(return_img=True))
             done()
 

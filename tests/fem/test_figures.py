@@ -1,43 +1,93 @@
-"""The picture shows a deformed array, not an empty frame."""
+"""Pictures show a deformed array on an honest scale, not an empty frame."""
 
 import numpy as np
+import pytest
 import pyvista as pv
 
-from fem.field import displacement_field
-from fem.figures import bell_pressure, draw_deformed, pillar_surfaces
+from fem.array_field import array_field
+from fem.deformed import sensor_parts
+from fem.figures import QUANTITIES, DeformedPicture, colour_limits, colour_ticks, draw_deformed, draw_electrode_grid
+from fem.layer import layer_response
+from fem.pad_loads import bell_pressure, uniform_pressure
 from geometry.design import Array, SensorDesign
-from geometry.mesh import TetMesh
-from tests.fem.boxes import box_mesh
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 
 
-def slab() -> TetMesh:
-    x, y, h = DESIGN.slab_mm
-    box = box_mesh((10, 5, 4), (x, y, h))
-    return TetMesh(box.p.T - [x / 2, y / 2, 0.0], box.t.T.astype(np.int64), np.zeros(box.nelements, dtype=np.int64))
+@pytest.fixture(scope="module")
+def field():
+    return array_field(DESIGN)
 
 
-def test_the_field_vanishes_on_the_base_and_sinks_under_the_pads():
-    mesh = slab()
-    moved = displacement_field(DESIGN, mesh, bell_pressure(DESIGN, 2.0))
-    z = mesh.points_mm[:, 2]
-    assert not moved[z == 0.0].any()
-    under_pads = (z == 10.0) & (np.abs(np.abs(mesh.points_mm[:, 0]) - 7.5) < 3) & (np.abs(mesh.points_mm[:, 1]) < 3)
-    assert (moved[under_pads, 2] < -0.5).all()
+@pytest.fixture(scope="module")
+def parts(field):
+    return sensor_parts(field, field.state(bell_pressure(DESIGN, 2.0)))
 
 
-def test_pillars_are_drawn_in_their_places():
-    """Two units: pillars reach from the outermost electrodes, half an oblique width beyond them, from base to top."""
-    reach = 5.0 + np.sqrt(2.0)
-    assert np.allclose(pillar_surfaces(DESIGN).bounds, [-7.5 - reach, 7.5 + reach, -reach, reach, 0.0, 10.0])
-
-
-def test_a_picture_is_written_with_the_body_in_the_middle(tmp_path):
-    path = tmp_path / "array.png"
-    draw_deformed(DESIGN, slab(), bell_pressure(DESIGN, 2.0), path)
+def colours_of(path):
     picture = pv.read(path)
     width, height, _ = picture.dimensions
-    colours = picture.active_scalars.reshape(height, width, -1)[..., :3].astype(float)
+    return picture.active_scalars.reshape(height, width, -1)[..., :3].astype(float)
+
+
+def test_a_picture_is_written_with_the_body_in_the_middle(field, tmp_path):
+    path = tmp_path / "array.png"
+    draw_deformed(field, {"2 MPa": bell_pressure(DESIGN, 2.0)}, path)
+    colours = colours_of(path)
+    height, width, _ = colours.shape
     assert (colours[:5] == 255).all()  # white around
+    assert (colours[:, :20] == 255).all()  # nothing is cut off
     assert colours[height // 3 : 2 * height // 3, width // 4 : 3 * width // 4].std() > 15  # something drawn inside
+
+
+def test_several_loads_stand_side_by_side(field, tmp_path):
+    one, two = tmp_path / "one.png", tmp_path / "two.png"
+    loads = {f"{peak} MPa": bell_pressure(DESIGN, peak) for peak in (1.0, 3.0)}
+    draw_deformed(field, loads, two, colour="vertical", camera="front")
+    draw_deformed(field, {"3 MPa": loads["3.0 MPa"]}, one, colour="mises", camera="side")
+    assert colours_of(two).shape[1] > colours_of(one).shape[1]
+
+
+def test_one_colour_scale_serves_all_pictures(parts):
+    """Its ends are round, hold the largest load's displacement, and 0 is among its values."""
+    quantity = QUANTITIES["displacement"]
+    largest = np.linalg.norm(parts["pillars"].displacement_mm, axis=1).max()
+    low, high = colour_limits([{k: part.times(0.1) for k, part in parts.items()}, parts], quantity)
+    assert low == 0.0
+    assert largest <= high < 1.5 * largest
+    ticks = colour_ticks(low, high)
+    assert (ticks[0], ticks[-1]) == (low, high)
+    assert 4 <= len(ticks) <= 12
+    still = [{k: part.times(0.0) for k, part in parts.items()}]
+    assert colour_limits(still, quantity)[1] > 0  # a scale even where nothing moves
+
+
+def test_pressing_moves_the_drawn_bodies(parts):
+    """At rest, half way and all the way: drawn points are those of the parts, times the scale."""
+    picture = DeformedPicture({"all": parts}, scale=2.0)
+    pillars = next(mesh for mesh, _ in picture._moving if "of full" in mesh.array_names)
+    for share in (0.0, 0.5, 1.0):
+        picture.press(share)
+        sunk = 10.0 - pillars.points[:, 2].max(), parts["pillars"].points_mm[:, 2].max() - 10.0
+        rest = next(rest for mesh, rest in picture._moving if mesh is pillars)
+        assert np.allclose(pillars.points - rest, 2.0 * share * pillars["full"], atol=1e-6)  # points are float32
+        assert np.allclose(pillars["shown"], share * pillars["of full"])
+        assert sunk[1] == 0.0
+    picture.plotter.close()
+
+
+@pytest.mark.parametrize("traction", [None, uniform_pressure(DESIGN, 1.0)], ids=["figure 6", "figure 8"])
+def test_the_electrode_grid_is_drawn_before_and_after(traction, tmp_path):
+    path = tmp_path / "grid.png"
+    draw_electrode_grid(layer_response(DESIGN), traction, path)
+    assert colours_of(path).std() > 10
+
+
+def test_loads_are_largest_in_the_middle_or_everywhere():
+    design = SensorDesign()
+    bell = bell_pressure(design, 3.0)[:, 2].reshape(6, 6)
+    assert bell.min() == -3.0
+    assert (bell == bell.T).all()
+    assert (bell[2:4, 2:4] == -3.0).all()
+    assert bell[0, 0] > -0.1 * 3.0
+    assert (uniform_pressure(design, 3.0) == [0.0, 0.0, -3.0]).all()

@@ -1,0 +1,108 @@
+"""Scenes as parts: stress from their fields, whatever solved them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skfem import MeshTet
+
+from fem.array_field import array_field
+from fem.deformed import sensor_parts
+from fem.elasticity import taylor_hood
+from fem.elements import Elements
+from fem.linear_solver import checked_solve, factorized
+from fem.scene import Block, Inclusion, Load, Probe, Scene, Sensor
+from fem.scene_parts import elements_of, merged, scene_parts
+from fem.solve import solve_scene
+from fem.stress import projected_pressure
+from geometry.design import Array, Material, SensorDesign
+
+BLOCK = Scene(
+    body=Block(size_mm=(12.0, 12.0, 6.0)),
+    material=Material(),
+    loads=(Load(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
+    probes=(Probe(name="top", kind="mean", center_mm=(6.0, 6.0), size_mm=(6.0, 6.0)),),
+    tolerance=2e-2,
+)
+MIDDLE = Probe(name="middle", kind="mean", center_mm=(0.0, 0.0), size_mm=(2.0, 2.0))
+
+
+def mean_on_top(part, centre, reach):
+    """Mean σ_zz of the points of the top face well inside a loaded square."""
+    near = np.abs(part.points_mm[:, :2] - centre).max(axis=1) < reach
+    return part.stress_mpa[near & (part.points_mm[:, 2] == part.points_mm[:, 2].max()), 2].mean()
+
+
+def test_the_stress_of_a_block_meets_its_load():
+    parts = scene_parts(BLOCK, stress=True)
+    assert set(parts) == {"body"}
+    assert mean_on_top(parts["body"], [6.0, 6.0], 2.0) == pytest.approx(-1.0, rel=0.05)  # of points, not of an integral
+    far = np.linalg.norm(parts["body"].points_mm - [0.0, 0.0, 6.0], axis=1) < 0.5
+    assert np.abs(parts["body"].stress_mpa[far, 2]).max() < 0.05  # a free corner
+
+
+@pytest.mark.parametrize("element", ["Q2", "S2", "TH"])
+def test_fields_of_every_method_have_their_nodes_in_order(element, tmp_path):
+    """Shape functions of the elements at their own nodes are the nodes: a wrong order of VTK's would show."""
+    solution, _ = solve_scene(replace(BLOCK, tolerance=0.2), element=element, field=True)
+    field = merged(solution.field)
+    elements = elements_of(field)
+    some = np.arange(0, len(elements.nodes), 7)
+    for place in elements.element.doflocs[[0, 5, -1]]:
+        points = elements.interpolation(some, np.tile(place, (len(some), 1))) @ elements.points_mm
+        found = elements.points_mm[elements.nodes[some, np.abs(elements.element.doflocs - place).sum(1).argmin()]]
+        assert np.allclose(points, found)
+    assert elements.volumes_mm3.sum() == pytest.approx(12 * 12 * 6)
+
+
+def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
+    """∫ div u q = ∫ p q/λ is one of its equations: projecting gives the unknown itself, to rounding."""
+    mesh = MeshTet.init_tensor(*[np.linspace(0.0, 4.0, 4)] * 3)
+    region = (mesh.p[0, mesh.t].mean(axis=0) > 2.0).astype(np.int64)
+    rubbers = [Material(), Material(young_mpa=20.0, poisson=0.3)]
+    body = taylor_hood(mesh, rubbers, region)
+    forces = np.random.default_rng(0).normal(size=(body.n_displacement, 1))
+    x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(forces))
+    elements = Elements.of_basis(body.basis, region)
+    found = projected_pressure(elements, rubbers, body.displacements(x).reshape(-1, 3, 1))
+    given = x[len(body.free) :]
+    assert np.abs(found - given).max() < 1e-9 * np.abs(given).max()
+
+
+def test_an_inclusion_is_a_part_of_its_own_with_a_stress_of_its_own():
+    """Stiffer than the block around it, it carries more."""
+    stiff = Inclusion(
+        base_mm=(6.0, 6.0, 0.0), top_mm=(6.0, 6.0, 6.0), section_mm=(3.0, 3.0), material=Material(young_mpa=61.0)
+    )
+    parts = scene_parts(replace(BLOCK, inclusions=(stiff,)), stress=True)
+    assert set(parts) == {"inclusions", "matrix"}
+    inside, outside = (mean_on_middle(parts[name]) for name in ("inclusions", "matrix"))
+    assert inside < 2 * outside < 0
+    assert all(np.isfinite(part.stress_mpa).all() for part in parts.values())
+
+
+def mean_on_middle(part):
+    points = part.points_mm
+    near = (np.abs(points[:, :2] - 6.0).max(axis=1) < 2.5) & (np.abs(points[:, 2] - 3.0) < 1.5)
+    return part.stress_mpa[near, 2].mean()
+
+
+def test_a_sensor_s_scene_is_its_array_under_the_same_load():
+    """The middle pad as a load of the scene: the same field as by the pads of the design."""
+    design = SensorDesign(array=Array(rows=1, cols=2))
+    pressed = Load(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))
+    seen = scene_parts(Scene(body=Sensor(design=design), loads=(pressed,), probes=(MIDDLE,)), stress=False)
+    field = array_field(design)
+    expected = sensor_parts(field, field.state(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, -1.0]])), stress=False)
+    for name, part in expected.items():
+        assert np.allclose(seen[name].displacement_mm, part.displacement_mm, atol=1e-10)
+
+
+def test_a_load_across_two_cells_is_shared_between_them():
+    design = SensorDesign(array=Array(rows=1, cols=2))
+    across = Load(center_mm=(0.0, 0.0), size_mm=(6.0, 4.0), traction_mpa=(0.0, 0.0, -1.0))
+    parts = scene_parts(Scene(body=Sensor(design=design), loads=(across,), probes=(MIDDLE,)), stress=False)
+    assert np.allclose([parts["pads"].points_mm[:, 0].min(), parts["pads"].points_mm[:, 0].max()], [-3.0, 3.0])
+    matrix = parts["matrix"]
+    deepest = matrix.points_mm[matrix.displacement_mm[:, 2].argmin()]
+    assert np.allclose(deepest, [0.0, 0.0, 10.0])
