@@ -14,7 +14,7 @@ from fem.grid import Grid
 from fem.hexahedra import GridBasis, grid_body, grid_stiffness
 from fem.ports import PortModes
 from fem.substructured import condensed_cell
-from geometry.design import Array, Material, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares, upper_electrodes
 
@@ -74,6 +74,26 @@ def test_every_section_carries_the_whole_load(field, state):
         stress = field.observe(points + np.array([0.0, 0.0, z])).stress_mpa(state)
         force = DESIGN.array.pitch_mm**2 * (weights @ stress).sum(axis=0)[[4, 3, 2]]
         assert np.abs(force - total).max() < 0.01 * np.abs(total).max()  # of stresses of a grid of level 2
+
+
+def test_a_wide_thin_slab_pressed_all_over_is_confined_in_its_middle():
+    """σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), u_z = −p z/(λ + 2μ), the rim being far."""
+    rubber = Material(young_mpa=6.1, poisson=0.3)
+    design = SensorDesign(
+        unit=Unit(height_mm=5.0, span_mm=5.0), array=Array(rows=5, cols=5, pitch_mm=20.0), pad=Pad(size_mm=20.0),
+        pillar_material=rubber, matrix_material=rubber,
+    )  # fmt: skip
+    field = array_field(design)
+    state = field.state(np.tile([0.0, 0.0, -2.0], (25, 1)))
+    points = np.random.default_rng(1).uniform([-10, -10, 0.5], [10, 10, 5], (40, 3))
+    observer = field.observe(points)
+    lame, mu = rubber.lame_mpa
+    side = -2.0 * 0.3 / 0.7
+    stress, sunk = observer.stress_mpa(state)[12], observer.displacement_mm(state)[12]
+    # the rim, eight heights away, is felt by exp(−0.74 · 8) = 0.3 % at most
+    assert np.abs(stress - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 2e-3
+    expected = np.outer(points[:, 2], [0.0, 0.0, -2.0 / (lame + 2 * mu)])
+    assert np.abs(sunk - expected).max() < 1e-3 * np.abs(expected).max()
 
 
 def test_answers_add_up(field, state):
