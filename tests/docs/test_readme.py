@@ -30,7 +30,7 @@ ELSEWHERE = {
     "tripillar sweep examples/sweep.toml": (
         "tests/studies/sweep/test_sweep_commands.py::test_a_killed_sweep_goes_on_and_computes_only_what_is_missing"
     ),
-    "tripillar optimize examples/sweep.toml": (
+    "tripillar optimize examples/optimize.toml": (
         "tests/studies/sweep/test_sweep_commands.py::test_the_best_design_is_found_within_bounds_and_the_search_resumes"
     ),
     "make docs": "tests/docs/test_site.py::test_the_pages_are_built_without_a_warning",
