@@ -52,4 +52,4 @@ def sensitivities(response: ArrayResponse) -> list[list[list[float]]]:
 
 
 def _cost(start: float) -> dict[str, float | None]:
-    return {"seconds": perf_counter() - start, "peak_mb": peak_mib()}
+    return {"seconds": perf_counter() - start, "peak_mib": peak_mib()}

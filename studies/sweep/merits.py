@@ -54,7 +54,7 @@ FIGURES = {
     "seconds_mesh": ("s", "of which meshing its cell"),
     "seconds_condense": ("s", "of which condensing it"),
     "seconds_couple": ("s", "of which coupling the array"),
-    "peak_mb": ("MB", "largest memory of the worker so far"),
+    "peak_mib": ("MiB", "largest memory of the worker so far"),
     **{f"trained_{axis}_n": ("N", f"error of the trained joint net in F{axis}, root mean square") for axis in AXES},
 }
 

@@ -29,6 +29,7 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
 
     optuna.logging.set_verbosity(logging.WARNING)
     journal.parent.mkdir(parents=True, exist_ok=True)
+    _drop_torn_line(journal)
     study = optuna.create_study(
         storage=JournalStorage(JournalFileBackend(str(journal))),
         study_name=digest("study", {**asdict(sweep), "samples": None}),
@@ -40,6 +41,13 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
     # another seed after each stop, or the search would draw the numbers of its beginning again
     study.sampler = optuna.samplers.TPESampler(seed=sweep.seed + done, multivariate=True, n_startup_trials=START)
     return study
+
+
+def _drop_torn_line(journal: Path) -> None:
+    """Cut off what a power cut left of a last line: optuna takes only whole ones."""
+    if journal.exists() and not (kept := journal.read_bytes()).endswith(b"\n"):
+        with journal.open("r+b") as file:
+            file.truncate(kept.rfind(b"\n") + 1)
 
 
 def finished(study: "optuna.Study", sweep: Sweep) -> list[Sample]:

@@ -38,12 +38,14 @@ def workers(count: int | None, scheduler: str | None, log: Path) -> Iterator["Cl
     Raises
     ------
     DesignError
-        If there is no scheduler at the address, or it has no workers.
+        If both are given, there is no scheduler at the address, or it has no workers.
     """
     import dask
     from distributed import Client, LocalCluster
 
     if scheduler is not None:
+        if count is not None:
+            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
         with _connected(scheduler) as client:
             yield client
         return

@@ -74,6 +74,8 @@ def test_the_best_design_is_found_within_bounds_and_the_search_resumes(house):
     (house.folder / "search.toml").write_text(SWEEP.format(settings="seed = 5", more=bounds))
     first = house.result("optimize", "search.toml", "--trials", "3", "--workers", "1", "-q")
     assert (first["trials"], first["tried_now"]) == (3, 3)
+    with (house.folder / "out" / "search-trials.log").open("ab") as journal:
+        journal.write(b'{"op_code": 5, "wor')  # torn by a power cut
     more = house.result("optimize", "search.toml", "--trials", "5", "--workers", "1", "-q")
     assert (more["trials"], more["tried_now"]) == (5, 2)
     assert more["best"]["range_n"] >= 400

@@ -25,9 +25,9 @@ SMALL = {"array": {"rows": 1, "cols": 2}}
 SWEEP = sweep_from_dict(
     {
         "design": SMALL,
-        "sweep": {"samples": 8, "seed": 1, "tolerance": 2e-2},
+        "sweep": {"sampling": "grid", "tolerance": 2e-2},
         "vary": [
-            {"key": "pad.size_mm", "low": 8.0, "high": 15.5},  # the last 7 % are larger than the pitch
+            {"key": "pad.size_mm", "values": [9.0, 12.0, 16.0]},  # the last is larger than the pitch
             {"key": "resistivity_ohm_mm", "values": [3000.0, 4000.0]},
         ],
     }
@@ -155,10 +155,12 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
             for process in processes:
                 process.kill()
                 process.wait()
-    assert len(done) == len(samples) == len(rows) == 8
+    assert len(done) == len(samples) == len(rows) == 6
     assert kept_rows(samples, tmp_path / "rows") == rows
     failed = [row for row in rows.values() if row.failed]
-    assert [row.reason.split(":")[0] for row in failed] == ["not a design"]
+    assert [row.reason.split(":")[0] for row in failed] == ["not a design"] * 2
+    solved = [row for row in rows.values() if "seconds_condense" in row.figures]
+    assert len(solved) <= 2  # one a pad: the other resistivity waits for the response, whichever worker makes it
     for one in samples:  # by this process, from a cache of its own
         (texts, figures), (expected, anew) = known(rows[one.recipe]), known(row_of(one, SWEEP.judging))
         assert texts == expected
