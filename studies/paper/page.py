@@ -100,6 +100,7 @@ footer dl { display: grid; grid-template-columns: max-content 1fr; gap: 0.2rem 1
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 @media (max-width: 44rem) {
   body { font-size: 16px; } main { padding: 1.5rem 1rem 3rem; }
+  td { white-space: normal; } caption { max-width: calc(100vw - 2rem); }
   .words table, .words tbody, .words tr, .words td, .words caption { display: block; } .words thead { display: none; }
   .words tr { border-bottom: 1px solid var(--line); padding: 0.7rem 0; }
   .words td, .words td:first-child { border: 0; padding: 0.2rem 0; }
