@@ -58,17 +58,19 @@ def _controls(page: Page, design: SensorDesign) -> None:
         if page.feed is not None:
             vuetify.VBtn("Sensor", value="sensor", id="by-sensor")
     html.Div("{{ source == 'sensor' ? 'decoupled pressure' : 'pressure' }} on each pad [MPa]", classes="caption")
-    with html.Div(classes="pads", id="pads"):
-        with html.Button(
+    with (
+        html.Div(classes="pads", id="pads"),
+        html.Button(
             v_for="cell in pads",
             key="cell.unit",
             click="pad = cell.unit",
             style=("{background: cell.colour}",),
             classes=("{chosen: cell.unit == pad}",),
             id=("'pad-' + cell.unit",),
-        ):
-            html.Span("{{ cell.text }}")
-            html.Small("{{ cell.arrow }}")
+        ),
+    ):
+        html.Span("{{ cell.text }}")
+        html.Small("{{ cell.arrow }}")
     limit = f"cone ? {FRICTION:g} * %s : {MOST_SHEAR_MPA:g}"
     with html.Div(v_if="source == 'pads'"):
         html.Div("pad of {{ unit_name }}", classes="caption")
@@ -142,7 +144,9 @@ def _picture(server: Any, page: Page) -> None:
 def _numbers(decoupler: str) -> None:
     with html.Div(classes="strain", id="strain"):
         html.Div(
-            "largest strain <b>{{ strain }} %</b> <span class='dim'>of " + f"{100 * CAP:g} %, " + "{{ strain_at }}</span>"
+            "largest strain <b>{{ strain }} %</b> <span class='dim'>of "
+            + f"{100 * CAP:g} %, "
+            + "{{ strain_at }}</span>"
         )
         with html.Div(classes="gauge"):
             html.Div(style=("{width: strain_share + '%'}",), classes=("{over: strain_over}",))
@@ -190,5 +194,3 @@ def _table(head: list[str], rows: str, name: str) -> None:
                 html.Th(word)
         with html.Tbody(), html.Tr(v_for=f"row in {rows}", key="row[0]"):
             html.Td("{{ value }}", v_for="(value, place) in row", key="place")
-
-

@@ -111,6 +111,7 @@ class ArrayScene:
         self._mark = pv.lines_from_points(self._outline(0), close=True)
         self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
         self._fill()
+        self.plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)  # z stays upright
 
     def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
         """Bring the scene to a load.

@@ -48,7 +48,9 @@ class InverseForces:
     def __init__(self, response: ArrayResponse) -> None:
         design, joint = response.design, component_named("all")
         generator = np.random.default_rng(0)
-        tractions = np.concatenate([PROTOCOLS[name].draw(generator, LOADS, design) for name in ("contact", "three-axis")])
+        tractions = np.concatenate(
+            [PROTOCOLS[name].draw(generator, LOADS, design) for name in ("contact", "three-axis")]
+        )
         loads = force_columns(by_unit(forces(tractions, design), design), joint)
         forward = ForwardModel.of(response, joint)
         self._inverse = ModelInverse.about(forward, loads, np.ones(forward.n_pillars, dtype=bool), noise=0.0)

@@ -80,7 +80,7 @@ def test_an_unloaded_array_has_a_colour_bar(scene):
 def test_the_chosen_pad_is_marked_where_it_is(scene):
     scene.show(TRACTION, NONE, Shown(chosen=1))
     mark = np.asarray(scene._mark.points)
-    assert 0.0 < mark[:, 0].min()  # row 0, col 1: right of the middle
+    assert mark[:, 0].min() > 0.0  # row 0, col 1: right of the middle
     assert mark[:, 1].max() < 0.0
     assert mark[:, 2].min() < DESIGN.unit.height_mm - 0.3  # pressed in by 3 MPa
 
