@@ -28,6 +28,7 @@ dataset: $(READY)  ## the same, up to the datasets
 picture: $(READY)  ## draw the README's pictures again
 	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
 	$(BIN)/python -m studies.board.picture docs/live.svg
+	$(BIN)/python -m studies.viewer.picture docs/page.png
 
 paper: $(READY)  ## the paper's table 2 and figures 9 to 11 from our data, beside its numbers
 	$(BIN)/python -m studies.paper --out $(OUT)/paper
