@@ -11,7 +11,7 @@ from dataset.simulate import forces
 from fem.array_field import ArrayField
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import AXES, PILLARS, FloatArray
 from studies.viewer.page import numbers
 from studies.viewer.page.feed import SensorFeed, SensorScan
 from studies.viewer.page.loads import MOST_PRESSURE_MPA, Indenter, PadLoad
@@ -41,6 +41,7 @@ CONTROLS: dict[str, Any] = {
     "scale": 1.0,
     "noise": 0.0,  # of readings, relative
     "dark": False,
+    "tab": "maps",  # of the numbers: maps, table
 }
 
 
@@ -74,6 +75,7 @@ class Page:
         middle = self._design.array.rows // 2 * self._design.array.cols + self._design.array.cols // 2
         own = {"pad": middle, "width": self._design.array.pitch_mm, "source": "sensor" if feed else "pads"}
         state.update(CONTROLS | own)
+        state.rows = []
         state.change(*CONTROLS)(self._on_change)
         self.update()
 
@@ -190,18 +192,19 @@ class Page:
             applied_n = np.full_like(applied_n, np.nan)  # a sensor does not say what acts on it
         row, col = divmod(state.pad, cols)
         state.pads = numbers.pad_cells(self._traction, cols, MOST_PRESSURE_MPA)
-        state.resistance_maps = [
-            numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])
-            for k, name in enumerate(PILLARS)
-        ]
-        state.force_maps = [
-            numbers.as_map(f"F{name}", "N", reading.force_n[..., k], LEAST["force"], digits=0)
-            for k, name in enumerate("xyz")
-        ]
-        state.rows = numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
-        unit = numbers.unit_rows(
-            *(a[row, col] for a in (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n))
-        )
+        if state.tab == "table":
+            state.rows = numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
+        else:
+            state.resistance_maps = [
+                numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])
+                for k, name in enumerate(PILLARS)
+            ]
+            state.force_maps = [
+                numbers.as_map(f"F{name}", "N", reading.force_n[..., k], LEAST["force"], digits=0)
+                for k, name in enumerate(AXES)
+            ]
+        shown = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
+        unit = numbers.unit_rows(*(values[row, col] for values in shown))
         state.unit_pillars, state.unit_forces = unit["pillars"], unit["forces"]
         state.unit_name = f"row {row}, col {col}"
         worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)

@@ -159,7 +159,7 @@ def test_a_slider_changes_numbers_and_picture(served, browser):
         assert float(page.inner_text("#unit-pillars tr:nth-child(1) td:nth-child(2)")) < 9.5  # kΩ, of 10 at rest
         assert float(page.inner_text("#strain b").rstrip(" %")) > 2.0
         page.click("#to-table")
-        assert len(page.query_selector_all("#whole-table tbody tr")) == 2
+        page.wait_for_function("document.querySelectorAll('#whole-table tbody tr').length == 2", timeout=LONGEST_MS)
         page.click("#by-indenter")
         page.wait_for_function("document.querySelector('#pad-1').innerText.trim() != ''", timeout=LONGEST_MS)
         page.click("#reset")
