@@ -8,7 +8,7 @@ from dataset import Imperfections
 from dataset.simulate import DatasetSettings, measured_again, simulate
 from decoupler import NetworkConfig, TrainingConfig, assess
 from decoupler.training import train
-from fem import array_response
+from fem import ResponseSettings, array_response
 from geometry import design_from_toml
 from studies.sweep.judge import row_of
 from studies.sweep.sampling import samples_of
@@ -45,7 +45,7 @@ for row in best:
 # 4. The choice, trained on loads of a few indenters. It learns what loads are usual, and so may pass the limit of the
 #    readings alone.
 design = design_from_toml(best[0].design)
-response, _, _ = array_response(design)
+response, _, _ = array_response(design, ResponseSettings(tolerance=sweep.judging.tolerance))  # in the cache by now
 sensor = Imperfections(noise=NOISE, bits=BITS)
 training, test = (
     measured_again(simulate(response, DatasetSettings(protocol="contact", samples=samples, seed=seed)), sensor, seed)

@@ -14,6 +14,8 @@ from typer.core import TyperCommand
 from geometry.errors import DesignError, FileFormatError
 from studies.console import STUDYING, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, show_json, wrote
 from studies.viewer.page.options import (
+    HTTP_PORT,
+    LOOPBACK,
     HostOption,
     HttpPortOption,
     PageModelOption,
@@ -111,8 +113,13 @@ def view(
         raise DesignError(f"{body} and --design {design} both say what to show: give one of them.")
     require_together(context, serve)
     if serve:
-        given = {"host": host, "http_port": http_port, "port": port, "model": model, "calibration": calibration}
-        options = PageOptions(**{name: value for name, value in given.items() if value is not None})
+        options = PageOptions(
+            host=LOOPBACK if host is None else host,
+            http_port=HTTP_PORT if http_port is None else http_port,
+            port=port,
+            model=model,
+            calibration=calibration,
+        )
         show_page(options, body or design, verbosity, json_)
         return
     pressures = _pressures(pressure)
@@ -166,7 +173,8 @@ def view(
 def require_together(context: typer.Context, serve: bool) -> None:
     """Refuse options of pictures with --serve, and those of the page without it."""
     foreign = PICTURE_OPTIONS if serve else PAGE_OPTIONS
-    given = [name for name in foreign if context.get_parameter_source(name).name != "DEFAULT"]
+    sources = {name: context.get_parameter_source(name) for name in foreign}
+    given = [name for name, source in sources.items() if source is not None and source.name != "DEFAULT"]
     if given:
         options = ", ".join("--" + name.replace("_", "-") for name in given)
         why = "the page of --serve has controls of its own" if serve else "only the page of --serve heeds them"

@@ -47,7 +47,7 @@ def indented_commands(page: Path, *programs: str) -> list[str]:
 class Terminal:
     """A shell in a folder of its own, where `tripillar` is this working tree's, and jobs can be left running."""
 
-    def __init__(self, folder: Path, cache: Path | None = None) -> None:
+    def __init__(self, folder: Path, cache: Path) -> None:
         self.folder = folder
         programs = folder / ".programs"
         programs.mkdir(parents=True)
@@ -55,7 +55,7 @@ class Terminal:
         (programs / "tripillar").chmod(0o755)
         environment = os.environ | {
             "PATH": f"{programs}:{os.environ['PATH']}",
-            "TRIPILLAR_CACHE": str(cache or folder / "cache"),
+            "TRIPILLAR_CACHE": str(cache),
             "COLUMNS": "200",
         }
         self._typed = 0

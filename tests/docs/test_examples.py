@@ -5,6 +5,9 @@ import re
 import subprocess
 import sys
 
+import pytest
+
+from studies.sweep.sampling import samples_of
 from studies.sweep.sweep_file import read_sweep
 from tests.docs.terminal import ROOT
 
@@ -34,8 +37,9 @@ def test_a_sweep_gives_the_best_design_within_bounds(tmp_path):
     assert max(ratios) < 1.15
 
 
-def test_the_sweep_file_is_one():
-    assert read_sweep(ROOT / "examples" / "sweep.toml").samples == 64
+@pytest.mark.parametrize("name", ["sweep.toml", "optimize.toml"])
+def test_sweep_files_make_sense(name):
+    assert samples_of(read_sweep(ROOT / "examples" / name))
 
 
 def test_a_design_gives_forces_near_their_limit(tmp_path):

@@ -30,7 +30,7 @@ ELSEWHERE = {
     "tripillar sweep examples/sweep.toml": (
         "tests/studies/sweep/test_sweep_commands.py::test_a_killed_sweep_goes_on_and_computes_only_what_is_missing"
     ),
-    "tripillar optimize examples/sweep.toml": (
+    "tripillar optimize examples/optimize.toml": (
         "tests/studies/sweep/test_sweep_commands.py::test_the_best_design_is_found_within_bounds_and_the_search_resumes"
     ),
     "make docs": "tests/docs/test_site.py::test_the_pages_are_built_without_a_warning",
@@ -65,13 +65,13 @@ def as_typed(line: str) -> str:
     return line
 
 
-def test_every_command_of_the_readme_runs(tmp_path, monkeypatch):
+def test_every_command_of_the_readme_runs(tmp_path, pages_cache, monkeypatch):
     """In their order, in one folder, for a sensor of two units; but for those that the tutorial types as well.
 
     In this process, which has loaded by then what each command would load anew; the tutorial's are real ones.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(pages_cache))
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
 
     def run(line: str) -> None:
@@ -82,7 +82,7 @@ def test_every_command_of_the_readme_runs(tmp_path, monkeypatch):
             main()
         assert not ended.value.code, line
 
-    with Terminal(tmp_path) as terminal:
+    with Terminal(tmp_path, pages_cache) as terminal:
         for line in (line for line in TYPED if line not in ELSEWHERE and line not in IN_TUTORIAL - {FIRST}):
             if line.startswith("tripillar ports"):  # from here on there is a board; it rests for a hundred seconds
                 board = "tripillar simulate --design sensor.toml --period 600 --link board &"

@@ -5,6 +5,8 @@ observer of the displacement field serves all units. Each function gives points 
 lines between them, (m, 4) or (m, 2). The pillars come from `fem.deformed`.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +55,7 @@ def pad_outline(design: SensorDesign) -> Surface:
     half = design.pad.size_mm / 2
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     share = np.linspace(0.0, 1.0, DIVISIONS, endpoint=False)[:, None]
-    around = np.concatenate([a + share * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+    around = np.concatenate([a + share * (b - a) for a, b in pairwise(corners)])
     around += (design.pad.offset_x_mm, design.pad.offset_y_mm)
     line = _steps(len(around))
     return np.column_stack([around, np.full(len(around), design.unit.height_mm)]), line % len(around)

@@ -150,7 +150,7 @@ def _numbers(decoupler: str) -> None:
         )
         with html.Div(classes="gauge"):
             html.Div(style=("{width: strain_share + '%'}",), classes=("{over: strain_over}",))
-    with vuetify.VTabs(v_model=("tab", "maps"), density="compact", color="primary", height=32):
+    with vuetify.VTabs(v_model=("tab",), density="compact", color="primary", height=32):
         vuetify.VTab("Maps", value="maps")
         vuetify.VTab("Table", value="table", id="to-table")
     with html.Div(v_if="tab == 'maps'", classes="scroll"):

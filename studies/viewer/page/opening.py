@@ -5,22 +5,21 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from fem.array_field import array_field
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
 from geometry.files import digest
 from studies.console import say
-from studies.pipeline import respond
-from studies.progress import Bars
+from studies.viewer.page.address import require_free
 from studies.viewer.page.options import PageOptions
 
 if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
+    from studies.progress import Bars
 
 NEEDED = ("trame", "trame_pyvista", "trame_rca", "trame_vuetify")
 
 
-def open_page(options: PageOptions, design: SensorDesign | None, bars: Bars, as_json: bool = False) -> None:
+def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", as_json: bool = False) -> None:
     """Serve the page until Ctrl-C; its address is printed on stdout once browsers can come.
 
     `design` None is the model's, if there is a model that knows it, else the paper's.
@@ -33,12 +32,14 @@ def open_page(options: PageOptions, design: SensorDesign | None, bars: Bars, as_
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise DesignError(f"the page needs {', '.join(missing)}, not installed: pip install 'tripillar[page]'.")
+    require_free(options.host, options.http_port)
     from decoupler.model_file import read_model
+    from fem.array_field import array_field
+    from studies.pipeline import respond
     from studies.viewer.page.feed import SensorFeed
     from studies.viewer.page.sensing import ForceSource, InverseForces, NetForces, SensorModel
-    from studies.viewer.page.serving import require_free, serve
+    from studies.viewer.page.serving import serve
 
-    require_free(options.host, options.http_port)
     model = None if options.model is None else read_model(options.model)
     if model is not None:
         design = _design_for(model, str(options.model), design)

@@ -11,7 +11,7 @@ from dataset.simulate import forces
 from fem.array_field import ArrayField
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import AXES, PILLARS, FloatArray
 from studies.viewer.page import numbers
 from studies.viewer.page.feed import SensorFeed, SensorScan
 from studies.viewer.page.loads import MOST_PRESSURE_MPA, Indenter, PadLoad
@@ -41,6 +41,7 @@ CONTROLS: dict[str, Any] = {
     "scale": 1.0,
     "noise": 0.0,  # of readings, relative
     "dark": False,
+    "tab": "maps",  # of the numbers: maps, table
 }
 
 
@@ -74,6 +75,7 @@ class Page:
         middle = self._design.array.rows // 2 * self._design.array.cols + self._design.array.cols // 2
         own = {"pad": middle, "width": self._design.array.pitch_mm, "source": "sensor" if feed else "pads"}
         state.update(CONTROLS | own)
+        state.rows = []
         state.change(*CONTROLS)(self._on_change)
         self.update()
 
@@ -157,29 +159,28 @@ class Page:
     def _loaded(self) -> Reading:
         """Load the array as the controls or the sensor say, and read it."""
         state = self.state
-        if state.source == "sensor":
-            if self._scan is not None:
-                self._traction = tractions(self._scan.force_n, self._design)
-                _, strain = self._sensor.strains(self._traction)
-                return Reading(resistance_ohm=self._scan.resistance_ohm, force_n=self._scan.force_n, strain=strain)
-        elif state.source == "indenter":
-            load = PadLoad(
-                pressure_mpa=float(state.peak), shear_mpa=float(state.drag), angle_deg=float(state.drag_angle)
-            )
-            held = load.within_cone() if state.cone else load
-            indenter = Indenter(load=held, x_mm=float(state.at_x), y_mm=float(state.at_y), width_mm=float(state.width))
+        if state.source == "sensor" and self._scan is not None:
+            scan = self._scan
+            self._traction = tractions(scan.force_n, self._design)
+            _, strain = self._sensor.strains(self._traction)
+            return Reading(resistance_ohm=scan.resistance_ohm, force_n=scan.force_n, strain=strain)
+        if state.source == "indenter":
+            load = self._held(state.peak, state.drag, state.drag_angle)
+            indenter = Indenter(load=load, x_mm=float(state.at_x), y_mm=float(state.at_y), width_mm=float(state.width))
             self._traction = indenter.tractions(self._design)
-        elif self._edited == (state.source, state.pad):
-            load = PadLoad(
-                pressure_mpa=float(state.pressure), shear_mpa=float(state.shear), angle_deg=float(state.angle)
-            )
-            self._traction[state.pad] = (load.within_cone() if state.cone else load).traction_mpa
-        else:  # another pad was chosen: the sliders are to show its load
+        elif state.source == "pads" and self._edited == (state.source, state.pad):
+            self._traction[state.pad] = self._held(state.pressure, state.shear, state.angle).traction_mpa
+        elif state.source == "pads":  # another pad was chosen: the sliders are to show its load
             load = PadLoad.of(self._traction[state.pad])
             state.pressure, state.shear = round(load.pressure_mpa, 2), round(load.shear_mpa, 2)
             state.angle = round(load.angle_deg)
         self._edited = (state.source, state.pad)
         return self._sensor.read(self._traction, self._source, float(state.noise), self._generator)
+
+    def _held(self, pressure: float, shear: float, angle: float) -> PadLoad:
+        """What three sliders say, within friction if that is asked for."""
+        load = PadLoad(pressure_mpa=float(pressure), shear_mpa=float(shear), angle_deg=float(angle))
+        return load.within_cone() if self.state.cone else load
 
     def _tell(self, reading: Reading, change: FloatArray) -> None:
         """Write the numbers beside the picture."""
@@ -191,18 +192,19 @@ class Page:
             applied_n = np.full_like(applied_n, np.nan)  # a sensor does not say what acts on it
         row, col = divmod(state.pad, cols)
         state.pads = numbers.pad_cells(self._traction, cols, MOST_PRESSURE_MPA)
-        state.resistance_maps = [
-            numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])
-            for k, name in enumerate(PILLARS)
-        ]
-        state.force_maps = [
-            numbers.as_map(f"F{name}", "N", reading.force_n[..., k], LEAST["force"], digits=0)
-            for k, name in enumerate("xyz")
-        ]
-        state.rows = numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
-        unit = numbers.unit_rows(
-            *(a[row, col] for a in (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n))
-        )
+        if state.tab == "table":
+            state.rows = numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
+        else:
+            state.resistance_maps = [
+                numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])
+                for k, name in enumerate(PILLARS)
+            ]
+            state.force_maps = [
+                numbers.as_map(f"F{name}", "N", reading.force_n[..., k], LEAST["force"], digits=0)
+                for k, name in enumerate(AXES)
+            ]
+        shown = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
+        unit = numbers.unit_rows(*(values[row, col] for values in shown))
         state.unit_pillars, state.unit_forces = unit["pillars"], unit["forces"]
         state.unit_name = f"row {row}, col {col}"
         worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)

@@ -1,8 +1,8 @@
 """Pictures of the scene for the browser: drawn here, sent as JPEG, as finely as there is time for.
 
-While something moves a picture is given `MOVING_S`, once all is still `STILL_S`; what can be drawn in that time decides
-how many pixels it has, and the browser scales it to its place. So software without a graphics card keeps up, at a
-coarser picture, and a card draws every pixel, or more, which smooths edges. It takes the place of trame-rca's
+While something moves a picture is given less time than once all is still; what can be drawn and encoded in that time
+decides how many pixels it has, and the browser scales it to its place. So software without a graphics card keeps up, at
+a coarser picture, and a card draws every pixel, or more, which smooths edges. It takes the place of trame-rca's
 scheduler and window, which draw all pictures alike.
 """
 
@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,29 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 from vtkmodules.vtkWebCore import vtkRemoteInteractionAdapter
 
-MOVING_S, STILL_S = 0.030, 0.150  #: to draw one picture
 STILL_AFTER_S = 0.3  #: without a change
-LEAST_PIXELS = 150_000
-MOST_ZOOM = 2.0  #: pixels drawn for one of the page's, along each side; more smooth nothing further
-MOVING_QUALITY, STILL_QUALITY = 75, 92  #: of JPEG
+LEAST_PIXELS = 120_000
+MOST_ZOOM = 2.0  #: pixels drawn for one of the screen's, along each side; more smooth nothing further
 
 Push = Callable[[bytes, dict[str, Any]], None]
+
+
+@dataclass
+class Grade:
+    """How good pictures are."""
+
+    seconds: float  #: for one, from drawing to JPEG
+    quality: int  #: of JPEG
+    pixels_per_s: float = 8e6  #: as measured
+
+    def zoom(self, wide: int, high: int) -> float:
+        """Pixels to draw for one of a place's, along each side."""
+        pixels = max(self.seconds * self.pixels_per_s, LEAST_PIXELS)
+        return min(math.sqrt(pixels / (wide * high)), MOST_ZOOM)
+
+    def learn(self, pixels: int, seconds: float) -> None:
+        """Take into account what one picture took."""
+        self.pixels_per_s += 0.3 * (pixels / seconds - self.pixels_per_s)
 
 
 class Pictures:
@@ -55,7 +72,7 @@ class Pictures:
         self._reader.SetInputBufferTypeToRGBA()
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
-        self._per_s = 10e6  # pixels drawn a second, as measured
+        self._moving, self._still = Grade(0.025, quality=75), Grade(0.150, quality=92)
         self._is_wanted = asyncio.Event()
         self._encoders = ThreadPoolExecutor(1, "pictures")
         self._push: Push = lambda content, meta: None
@@ -68,33 +85,26 @@ class Pictures:
                 await self._is_wanted.wait()
                 await asyncio.sleep(0.001)  # numbers go first
                 self._is_wanted.clear()
-                await self._draw(MOVING_S, MOVING_QUALITY)
+                await self._draw(self._moving)
                 try:
                     await asyncio.wait_for(self._is_wanted.wait(), STILL_AFTER_S)
                 except TimeoutError:
-                    await self._draw(STILL_S, STILL_QUALITY)
+                    await self._draw(self._still)
         finally:
             self._encoders.shutdown()
 
-    async def _draw(self, seconds: float, quality: int) -> None:
+    async def _draw(self, grade: Grade) -> None:
         start = time.perf_counter()
-        zoom = self._zoom(seconds)
-        image = self._rendered(zoom)
-        spent = time.perf_counter() - start
+        image = self._rendered(grade.zoom(*self._size))
         rows, cols, _ = image.shape
-        self._per_s += 0.3 * (rows * cols / spent - self._per_s)
         encode = RcaImageEncoder.JPEG.encode
         loop = asyncio.get_running_loop()
-        content, meta, _ = await loop.run_in_executor(self._encoders, encode, image, cols, rows, quality)
-        if seconds == MOVING_S:
-            self.draw_ms = 1e3 * (time.perf_counter() - start)
+        content, meta, _ = await loop.run_in_executor(self._encoders, encode, image, cols, rows, grade.quality)
+        seconds = time.perf_counter() - start
+        grade.learn(rows * cols, seconds)
+        if grade is self._moving:
+            self.draw_ms = 1e3 * seconds
         self._push(content, meta)
-
-    def _zoom(self, seconds: float) -> float:
-        """Pixels to draw for one of the screen's, along each side."""
-        wide, high = self._size
-        pixels = max(self._per_s * seconds, LEAST_PIXELS)
-        return min(math.sqrt(pixels / (wide * high)), MOST_ZOOM)
 
     def _rendered(self, zoom: float) -> np.ndarray:
         """A picture, (rows, cols, 3), upper row first; the window's size is afterwards as before."""

@@ -3,23 +3,24 @@
 import os
 import sys
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pyvista as pv
 
 from fem.array_field import ArrayField, FieldState, Observer
 from fem.deformed import Part, Surface, pillar_surface
-from fem.figures import QUANTITIES, colour_limits
+from fem.figures import QUANTITIES, Colour, colour_limits
 from fem.solution import QUADRILATERAL
 from geometry.layout import PILLARS, FloatArray, unit_centres
 from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_face, top_face, upright_edge
 from studies.viewer.page.superposition import Superposition
 
-RESISTANCE = "resistance"  #: the one colour of the page's own: of each pillar as a whole
+RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page's own: of each pillar as a whole
 TITLES = {name: quantity.title.replace("\n", " ") for name, quantity in QUANTITIES.items()} | {
     RESISTANCE: "change of resistance [%]"
 }
-LEAST_RANGE = {"displacement": 0.1, "vertical": 0.1, "mises": 0.1, "pressure": 0.1, RESISTANCE: 1.0}
+LEAST_RANGE: dict[str, float] = {"displacement": 0.1, "vertical": 0.1, "mises": 0.1, "pressure": 0.1, RESISTANCE: 1.0}
 SLICES = 8  #: of a pillar along its axis
 MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
@@ -33,7 +34,7 @@ FILLED = 0.92  #: of the window, by the undeformed array
 class Shown:
     """How the array is drawn."""
 
-    colour: str = "displacement"  #: one of TITLES
+    colour: Colour | Literal["resistance"] = "displacement"
     scale: float = 1.0  #: of displacements
     chosen: int = 0  #: unit whose pad is marked
     dark: bool = False
@@ -111,6 +112,7 @@ class ArrayScene:
         self._mark = pv.lines_from_points(self._outline(0), close=True)
         self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
         self._fill()
+        self.plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)  # z stays upright
 
     def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
         """Bring the scene to a load.

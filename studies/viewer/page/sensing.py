@@ -23,7 +23,8 @@ LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 class ForceSource(Protocol):
     """What turns resistances into forces."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, 3) [Ω]; NaN where it gives none."""

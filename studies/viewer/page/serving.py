@@ -2,7 +2,6 @@
 
 import asyncio
 import signal
-import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -10,15 +9,11 @@ from contextlib import contextmanager, suppress
 from trame.app import get_server
 
 from fem.array_field import ArrayField
-from geometry.errors import TriPillarError
+from studies.viewer.page.address import page_url
 from studies.viewer.page.feed import SensorFeed
 from studies.viewer.page.layout import lay_out
 from studies.viewer.page.page import Page
 from studies.viewer.page.sensing import ForceSource, SensorModel
-
-
-class ServingError(TriPillarError, RuntimeError):
-    """A page that cannot be served."""
 
 
 def serve(
@@ -49,26 +44,6 @@ def serve(
     asyncio.run(_serve(field, sensor, source, feed, host, port, on_ready))
 
 
-def require_free(host: str, port: int) -> None:
-    """Refuse an address that cannot be listened on, before anything takes time.
-
-    Raises
-    ------
-    ServingError
-        If the host is none of this machine, or another program listens on that port.
-    """
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does
-            trial.bind(address)
-            trial.listen()
-    except OSError as error:
-        raise ServingError(
-            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --http-port."
-        ) from None
-
-
 async def _serve(
     field: ArrayField,
     sensor: SensorModel,
@@ -83,9 +58,10 @@ async def _serve(
     lay_out(server, page, field.design, source.name)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
+    loop.set_exception_handler(_unless_browser_left)
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    server.controller.on_server_ready.add(lambda **_: on_ready(f"http://{_named(host)}:{server.port}/"))
+    server.controller.on_server_ready.add(lambda **_: on_ready(page_url(host, server.port)))
     with _own_command_line():
         listening = server.start(
             port=port, host=host, timeout=0, open_browser=False, show_connection_info=False, exec_mode="task"
@@ -103,6 +79,12 @@ async def _serve(
         await working
 
 
+def _unless_browser_left(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Tell of what fails in the background, but not of what was on its way to a browser that has gone."""
+    if not isinstance(context.get("exception"), ConnectionResetError):
+        loop.default_exception_handler(context)
+
+
 @contextmanager
 def _own_command_line() -> Iterator[None]:
     """Hide our options from trame, which reads the command line by itself and would take --port for its own.
@@ -115,9 +97,3 @@ def _own_command_line() -> Iterator[None]:
         yield
     finally:
         sys.argv = given
-
-
-def _named(host: str) -> str:
-    """A host as browsers take it: every interface has the loopback's name, too; IPv6 in brackets."""
-    plain = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    return f"[{plain}]" if ":" in plain else plain

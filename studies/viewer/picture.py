@@ -1,0 +1,32 @@
+"""The page of `tripillar view --serve`, as a picture for the docs: `python -m studies.viewer.picture docs/page.png`."""
+
+import io
+from pathlib import Path
+
+import typer
+from PIL import Image
+
+from geometry.files import replacing
+from studies.viewer.page.browser import page_in_chromium
+
+COLOURS = 256  #: of the file, which is a third as large as with all
+SETTLED_MS = 2500  #: after the last click: the fine picture has come
+
+
+def draw(out: Path) -> None:
+    """Draw the page under a round indenter that drags."""
+    with page_in_chromium(size=(1280, 800)) as page:
+        page.click("#by-indenter")
+        page.click("#pad-14")
+        for slider, steps in {"peak": 20, "drag": 40, "drag_angle": 6}.items():
+            page.focus(f"#{slider} .v-slider-thumb")
+            for _ in range(steps):
+                page.keyboard.press("ArrowRight")
+        page.mouse.click(640, 760)  # takes the focus off the slider
+        page.wait_for_timeout(SETTLED_MS)
+        with replacing(out) as temporary, Image.open(io.BytesIO(page.screenshot())) as screen:
+            screen.quantize(COLOURS, dither=Image.Dither.NONE).save(temporary, "PNG", optimize=True)
+
+
+if __name__ == "__main__":
+    typer.run(draw)
