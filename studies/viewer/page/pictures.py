@@ -72,7 +72,7 @@ class Pictures:
         self._reader.SetInputBufferTypeToRGBA()
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
-        self._moving, self._still = Grade(0.025, quality=75), Grade(0.150, quality=92)
+        self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92)
         self._is_wanted = asyncio.Event()
         self._encoders = ThreadPoolExecutor(1, "pictures")
         self._push: Push = lambda content, meta: None
