@@ -25,7 +25,7 @@ def draw(out: Path) -> None:
         page.mouse.click(640, 760)  # takes the focus off the slider
         page.wait_for_timeout(SETTLED_MS)
         with replacing(out) as temporary, Image.open(io.BytesIO(page.screenshot())) as screen:
-            screen.quantize(COLOURS, dither=Image.Dither.NONE).save(temporary, "PNG", optimize=True)
+            screen.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(temporary, "PNG", optimize=True)
 
 
 if __name__ == "__main__":
