@@ -3,8 +3,8 @@
 In: a scene (a body, loads, probes) or a sensor's design. Out: the probes' displacements with an estimate of their error
 (`solve_scene`), or the influence matrix of the array (`array_response`): what 1 N on a pad does to every electrode.
 Open `solve.py` and `plan.py` first for scenes; `array_response.py`, `substructured.py`, `cell.py` and `array.py` for
-arrays; below both lie the elements (`high_order.py` on `kronecker.py`, `hexahedra.py`, `elasticity.py`) and the solvers
-(`linear_solver.py`).
+arrays; `array_field.py` and `scene_parts.py` for displacement and stress anywhere, as pictures need them. Below all lie
+the elements (`high_order.py` on `kronecker.py`, `hexahedra.py`, `elasticity.py`) and the solvers (`linear_solver.py`).
 """
 
 from fem.array_response import ResponseSettings, array_response, solve_response

@@ -19,7 +19,7 @@ from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 Camera = Literal["iso", "top", "front", "side"]
-Medium = Literal["file", "window", "page"]
+Medium = Literal["file", "film", "window", "page"]
 
 SIZE_PX = {1: (1376, 800), 2: (880, 560)}  #: of one picture, and of each of several
 PAGE_PX = (1440, 720)  #: of a page that holds all
@@ -27,10 +27,11 @@ BAR_PX = 224  #: width of the colour bar's column
 MARGIN = 0.06  #: of a picture's width or height, around what it shows
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
 LEAST_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
-LIFT_MM = 0.08  #: by which electrodes are drawn before the pillars' ends
+SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
+LIFT_MM = 0.15  #: by which electrodes are drawn before the pillars' ends
 MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
-GLASSY = {"smooth_shading": True, "split_sharp_edges": True, "ambient": 0.2, "specular": 0.7, "specular_power": 12}
+GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
 VIEWS = {
     "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
     "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
@@ -149,8 +150,9 @@ class DeformedPicture:
     scale : float
         Factor by which displacement is drawn; 1 is true.
     camera : {"iso", "top", "front", "side"}
-    medium : {"file", "window", "page"}
-        What it is drawn for. Pages have no text and no colour bar: they add their own, by `names`, `title`, `limits`.
+    medium : {"file", "film", "window", "page"}
+        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour bar:
+        they add their own, by `names`, `title` and `limits`.
     """
 
     def __init__(
@@ -169,7 +171,7 @@ class DeformedPicture:
         self._moving: list[tuple[pv.PolyData, FloatArray]] = []
         n, on_page = len(panels), medium == "page"
         width, height = self._size = (PAGE_PX[0] // n, PAGE_PX[1]) if on_page else SIZE_PX[min(n, 2)]
-        self._line = 1.0 if on_page else 2.0  # supersampling thins lines
+        self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         bar = [] if on_page else [BAR_PX]
         self.plotter = pv.Plotter(
             off_screen=medium != "window",
@@ -179,8 +181,8 @@ class DeformedPicture:
             border=False,
         )
         self.plotter.set_background("white", all_renderers=True)
-        if not on_page:
-            self.plotter.enable_anti_aliasing("ssaa", all_renderers=True)
+        if medium != "page":
+            self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
         self._texts = []
         for column, (name, parts) in enumerate(panels.items()):
             self.plotter.subplot(0, column)
@@ -188,7 +190,9 @@ class DeformedPicture:
             if not on_page:
                 text = self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
                 self._texts.append((name, text))
-            self._look(camera, np.vstack([part.points_mm for part in parts.values()]))
+            rest = np.vstack([part.points_mm for part in parts.values()])
+            moved = rest + scale * np.vstack([part.displacement_mm for part in parts.values()])
+            self._look(camera, np.vstack([rest, moved]))
         if bar:
             self.plotter.subplot(0, n)
             self._draw_bar(mapper)
@@ -200,6 +204,9 @@ class DeformedPicture:
             mesh.points = rest + share * self._scale * mesh["full"]
             if "of full" in mesh.array_names:
                 mesh["shown"] = share * mesh["of full"]
+            if "Normals" in mesh.array_names:
+                turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+                mesh["Normals"] = turned["Normals"]
         for name, text in self._texts:
             text.set_text("upper_edge", name if share == 1 else f"{share:.0%} of {name}")
 
@@ -218,7 +225,10 @@ class DeformedPicture:
                 middle = part.points_mm[:, 2].mean()
                 skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - middle)
             if name == "matrix":
-                self.plotter.add_mesh(self._moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
+                actor = self.plotter.add_mesh(self._moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                # PyVista's own smooth shading would draw a copy, which stays at rest
+                actor.prop.interpolation = "phong"
             elif name == "electrodes":
                 self.plotter.add_mesh(self._moved(skin), color="#c98a4b", **SOLID)
             else:
@@ -229,7 +239,7 @@ class DeformedPicture:
                 )  # fmt: skip
                 mapper = actor.mapper
             if name in ("matrix", "body"):
-                edges = skin.extract_feature_edges(60, boundary_edges=False)
+                edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
                 self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=1.5 * self._line)
         return mapper

@@ -61,26 +61,27 @@ def _sensor(scene: Scene, body: Sensor, stress: bool, progress: Callable[[str], 
     """By superposition on one cell, whatever the pillars are of."""
     local: dict[Rectangle, int] = {}
     newtons = forces_on_cells(scene, body, local)
-    array = array_field(body.design, progress, np.array(list(local)).reshape(-1, 4) if local else None)
-    return sensor_parts(
-        array, array.under(newtons.reshape(len(newtons), -1) if local else np.zeros((len(newtons), 3))), stress
-    )
+    if not local:  # unloaded: its pads are shown instead
+        array = array_field(body.design, progress)
+        return sensor_parts(array, array.state(np.zeros((body.design.n_units, 3))), stress)
+    array = array_field(body.design, progress, np.array(list(local)))
+    return sensor_parts(array, array.under(newtons.reshape(len(newtons), -1)), stress)
 
 
 def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
     """Some cells of a field; at points of several regions the stress is the mean of theirs."""
+    used, cells = np.unique(field.cells[own], return_inverse=True)
     found = None
     if stress:
         elements, u = elements_of(field), field.displacement_mm
-        at = [nodal_stress(elements, list(field.material), u, int(k)) for k in np.unique(field.region[own])]
-        found = np.nanmean(at, axis=0) if len(at) > 1 else at[0]
-    used, cells = np.unique(field.cells[own], return_inverse=True)
+        of_regions = [nodal_stress(elements, list(field.material), u, int(k)) for k in np.unique(field.region[own])]
+        found = np.nanmean([values[used] for values in of_regions], axis=0)
     return Part(
         points_mm=field.points_mm[used],
         cells=cells.reshape(-1, field.cells.shape[1]),
         cell_type=field.cell_type,
         displacement_mm=field.displacement_mm[used],
-        stress_mpa=None if found is None else found[used],
+        stress_mpa=found,
     )
 
 

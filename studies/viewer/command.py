@@ -135,7 +135,7 @@ def view(
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
-    from fem.figures import QUANTITIES, DeformedPicture, Medium
+    from fem.figures import QUANTITIES, DeformedPicture
     from studies.viewer.saving import FRAMES, SAVERS, save_blocks
 
     kind = "" if save is None else save.suffix
@@ -150,8 +150,8 @@ def view(
             if kind == ".vtm":
                 save_blocks(panels, save)
             else:
-                medium: Medium = "page" if kind == ".html" else "file"
-                SAVERS[kind](DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
+                medium, write = SAVERS[kind]
+                write(DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
     if save is None:
         DeformedPicture(panels, colour, factor, camera, "window").plotter.show()
     largest = {name: max(largest_mm(part.displacement_mm) for part in parts.values()) for name, parts in panels.items()}
@@ -195,7 +195,7 @@ def show_page(options: PageOptions, path: Path | None, quiet: bool, as_json: boo
 
 def has_display() -> bool:
     """Whether a window can be opened here."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
 def require_savable(path: Path) -> None:

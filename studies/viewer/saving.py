@@ -9,7 +9,7 @@ import numpy as np
 import pyvista as pv
 
 from fem.deformed import Parts
-from fem.figures import DeformedPicture, colour_ticks, grid_of
+from fem.figures import DeformedPicture, Medium, colour_ticks, grid_of
 from fem.stress import pressure, von_mises
 from geometry.files import replacing
 
@@ -117,8 +117,9 @@ def _datasets(parts: Parts) -> dict[str, pv.DataSet]:
     return found
 
 
-SAVERS: dict[str, Callable[[DeformedPicture, Path, Callable[[], None]], None]] = {
-    ".png": save_png,
-    ".html": save_html,
-    ".mp4": save_film,
+#: what a picture for each kind of file is drawn for, and what writes it
+SAVERS: dict[str, tuple[Medium, Callable[[DeformedPicture, Path, Callable[[], None]], None]]] = {
+    ".png": ("file", save_png),
+    ".html": ("page", save_html),
+    ".mp4": ("film", save_film),
 }

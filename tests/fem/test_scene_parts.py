@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skfem import MeshTet
+from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
 from fem.array_field import array_field
 from fem.deformed import sensor_parts
@@ -13,8 +14,10 @@ from fem.elements import Elements
 from fem.linear_solver import checked_solve, factorized
 from fem.scene import Block, Inclusion, Load, Probe, Scene, Sensor
 from fem.scene_parts import elements_of, merged, scene_parts
+from fem.solution import QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON
 from fem.solve import solve_scene
 from fem.stress import projected_pressure
+from fem.structured import VTK_PLACES
 from geometry.design import Array, Material, SensorDesign
 
 BLOCK = Scene(
@@ -53,6 +56,15 @@ def test_fields_of_every_method_have_their_nodes_in_order(element, tmp_path):
         found = elements.points_mm[elements.nodes[some, np.abs(elements.element.doflocs - place).sum(1).argmin()]]
         assert np.allclose(points, found)
     assert elements.volumes_mm3.sum() == pytest.approx(12 * 12 * 6)
+
+
+@pytest.mark.parametrize("cell_type", [QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON])
+def test_hexahedra_have_vtk_s_order_of_nodes(cell_type):
+    """VTK itself says where its nodes lie."""
+    cell = vtkGenericCell()
+    cell.SetCellType(cell_type)
+    places = np.array(cell.GetParametricCoords()[: 3 * cell.GetNumberOfPoints()]).reshape(-1, 3)
+    assert np.array_equal(2 * places, VTK_PLACES[: len(places)])
 
 
 def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
