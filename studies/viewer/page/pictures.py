@@ -22,6 +22,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 from vtkmodules.vtkWebCore import vtkRemoteInteractionAdapter
 
+IGNORED = ("StartInteractionEvent", "EndInteractionEvent", "KeyDown", "KeyPress", "KeyUp")  #: of what trame-rca sends
 STILL_AFTER_S = 0.3  #: without a change
 LEAST_PIXELS = 120_000
 MOST_ZOOM = 2.0  #: pixels drawn for one of the screen's, along each side; more smooth nothing further
@@ -132,8 +133,10 @@ class Pictures:
         self._on_resize()
 
     def process_interaction_event(self, event: dict[str, Any]) -> None:
-        if event["type"] not in ("StartInteractionEvent", "EndInteractionEvent"):
+        """Hand VTK what the mouse does. Keys are for the page's controls; VTK would take a w for wire frames."""
+        if event["type"] not in IGNORED:
             vtkRemoteInteractionAdapter.ProcessEvent(self._interactor, json.dumps(event))
+            self.schedule_render()
 
     # and of a scheduler
 
