@@ -129,7 +129,10 @@ def _choice(name: str, label: str, items: list[dict[str, Any]], **attributes: An
 
 def _picture(server: Any, page: Page) -> None:
     area = rca.RemoteControlledArea(name="array", display="image", image_style=({"width": "100%", "height": "100%"},))
-    area.add_view_handler(RcaViewAdapter(page.pictures, "array", scheduler=page.pictures))
+    adapter = RcaViewAdapter(
+        page.pictures, "array", scheduler=page.pictures, do_schedule_render_on_interaction=False
+    )  # pictures know better which events change them
+    area.add_view_handler(adapter)
     with html.Div(classes="legend", id="legend"):
         html.Span("{{ legend.low }}")
         html.Div(classes="bar", style=("{background: legend.colours}",))

@@ -87,4 +87,4 @@ def colour(share: float) -> str:
 
 def short(value: float) -> str:
     """A round number without needless decimals."""
-    return f"{value:g}".replace("-", "−")
+    return f"{value:.3g}".replace("-", "−")

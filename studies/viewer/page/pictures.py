@@ -22,6 +22,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 from vtkmodules.vtkWebCore import vtkRemoteInteractionAdapter
 
+IGNORED = ("StartInteractionEvent", "EndInteractionEvent", "KeyDown", "KeyPress", "KeyUp")  #: of what trame-rca sends
 STILL_AFTER_S = 0.3  #: without a change
 LEAST_PIXELS = 120_000
 MOST_ZOOM = 2.0  #: pixels drawn for one of the screen's, along each side; more smooth nothing further
@@ -72,7 +73,7 @@ class Pictures:
         self._reader.SetInputBufferTypeToRGBA()
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
-        self._moving, self._still = Grade(0.025, quality=75), Grade(0.150, quality=92)
+        self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92)
         self._is_wanted = asyncio.Event()
         self._encoders = ThreadPoolExecutor(1, "pictures")
         self._push: Push = lambda content, meta: None
@@ -132,8 +133,10 @@ class Pictures:
         self._on_resize()
 
     def process_interaction_event(self, event: dict[str, Any]) -> None:
-        if event["type"] not in ("StartInteractionEvent", "EndInteractionEvent"):
+        """Hand VTK what the mouse does. Keys are for the page's controls; VTK would take a w for wire frames."""
+        if event["type"] not in IGNORED:
             vtkRemoteInteractionAdapter.ProcessEvent(self._interactor, json.dumps(event))
+            self.schedule_render()
 
     # and of a scheduler
 

@@ -20,7 +20,7 @@ RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page'
 TITLES = {name: quantity.title.replace("\n", " ") for name, quantity in QUANTITIES.items()} | {
     RESISTANCE: "change of resistance [%]"
 }
-LEAST_RANGE: dict[str, float] = {"displacement": 0.1, "vertical": 0.1, "mises": 0.1, "pressure": 0.1, RESISTANCE: 1.0}
+LEAST_CHANGE = 1.0  #: [%], end of the colour bar of resistances at least
 SLICES = 8  #: of a pillar along its axis
 MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
@@ -134,27 +134,26 @@ class ArrayScene:
         self.plotter.set_background(BACKGROUND[shown.dark])
         if shown.colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
-            most = max(float(np.abs(values).max()), LEAST_RANGE[RESISTANCE])
-            return self._coloured(shown.colour, values, (-most, most), "coolwarm_r")
+            most = max(float(np.abs(values).max()), LEAST_CHANGE)
+            return self._coloured(TITLES[RESISTANCE], values, (-most, most), "coolwarm_r")
         quantity = QUANTITIES[shown.colour]
         stress = self._stress.stress_mpa(state).reshape(-1, 6) if quantity.of_stress else None
         part = Part(
             points_mm=moved_mm, cells=np.empty((0, 4), dtype=np.int64), cell_type=QUADRILATERAL,
             displacement_mm=moved_mm, stress_mpa=stress,
         )  # fmt: skip
-        low, high = colour_limits([{"pillars": part}], quantity)
-        if high - low < LEAST_RANGE[shown.colour]:
-            high = LEAST_RANGE[shown.colour]
-        return self._coloured(shown.colour, quantity.of(part), (low, high), quantity.colours)
+        return self._coloured(
+            TITLES[shown.colour], quantity.of(part), colour_limits([{"pillars": part}], quantity), quantity.colours
+        )
 
-    def _coloured(self, colour: str, values: FloatArray, ends: tuple[float, float], colours: str) -> Legend:
+    def _coloured(self, title: str, values: FloatArray, ends: tuple[float, float], colours: str) -> Legend:
         """Colour the pillars by values (n_points,)."""
         self._pillars.mesh["shown"] = values.astype(np.float32)
         mapper = self._actor.mapper
         mapper.lookup_table.apply_cmap(colours, 256)
         mapper.scalar_range = ends
         some = [f"rgb({red},{green},{blue})" for red, green, blue, _ in mapper.lookup_table.values[::17].tolist()]
-        return Legend(title=TITLES[colour], low=ends[0], high=ends[1], colours=some)
+        return Legend(title=title, low=ends[0], high=ends[1], colours=some)
 
     def look_from_the_start(self) -> None:
         """Put the camera where it was at first: the undeformed array fills the window."""

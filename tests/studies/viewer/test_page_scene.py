@@ -74,7 +74,7 @@ def test_colours_lie_between_the_ends_of_the_bar(scene, colour):
 
 def test_an_unloaded_array_has_a_colour_bar(scene):
     legend = scene.show(NONE, NONE, Shown())
-    assert (legend.low, legend.high) == (0.0, 0.1)
+    assert legend.low == 0.0 < legend.high
 
 
 def test_the_chosen_pad_is_marked_where_it_is(scene):
