@@ -47,6 +47,30 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     return np.where(along_rest > 0, strain, np.inf)
 
 
+def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
+    """How far each displacement can be scaled up before some pillar's strain |l − l₀|/l₀ reaches the cap, shape (n,).
+
+    Takes displacements (n, n_units, 2, 3) [mm] of the upper electrodes.
+
+    Notes
+    -----
+    |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
+    sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
+    """
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    rest = top - bottom
+    u = displacement_mm[..., PILLAR_TOP, :]
+    uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
+    dd = rest_lengths(unit) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossings = [-dd / ud]
+        for limit in (1 - cap, 1 + cap):
+            root = np.sqrt(ud**2 - uu * dd * (1 - limit**2))
+            crossings += [(-ud - root) / uu, (-ud + root) / uu]
+    positive = np.where(np.array(crossings) > 0, crossings, np.inf)  # NaN, of a strain never reached, is not
+    return positive.min(axis=0).reshape(len(u), -1).min(axis=1)
+
+
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
     """Resistance of conductive pillars that keep their volume as they deform.
 

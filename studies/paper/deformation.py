@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import bisect
 
-from dataset.resistance import pillar_lengths, pillar_strains
+from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
 from dataset.simulate import DatasetSettings, displacements, simulate
 from fem.pad_loads import uniform_pressure
 from fem.response import ArrayResponse
@@ -107,10 +106,8 @@ def pressed(response: ArrayResponse, loaded: str, pressure_mpa: float) -> Presse
 
 def pressure_at_cap(response: ArrayResponse, loaded: str) -> float:
     """Pressure at which some pillar's strain reaches `CAP` [MPa]."""
-    beyond = 1.0
-    while pressed(response, loaded, beyond).largest_strain < CAP:
-        beyond *= 2.0
-    return float(bisect(lambda p: pressed(response, loaded, p).largest_strain - CAP, 0.0, beyond, xtol=1e-4))
+    moved = displacements(response, LOADED[loaded](response.design, 1.0)[None])
+    return float(largest_factors(moved, response.design.unit, CAP)[0])
 
 
 def sample(response: ArrayResponse) -> Sample:

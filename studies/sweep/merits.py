@@ -8,7 +8,7 @@ import numpy as np
 from dataset import LabelledData
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import pillar_lengths, pillar_resistances
+from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances
 from dataset.simulate import displacements, forces
 from decoupler.components import component_named, force_columns
 from decoupler.forward_model import ForwardModel
@@ -16,9 +16,9 @@ from decoupler.limits import cramer_rao
 from decoupler.metrics import evaluate
 from decoupler.settings import NetworkConfig, TrainingConfig
 from fem.response import ArrayResponse
-from geometry.design import SensorDesign, Unit
+from geometry.design import SensorDesign
 from geometry.files import digest
-from geometry.layout import AXES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import AXES, PILLARS, FloatArray, pillar_volumes
 
 OWN_AXIS = tuple(AXES.index(pillar) for pillar in PILLARS)  #: the force component that each pillar is named after
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
@@ -184,30 +184,6 @@ def largest_pressures(response: ArrayResponse, cap: float) -> tuple[float, float
     traction[..., AXES.index("z")] = down
     factors = largest_factors(displacements(response, traction, ("z",)), response.design.unit, cap)
     return float(factors[:-1].min()), float(factors[-1])
-
-
-def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
-    """How far each displacement can be scaled up before some pillar's strain |l − l₀|/l₀ reaches the cap, shape (n,).
-
-    Takes displacements (n, n_units, 2, 3) [mm] of the upper electrodes.
-
-    Notes
-    -----
-    |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
-    sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
-    """
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    rest = top - bottom
-    u = displacement_mm[..., PILLAR_TOP, :]
-    uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
-    dd = rest_lengths(unit) ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = [-dd / ud]
-        for limit in (1 - cap, 1 + cap):
-            root = np.sqrt(ud**2 - uu * dd * (1 - limit**2))
-            crossings += [(-ud - root) / uu, (-ud + root) / uu]
-    positive = np.where(np.array(crossings) > 0, crossings, np.inf)  # NaN, of a strain never reached, is not
-    return positive.min(axis=0).reshape(len(u), -1).min(axis=1)
 
 
 def training_errors(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> dict[str, float | None]:

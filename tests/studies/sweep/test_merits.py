@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dataset.resistance import pillar_lengths, pillar_strains
+from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
 from decoupler.components import component_named
 from decoupler.forward_model import ForwardModel
 from fem.array_response import ResponseSettings, array_response
@@ -11,7 +11,6 @@ from fem.response import ArrayResponse
 from geometry.design import Array, SensorDesign
 from studies.sweep.merits import (
     crosstalk,
-    largest_factors,
     largest_pressures,
     loads_at_cap,
     merits,
