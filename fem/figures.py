@@ -19,6 +19,7 @@ from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 Camera = Literal["iso", "top", "front", "side"]
+Triple = tuple[float, float, float]
 Medium = Literal["file", "film", "window", "page"]
 
 SIZE_PX = {1: (1376, 800), 2: (880, 560)}  #: of one picture, and of each of several
@@ -32,7 +33,7 @@ LIFT_MM = 0.15  #: by which electrodes are drawn before the pillars' ends
 MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
 GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
-VIEWS = {
+VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
     "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -163,8 +164,7 @@ class DeformedPicture:
         camera: Camera = "iso",
         medium: Medium = "file",
     ) -> None:
-        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+        draw_off_screen()
         self._quantity, self._scale = QUANTITIES[colour], scale
         self.names, self.title, self.colours = tuple(panels), self._quantity.title, self._quantity.colours
         self.limits = colour_limits(panels.values(), self._quantity)
@@ -266,31 +266,48 @@ class DeformedPicture:
 
     def _look(self, camera: Camera, points_mm: FloatArray) -> None:
         """Turn the camera and bring it as near as lets all points be seen."""
-        direction, up = (np.array(vector, dtype=float) for vector in VIEWS[camera])
-        direction /= np.linalg.norm(direction)
-        right = np.cross(up, direction)
-        right /= np.linalg.norm(right)
-        up = np.cross(direction, right)
-        half = np.tan(np.radians(VIEW_ANGLE / 2)) * (1 - 2 * MARGIN)
-        aspect = self._size[0] / self._size[1]
-        focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
-        for _ in range(20):  # a fixed point: it settles in a few rounds
-            seen = points_mm - focus
-            depth = distance - seen @ direction
-            across, upward = seen @ right / depth, seen @ up / depth
-            focus = focus + distance * (
-                (across.max() + across.min()) / 2 * right + (upward.max() + upward.min()) / 2 * up
-            )
-            distance *= max(np.ptp(across) / aspect, np.ptp(upward)) / (2 * half)
-        self.plotter.camera.view_angle = VIEW_ANGLE
-        self.plotter.camera.position = focus + distance * direction
-        self.plotter.camera.focal_point = focus
-        self.plotter.camera.up = up
+        direction, up = VIEWS[camera]
+        place(self.plotter.camera, points_mm, direction, up, self._size[0] / self._size[1])
         self.plotter.reset_camera_clipping_range()
 
     def _moved(self, mesh: pv.PolyData) -> pv.PolyData:
         self._moving.append((mesh, mesh.points.copy()))
         return mesh
+
+
+def draw_off_screen() -> None:
+    """Let VTK draw where there is no display; before the first plotter."""
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+
+
+def place(camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float) -> None:
+    """Put a camera as near as lets all points be seen, with a margin.
+
+    Parameters
+    ----------
+    camera : pyvista.Camera
+    points_mm : array, shape (n, 3)
+    direction, up : three numbers each
+        From what is seen to the camera, and what is upright in the picture.
+    aspect : float
+        Width over height of the picture.
+    """
+    toward = np.array(direction) / np.linalg.norm(direction)
+    right = np.cross(up, toward)
+    right /= np.linalg.norm(right)
+    upright = np.cross(toward, right)
+    half = np.tan(np.radians(VIEW_ANGLE / 2)) * (1 - 2 * MARGIN)
+    focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
+    for _ in range(20):  # a fixed point: it settles in a few rounds
+        seen = points_mm - focus
+        depth = distance - seen @ toward
+        across, upward = seen @ right / depth, seen @ upright / depth
+        aside = (across.max() + across.min()) / 2 * right + (upward.max() + upward.min()) / 2 * upright
+        focus = focus + distance * aside
+        distance *= max(np.ptp(across) / aspect, np.ptp(upward)) / (2 * half)
+    camera.view_angle, camera.focal_point, camera.up = VIEW_ANGLE, focus, upright
+    camera.position = focus + distance * toward
 
 
 def colour_limits(panels: Iterable[Parts], quantity: Quantity) -> tuple[float, float]:

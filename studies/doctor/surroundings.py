@@ -16,6 +16,8 @@ LEAST_MEMORY_GIB = 4.0  #: for the paper's array and 2000 samples, with room to 
 LONGEST_S = 60.0  #: to draw a small picture; 2 s is usual
 DRAW = """
 import pyvista as pv
+from fem.figures import draw_off_screen
+draw_off_screen()
 plotter = pv.Plotter(off_screen=True, window_size=(64, 64))
 plotter.set_background("red")
 print(*plotter.screenshot(return_img=True)[32, 32])

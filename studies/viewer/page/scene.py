@@ -1,7 +1,5 @@
 """The array in 3-D: pillars inside a translucent slab under its pads, moved in place as loads change."""
 
-import os
-import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +8,7 @@ import pyvista as pv
 
 from fem.array_field import ArrayField, FieldState, Observer
 from fem.deformed import Part, Surface, pillar_surface
-from fem.figures import QUANTITIES, Colour, colour_limits
+from fem.figures import QUANTITIES, Colour, colour_limits, draw_off_screen, place
 from fem.solution import QUADRILATERAL
 from geometry.layout import PILLARS, FloatArray, unit_centres
 from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_face, top_face, upright_edge
@@ -27,7 +25,6 @@ BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
 PADS = ("#93a1ad", "#d64541")  #: outlines, from unloaded to most pressed
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
-FILLED = 0.92  #: of the window, by the undeformed array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +84,7 @@ class ArrayScene:
     """A plotter with the array in it; draws nothing by itself."""
 
     def __init__(self, field: ArrayField) -> None:
-        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+        draw_off_screen()
         self._field, self._loads = field, Superposition(field)
         design = field.design
         rows, cols = design.array.rows, design.array.cols
@@ -157,28 +153,12 @@ class ArrayScene:
 
     def look_from_the_start(self) -> None:
         """Put the camera where it was at first: the undeformed array fills the window."""
-        camera, renderer = self.plotter.camera, self.plotter.renderer
         wide, high = self.plotter.render_window.GetSize()
         x, y, z = self._field.design.slab_mm
         corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
-        self.plotter.view_vector(VIEW, viewup=(0.0, 0.0, 1.0))
-        for _ in range(4):  # distance and perspective depend on each other
-            matrix = camera.GetCompositeProjectionTransformMatrix(wide / high, -1.0, 1.0)
-            project = pv.array_from_vtkmatrix(matrix)
-            seen = np.column_stack([corners, np.ones(len(corners))]) @ project.T
-            seen = seen[:, :2] / seen[:, 3:]
-            middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, (seen.max(axis=0) - seen.min(axis=0)) / 2
-            at = np.array(camera.focal_point)
-            depth = np.linalg.norm(at - camera.position)
-            up_mm = depth * np.tan(np.radians(camera.view_angle / 2))
-            forward = (at - camera.position) / depth
-            right = np.cross(forward, (0.0, 0.0, 1.0))
-            right /= np.linalg.norm(right)
-            at = at + up_mm * (middle[0] * wide / high * right + middle[1] * np.cross(right, forward))
-            camera.focal_point = at
-            camera.position = at - forward * depth * half.max() / FILLED
-        renderer.ResetCameraClippingRange()
-        self._start = camera.position
+        place(self.plotter.camera, corners, VIEW, (0.0, 0.0, 1.0), wide / high)
+        self.plotter.reset_camera_clipping_range()
+        self._start = self.plotter.camera.position
 
     def fit(self) -> None:
         """Fill a window of another size, unless the camera has been moved."""
@@ -222,7 +202,6 @@ class ArrayScene:
             show_scalar_bar=False,
         )  # fmt: skip
         plotter.add_mesh(self._mark, color=CHOSEN, line_width=4)
-        plotter.reset_camera()
         self.look_from_the_start()
 
 
