@@ -1,5 +1,6 @@
 """What is looked at: a design under pressures, or a scene under its own loads."""
 
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -26,8 +27,14 @@ def read_body(path: Path) -> SensorDesign | Scene:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DesignError(f"{path}: cannot be read as text: {error}; give a scene or a design TOML.") from None
-    is_scene = any(line.split("#")[0].strip() == "[body]" for line in text.splitlines())
-    return scene_from_toml(text, str(path)) if is_scene else design_from_toml(text, str(path))
+    return scene_from_toml(text, str(path)) if _has_body(text) else design_from_toml(text, str(path))
+
+
+def _has_body(text: str) -> bool:
+    try:
+        return "body" in tomllib.loads(text)
+    except (ValueError, RecursionError):
+        return False  # the reader of designs says where it is not TOML
 
 
 def panels_of(
