@@ -117,7 +117,7 @@ def _slider(name: str, label: str, unit: str, least: float, most: Any, step: flo
             v_model=(name,), min=least, max=most, step=step, hide_details=True, density="compact", color="primary",
             thumb_size=14, track_size=3,
         )  # fmt: skip
-        html.Output(f"{{{{ {name} }}}} {unit}")
+        html.Output(f"{{{{ +{name}.toFixed(2) }}}} {unit}")  # steps of 0.01 add up to 0.09999999999999999
 
 
 def _choice(name: str, label: str, items: list[dict[str, Any]], **attributes: Any) -> None:
