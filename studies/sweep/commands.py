@@ -69,14 +69,19 @@ def sweep(
         files += [out / f"{file.stem}-pareto.png", out / f"{file.stem}-parallel.png"]
         draw_pareto(rows, asked, files[2])
         draw_parallel(rows, asked, files[3])
+    failed = reasons(rows)
     if json_:
         best_rows = [flat(row) for row in ranked(rows, asked)[:best]]
-        counts = {"designs": len(rows), "judged_now": len(missing), "failed": reasons(rows)}
+        counts = {
+            "designs": len(rows),
+            "judged_now": len(missing),
+            "failed": {kind: len(each) for kind, each in failed.items()},
+        }
         show_json(counts | {"best": best_rows, "files": [str(path) for path in files]})
     else:
         show(best_table(rows, asked, best))
-    for kind, count in reasons(rows).items():
-        say(f"{count} failed: {kind}")
+    for each in failed.values():
+        say(f"{len(each)} failed, such as: {each[0]}")
     wrote(files)
 
 
@@ -115,6 +120,8 @@ def optimize(
         with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
             rows = search(asked, study, client, folder, shown(bars, "trials", left))
     best = ranked(rows, asked)
+    if all(row.failed for row in rows):
+        raise DesignError(f"all {len(rows)} designs of {file} failed, such as: {rows[0].reason}")
     if not best:
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {file}: loosen them or try more.")
     path = out / f"{file.stem}-best.toml"

@@ -34,11 +34,12 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
         study_name=digest("study", {**asdict(sweep), "samples": None}),
         load_if_exists=True,
     )
-    for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):  # of a run that was killed
-        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+    # trials that a killed run left unfinished stay so: they may as well be those of another run, in progress now
     done = len(finished(study, sweep))
     # another seed after each stop, or the search would draw the numbers of its beginning again
-    study.sampler = optuna.samplers.TPESampler(seed=sweep.seed + done, multivariate=True, n_startup_trials=START)
+    study.sampler = optuna.samplers.TPESampler(
+        seed=(sweep.seed + done) % 2**32, multivariate=True, n_startup_trials=START
+    )
     return study
 
 

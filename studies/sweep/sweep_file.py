@@ -93,7 +93,7 @@ class Sweep:
         if not _whole(self.seed) or not 0 <= self.seed < 2**32:
             raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
         for name in (self.least, *self.bounds):
-            if name not in FIGURES:
+            if not isinstance(name, str) or name not in FIGURES:
                 raise DesignError(f"no figure {name!r}; known are {', '.join(FIGURES)}.")
         if self.sampling == "grid":
             count = math.prod(len(variable.grid()) for variable in self.variables)

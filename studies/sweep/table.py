@@ -50,11 +50,10 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     return table
 
 
-def reasons(rows: Sequence[Row]) -> dict[str, int]:
-    """Why designs failed, the kind of the error alone, and how many did."""
-    found: dict[str, int] = {}
+def reasons(rows: Sequence[Row]) -> dict[str, list[str]]:
+    """Why designs failed, a reason a design, by the kind of the error."""
+    found: dict[str, list[str]] = {}
     for row in rows:
         if row.failed:
-            kind = row.reason.split(":")[0]
-            found[kind] = found.get(kind, 0) + 1
+            found.setdefault(row.reason.split(":")[0], []).append(row.reason)
     return found

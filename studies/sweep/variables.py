@@ -22,6 +22,10 @@ def _numeric_keys(kind: Any, prefix: str = "") -> dict[str, type]:
 KEYS = _numeric_keys(SensorDesign)  #: every numeric key of a design by its dotted name, with its type
 
 
+def _is_number(given: Any) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Variable:
     """A key, or several that take the same value, with the range or the values it takes."""
@@ -36,15 +40,17 @@ class Variable:
 
     def __post_init__(self) -> None:
         for key in (*self.key, *([] if self.of is None else [self.of])):
-            if key not in KEYS:
+            if not isinstance(key, str) or key not in KEYS:
                 raise DesignError(f"unknown key {key!r}; known are {', '.join(KEYS)}.")
         if not self.key:
             raise DesignError("no key is given: write key = 'array.pitch_mm'.")
         if self.of in self.key:
             raise DesignError(f"{self.name} cannot be a share of itself: give another key as 'of'.")
         given = (*self.values, *(number for number in (self.low, self.high) if number is not None))
-        if not all(isinstance(number, int | float) and math.isfinite(number) for number in given):
+        if not all(_is_number(number) and math.isfinite(number) for number in given):
             raise DesignError(f"{self.name}: low, high and values must be finite numbers.")
+        if not isinstance(self.log, bool):
+            raise DesignError(f"{self.name}: log={self.log!r} must be true or false.")
         if bool(self.values) == (self.low is not None or self.high is not None):
             raise DesignError(f"{self.name}: give either values, or low and high.")
         if self.values:

@@ -8,8 +8,10 @@ import time
 
 import psutil
 import pytest
+from optuna.distributions import FloatDistribution
 
 from geometry.design_file import read_design
+from studies.sweep.optimize import finished, open_study
 from studies.sweep.sampling import samples_of
 from studies.sweep.sweep_file import read_sweep
 from tests.house import House
@@ -92,6 +94,31 @@ def test_what_makes_no_sense_is_refused_before_any_work(house):
     assert "none.toml: cannot be read" in house.refusal("sweep", "none.toml")
     (house.folder / "odd.toml").write_text("[[vary]]\nkey = 'pitch'\n")
     assert "odd.toml: [[vary]] 1: unknown key 'pitch'" in house.refusal("optimize", "odd.toml")
+
+
+def test_designs_that_all_fail_say_why(house):
+    """All pads are wider than the pitch: a sweep is a table of failures, a search finds nothing."""
+    (house.folder / "wide.toml").write_text(
+        SWEEP.format(settings="", more="").replace("low = 8.0\nhigh = 17.0", "low = 16.0\nhigh = 17.0")
+    )
+    swept = house.tripillar("sweep", "wide.toml", "--workers", "1", "-q")
+    assert swept.returncode == 0, swept.stderr
+    assert "6 failed, such as: not a design: pad size_mm=16" in swept.stderr
+    assert "all 3 designs of wide.toml failed, such as: not a design: pad size_mm=16" in house.refusal(
+        "optimize", "wide.toml", "--trials", "3", "--workers", "1", "-q"
+    )
+
+
+def test_two_searches_at_once_share_their_trials(house):
+    """Neither ends the trials of the other, which it finds begun."""
+    asked = read_sweep(house.folder / "pads.toml")
+    journal = house.folder / "trials.log"
+    space = {variable.name: FloatDistribution(0.0, 1.0) for variable in asked.variables}
+    one = open_study(asked, journal)
+    trial = one.ask(space)
+    other = open_study(asked, journal)
+    one.tell(trial, 1.0)
+    assert len(finished(other, asked)) == 1
 
 
 def test_ctrl_c_keeps_the_rows_and_leaves_no_worker(house):
