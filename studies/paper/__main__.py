@@ -34,6 +34,7 @@ def paper(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Write the report; what was computed before under the same recipe is reused."""
+    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is refused now, not minutes later
     with progress_bars(verbosity) as bars:
         _, response = respond(SensorDesign(), bars)
         computed = Computed(
