@@ -40,7 +40,7 @@ def test_the_inverse_finds_the_forces_that_act(response, samples):
 
 
 def test_the_inverse_of_a_soft_array_finds_forces_within_the_cap():
-    """Of a rubber of 1 MPa, whose pillars the loads of the datasets turn over: 1 % of full scale is left at the end of the range."""
+    """Of a rubber of 1 MPa, whose pillars the loads of the datasets turn over: 1 % of full scale at the cap."""
     rubber = Material(young_mpa=1.0)
     soft = SensorDesign(array=DESIGN.array, pillar_material=rubber, matrix_material=rubber)
     response = solve_response(soft, ResponseSettings(method="layer"))
