@@ -93,6 +93,8 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
             start=np.zeros_like(places),
         )
         steps = level * max(1, round(count[-1] - count[0]))
+        if count[-1] == count[0]:  # nothing attracts: evenly
+            count = places
         inner = np.interp(np.linspace(count[0], count[-1], steps + 1)[1:-1], count, places)
         lines.append(np.append(inner, high))
     return np.concatenate(lines)
