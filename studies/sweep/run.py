@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from fem.array_response import ResponseSettings, response_recipe
 from fem.substructured import cell_recipe, lone_unit
 from geometry.design import SensorDesign
+from geometry.errors import DesignError
 from geometry.mesh import mesh_recipe, suited_settings
 from studies.sweep.judge import row_of
 from studies.sweep.rows import Row, read_row, write_row
@@ -32,7 +33,13 @@ def judge_all(
     folder: Path,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> dict[str, Row]:
-    """Judge designs by the workers of a client; every row is written as it comes. Returns the rows by recipe."""
+    """Judge designs by the workers of a client; every row is written as it comes. Returns the rows by recipe.
+
+    Raises
+    ------
+    DesignError
+        If the scheduler is lost.
+    """
     rows = {}
     for row in _judged(samples, judging, client):
         write_row(row, folder)
@@ -70,6 +77,8 @@ def _judged(samples: Sequence[Sample], judging: Judging, client: "Client") -> It
         sample = flights.pop(future)
         making -= stages[sample.recipe]
         made |= stages[sample.recipe]
+        if future.cancelled():
+            raise DesignError("the scheduler is gone; rows that came are kept: give the same command again to go on.")
         error = future.exception()
         yield future.result() if error is None else _lost(sample, error)
         send()

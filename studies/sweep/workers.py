@@ -79,12 +79,13 @@ def workers(count: int | None, scheduler: str | None, log: Path) -> Iterator["Cl
 @contextmanager
 def _connected(scheduler: str) -> Iterator["Client"]:
     from distributed import Client
+    from distributed.utils import silence_logging_cmgr
 
     try:
         client = Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise DesignError(f"no scheduler at {scheduler} ({error}): start one by 'dask scheduler'.") from None
-    with client:
+    with silence_logging_cmgr(logging.CRITICAL), client:  # a lost scheduler is one line, not its traceback
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
