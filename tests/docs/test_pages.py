@@ -32,7 +32,9 @@ def test_commands_and_options_exist(page):
         _, name, *words = line.split()
         if name in NO_COMMANDS:
             continue
-        command = COMMANDS.get_command(click.Context(COMMANDS), name)
+        if name.startswith("--"):  # an option of the whole
+            name, words = "", [name, *words]
+        command = COMMANDS.get_command(click.Context(COMMANDS), name) if name else COMMANDS
         assert command is not None, line
         known = {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
         given = {word.partition("=")[0] for word in words if re.fullmatch(r"--?[a-z][a-z-]*(=.*)?", word)}

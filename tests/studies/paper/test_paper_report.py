@@ -40,7 +40,7 @@ def small(monkeypatch, response, stored, results, tmp_path):
 
 def test_the_command_writes_the_whole_report_and_again_nothing(small, tmp_path, capsys, monkeypatch):
     docs = tmp_path / "docs"
-    paper(out=small, docs=docs, quiet=True, json=True)
+    paper(out=small, docs=docs, verbosity=False, json=True)
     printed = capsys.readouterr()
     assert set(json.loads(printed.out)) == {"deformation", "spacing", "results"}
     assert all(str(small / name) in printed.err.split() for name in ("index.html", "spacing.json", *PICTURES))
@@ -60,7 +60,7 @@ def test_the_command_writes_the_whole_report_and_again_nothing(small, tmp_path, 
     before = {path.name: path.stat().st_mtime_ns for path in small.iterdir() if path.suffix in (".png", ".json")}
     monkeypatch.setattr(command, "run_experiments", None)
     monkeypatch.setattr(command, "study_spacing", None)
-    paper(out=small, docs=None, quiet=True, json=False)
+    paper(out=small, docs=None, verbosity=False, json=False)
     assert before == {path.name: path.stat().st_mtime_ns for path in small.iterdir() if path.name in before}
     assert "Table 2" in capsys.readouterr().out
 

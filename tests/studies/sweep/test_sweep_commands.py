@@ -49,7 +49,7 @@ def test_a_killed_sweep_goes_on_and_computes_only_what_is_missing(house):
     rows = house.folder / "out" / "pads-rows"
     with subprocess.Popen(command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE) as process:
         until = time.monotonic() + 120
-        while len(list(rows.glob("*.json"))) < 3 and process.poll() is None and time.monotonic() < until:
+        while len(list(rows.glob("[!.]*.json"))) < 3 and process.poll() is None and time.monotonic() < until:
             time.sleep(0.02)
         process.send_signal(signal.SIGKILL)
     kept = sorted(rows.glob("[!.]*.json"))
