@@ -4,9 +4,7 @@ Results go to stdout (with --json one object), progress and messages to stderr. 
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
-import io
 import math
-import signal
 import sys
 from dataclasses import asdict, replace
 from importlib import metadata
@@ -17,7 +15,7 @@ import typer
 
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, write_design
-from geometry.errors import DesignError, TriPillarError
+from geometry.errors import DesignError
 from studies.board.commands import board
 from studies.console import (
     LEARNING,
@@ -34,6 +32,7 @@ from studies.console import (
     wrote,
 )
 from studies.doctor.command import commands as doctor
+from studies.entry import run as run_app
 from studies.sweep.commands import commands as sweeps
 from studies.viewer.command import viewer
 
@@ -512,44 +511,8 @@ def plain(errors: "dict[str, ForceErrors]") -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends with one line on stderr and exit code 2, Ctrl-C with 130."""
-    interrupted = False
-
-    def interrupt(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        run_commands()
-    except Exception:
-        if not interrupted:
-            raise
-    except KeyboardInterrupt:
-        pass
-    sys.exit(130)  # whatever was raised after Ctrl-C, such as the ImportError of a half-loaded library, came of it
-
-
-def run_commands() -> None:
-    """Run the command that was asked for, and leave by `SystemExit`."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(encoding="utf-8")  # Ω and ρ, whatever the console's own encoding
-    try:
-        sys.exit(app(standalone_mode=False))
-    except typer.exceptions.TyperException as error:
-        message = error.format_message()
-    except (TriPillarError, OSError) as error:
-        message = str(error)
-    except MemoryError:
-        message = "not enough memory: ask for fewer samples, hidden nodes or units."
-    except typer.Abort:
-        sys.exit(130)
-    if not message:  # a bare command has printed its help
-        sys.exit(0)
-    print(f"tripillar: {message}", file=sys.stderr)
-    sys.exit(2)
+    """Run the command line."""
+    run_app(app)
 
 
 if __name__ == "__main__":

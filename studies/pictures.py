@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import typer
-
 from geometry.design import SensorDesign
+from studies.entry import run_alone
 
 
 def draw(folder: Path) -> None:
@@ -17,4 +16,4 @@ def draw(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(draw)
+    run_alone(draw)

@@ -11,6 +11,7 @@ from studies.bench.scenes import all_scenes
 from studies.bench.table import ratio_table, work_precision_table
 from studies.bench.work_precision import Settings, as_plain, measure_scene
 from studies.console import say, wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.surroundings import surroundings
 from studies.writing import write_json
@@ -53,4 +54,4 @@ def bench(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)

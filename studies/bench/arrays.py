@@ -20,6 +20,7 @@ from geometry.design import Array, Material, SensorDesign
 from studies.bench.memory import peak_mib
 from studies.bench.whole_grid import whole_grid_response
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.writing import write_json
 
@@ -125,4 +126,4 @@ def bench(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)

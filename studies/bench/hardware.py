@@ -31,6 +31,7 @@ from studies.board.paper_sensor import board_info, joint_net
 from studies.board.session import Session, scans
 from studies.board.simulated import CHIP_BITS
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import plain_table, show
@@ -200,4 +201,4 @@ def bench(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)

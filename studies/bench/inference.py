@@ -20,6 +20,7 @@ from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.writing import write_json
 
@@ -112,4 +113,4 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)

@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from geometry.files import replacing
+from studies.entry import run_alone
 from studies.viewer.page.browser import page_in_chromium
 
 WARM_UP, STEPS = 4, 30
@@ -59,4 +60,4 @@ def measure(
 
 
 if __name__ == "__main__":
-    typer.run(measure)
+    run_alone(measure)

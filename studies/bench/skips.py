@@ -13,6 +13,7 @@ from fem.solution import largest_error
 from fem.solve import solve_scene
 from studies.bench.scenes import patch_scenes
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.writing import write_json
 
@@ -61,4 +62,4 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)

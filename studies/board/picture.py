@@ -3,7 +3,6 @@
 import io
 from pathlib import Path
 
-import typer
 from rich.console import Console
 
 from geometry.design import SensorDesign
@@ -15,6 +14,7 @@ from hardware.scanner import ScannerStatistics
 from studies.board.motion import PressAndSlide, press_and_slide
 from studies.board.paper_sensor import board_info, joint_net
 from studies.board.view import live_view
+from studies.entry import run_alone
 from studies.pipeline import respond
 from studies.progress import Bars
 
@@ -42,4 +42,4 @@ def draw(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(draw)
+    run_alone(draw)

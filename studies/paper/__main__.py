@@ -11,6 +11,7 @@ from fem.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.files import replacing
 from studies.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
+from studies.entry import run_alone
 from studies.paper.deformation import deformation
 from studies.paper.document import Report, as_markdown, rich_table
 from studies.paper.drawing import draw_pictures
@@ -97,4 +98,4 @@ def put_into(docs: Path, report: Report, out: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    typer.run(paper)
+    run_alone(paper)

@@ -7,6 +7,7 @@ import typer
 
 from geometry.design import SensorDesign
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.pipeline import respond
 from studies.progress import Bars
 from studies.report import show
@@ -48,4 +49,4 @@ def write(found: Found, folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    typer.run(robustness)
+    run_alone(robustness)

@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from studies.console import wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.stress.scenes import scene_trials
 from studies.stress.training import training_trials
@@ -84,4 +85,4 @@ def stress(
 
 
 if __name__ == "__main__":
-    typer.run(stress)
+    run_alone(stress)

@@ -4,10 +4,10 @@ import io
 from pathlib import Path
 
 import numpy as np
-import typer
 from PIL import Image
 
 from geometry.files import replacing
+from studies.entry import run_alone
 from studies.viewer.page.browser import page_in_chromium
 
 STEP = 5  #: of 255 levels of a colour: nobody sees it, and the file is half as large
@@ -32,4 +32,4 @@ def draw(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(draw)
+    run_alone(draw)

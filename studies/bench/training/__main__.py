@@ -18,6 +18,7 @@ from studies.bench.training.figures import draw_race
 from studies.bench.training.race import Case, race
 from studies.bench.training.table import ratio_table, time_table
 from studies.console import say, wrote
+from studies.entry import run_alone
 from studies.report import show
 from studies.surroundings import surroundings
 from studies.writing import write_json
@@ -88,4 +89,4 @@ def cases(
 
 
 if __name__ == "__main__":
-    typer.run(bench)
+    run_alone(bench)
