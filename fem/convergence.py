@@ -8,6 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
+from fem.solution import relative_errors
+from geometry.layout import FloatArray
+
+LEAST_MESHES = 4  #: before an estimate by indicators is believed
 RATE = 2.5  #: of quadratic elements on the first graded grids; it rises to 4 as they get finer
 FINE_RATE = 3.3  #: by which the next level is chosen
 RATES = (2.0, 4.5)  #: what three answers may make of it
@@ -33,6 +37,32 @@ def error_after(levels: Sequence[float], changes: Sequence[float]) -> float:
     rate = _rate(levels[-3:], changes[-2:]) if len(changes) > 1 else RATE
     a, b = (np.asarray(levels[-2:], dtype=float)) ** -rate
     return float(changes[-1] * b / (a - b))
+
+
+def estimated_errors(
+    names: Sequence[str], history: Sequence[tuple[float, FloatArray]], least: int = LEAST_MESHES
+) -> dict[str, float]:
+    """Relative error of each probe on the last of several adapted meshes, infinite before there are so many as `least`.
+
+    `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
+
+    Notes
+    -----
+    The error of a probe is close to proportional to the sum η of its indicators, whose constant is unknown but changes
+    little from mesh to mesh: J(η) = J₀ + C η. The line through the last two meshes and the one fitted to the last three
+    each give |C| η; the larger is taken.
+    """
+    if len(history) < least:
+        return dict.fromkeys(names, np.inf)
+    eta = np.array([indicated for indicated, _ in history[-3:]])
+    J = np.array([probes for _, probes in history[-3:]])  # (3, n_probes, 3)
+    if eta[-1] == 0.0:
+        return dict.fromkeys(names, 0.0)
+    fitted = np.tensordot(eta - eta.mean(), J, axes=1) / ((eta - eta.mean()) ** 2).sum()
+    between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
+    answer = dict(zip(names, J[-1], strict=True))
+    estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
+    return {name: max(estimate[name] for estimate in estimates) for name in names}
 
 
 def next_level(level: int, estimate: float, tolerance: float) -> int:

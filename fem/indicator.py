@@ -13,9 +13,11 @@ from skfem import MeshTet
 
 from fem.assembly import IntArray
 from fem.elasticity import ElasticBody, pressure_dofs
+from fem.solution import SMALLEST_SHARE
 from geometry.layout import FloatArray
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  #: of a tetrahedron, in scikit-fem's order and VTK's
+MOST_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
 SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
 
 Traction = Callable[[FloatArray], FloatArray]  #: points (..., 3) on the top face to tractions (..., 3) [MPa]
@@ -131,7 +133,7 @@ def residuals(
     return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
 
 
-def probe_indicators(of_answer: FloatArray, of_duals: list[FloatArray], scales: list[float]) -> FloatArray:
+def probe_indicators(of_answer: FloatArray, of_duals: list[FloatArray], scales: FloatArray) -> FloatArray:
     """Share of each element in the relative errors of the probes, up to a constant, shape (m,).
 
     `of_answer` and `of_duals` are `residuals`; `scales` are the sizes of the probes' displacements.
@@ -140,6 +142,32 @@ def probe_indicators(of_answer: FloatArray, of_duals: list[FloatArray], scales: 
         (np.sqrt(of_answer * dual) / scale for dual, scale in zip(of_duals, scales, strict=True)),
         start=np.zeros_like(of_answer),
     )
+
+
+def dual_weights(probes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit loads on probes by whose answers their errors are traced to elements.
+
+    One for each probe and axis; of more than `MOST_DUALS`, as many sums of all with random signs, which together mark
+    the same elements.
+
+    Parameters
+    ----------
+    probes : array, shape (n_probes, 3)
+        Displacements of the probes [mm].
+
+    Returns
+    -------
+    array, shape (k, n_probes, 3): the weight of each probe's components in each load
+    array, shape (k,): the displacement that each load's error is relative to [mm]
+    """
+    size = np.linalg.norm(probes, axis=1)
+    scale = np.maximum(size, SMALLEST_SHARE * size.max())
+    scale[scale == 0.0] = 1.0
+    n = len(probes)
+    if 3 * n > MOST_DUALS:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_DUALS, n, 3))
+        return signs / scale[:, None], np.ones(MOST_DUALS)
+    return np.eye(3 * n).reshape(3 * n, n, 3), np.repeat(scale, 3)
 
 
 def largest_contributors(indicators: FloatArray, share: float) -> IntArray:

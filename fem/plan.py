@@ -28,6 +28,7 @@ SAVINGS = {
 }
 GRID_ELEMENTS = {
     "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
+    "Q4": "boxes of order 4, split where the probes need it, factored: whatever contrast, ν, shear and slenderness",
     "Q2": "27-node hexahedra, the volume change integrated on 2×2×2 points: fourth order, whatever ν",
     "S2": "20-node hexahedra, integrated on 2×2×2 points",
 }

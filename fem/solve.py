@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from fem.box_refinement import solve_by_splitting
 from fem.cell_scene import solve_by_cells
 from fem.high_order import solve_by_order
 from fem.plan import Plan, make_plan
@@ -55,6 +56,8 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
         return unmoved(scene)
     if plan.method == "grid" and plan.element == "Qp":
         return solve_by_order(scene, plan, with_field)
+    if plan.method == "grid" and plan.element == "Q4":
+        return solve_by_splitting(scene, plan, with_field)
     if plan.method == "grid":
         return solve_on_grid(scene, plan, with_field)
     if plan.method == "cells":

@@ -4,7 +4,6 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -14,11 +13,13 @@ from skfem import ElementTetP1, ElementTetP2, MeshTet
 
 from fem.assembly import IntArray
 from fem.bisection import bisected
+from fem.convergence import estimated_errors
 from fem.elasticity import LEAST_POISSON, ElasticBody, displacement_form, lame_of_regions, taylor_hood
 from fem.factors import FactorMemoryError, SolverError
 from fem.indicator import (
     EDGES,
     cell_sizes,
+    dual_weights,
     largest_contributors,
     probe_indicators,
     residuals,
@@ -30,14 +31,12 @@ from fem.patch import patch_integrals
 from fem.plan import Plan
 from fem.scene import Scene
 from fem.scene_mesh import prism_of_cells, scene_mesh
-from fem.solution import QUADRATIC_TETRAHEDRON, SMALLEST_SHARE, TETRAHEDRON, Field, Solution, relative_errors
+from fem.solution import QUADRATIC_TETRAHEDRON, TETRAHEDRON, Field, Solution
 from geometry.design import Material
 from geometry.layout import FloatArray
 
 MOST_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 MOST_MESHES = 40  #: a bound on patience; some 10 are usual
-LEAST_MESHES = 4  #: before an estimate is believed
-MOST_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
 LAST_SHARE = 0.65  #: the same, where little is missing
 EDGES_ACROSS_PATCH = 1.5  #: least edges across every load and probe before the first solve
@@ -95,7 +94,7 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, field: bool = False) -> Soluti
             steps.append(f"stopped: {error}")
             break
         history.append((float(found.indicators.sum()), found.probes))
-        errors = estimated_errors(scene, history)
+        errors = estimated_errors([probe.name for probe in scene.probes], history)
         worst = max(errors.values())
         estimate = f"estimate {worst:.1e}" if np.isfinite(worst) else "no estimate yet"
         steps.append(f"{mesh.nelements} tetrahedra, {found.unknowns} unknowns: {estimate}")
@@ -141,31 +140,6 @@ def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
         if not coarse.any():
             return mesh
         mesh = bisected(mesh, np.flatnonzero(at_top)[coarse])
-
-
-def estimated_errors(scene: Scene, history: Sequence[tuple[float, FloatArray]]) -> dict[str, float]:
-    """Relative error of each probe on the last of several meshes, infinite before there are `LEAST_MESHES`.
-
-    `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
-
-    Notes
-    -----
-    The error of a probe is close to proportional to the sum η of its indicators, whose constant is unknown but changes
-    little from mesh to mesh: J(η) = J₀ + C η. The line through the last two meshes and the one fitted to the last three
-    each give |C| η; the larger is taken.
-    """
-    names = [probe.name for probe in scene.probes]
-    if len(history) < LEAST_MESHES:
-        return dict.fromkeys(names, np.inf)
-    eta = np.array([indicated for indicated, _ in history[-3:]])
-    J = np.array([probes for _, probes in history[-3:]])  # (3, n_probes, 3)
-    if eta[-1] == 0.0:
-        return dict.fromkeys(names, 0.0)
-    fitted = np.tensordot(eta - eta.mean(), J, axes=1) / ((eta - eta.mean()) ** 2).sum()
-    between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
-    answer = dict(zip(names, J[-1], strict=True))
-    estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
-    return {name: max(estimate[name] for estimate in estimates) for name in names}
 
 
 def _solved(scene: Scene, plan: Plan, mesh: MeshTet, seconds: dict[str, float]) -> Level:
@@ -268,21 +242,9 @@ def point_row(body: ElasticBody, position_mm: FloatArray) -> sp.csr_matrix:
 
 def _dual_loads(
     scene: Scene, rows: sp.csr_matrix, probes: FloatArray
-) -> tuple[FloatArray, list[float], list[FloatArray]]:
-    """Unit loads on the probes: nodal forces (n_displacement, k), their scales, and tractions (n_means, 3) of each.
-
-    One for each probe and axis; of more than `MOST_DUALS`, as many sums of all with random signs, which together mark
-    the same elements.
-    """
-    size = np.linalg.norm(probes, axis=1)
-    scale = np.maximum(size, SMALLEST_SHARE * size.max())
-    scale[scale == 0.0] = 1.0
-    n = len(probes)
-    weights = np.eye(3 * n).reshape(3 * n, n, 3)
-    scales = list(np.repeat(scale, 3))
-    if 3 * n > MOST_DUALS:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_DUALS, n, 3))
-        weights, scales = signs / scale[:, None], [1.0] * MOST_DUALS
+) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    """Unit loads on the probes: nodal forces (n_displacement, k), their scales, and tractions (n_means, 3) of each."""
+    weights, scales = dual_weights(probes)
     rectangles = scene.probe_rectangles_mm
     areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
     is_mean = np.array([probe.kind == "mean" for probe in scene.probes])

@@ -14,7 +14,8 @@ from fem.scene_file import scene_from_toml
 from fem.scene_mesh import prism_of_cells, scene_mesh
 from fem.solution import Solution, largest_error
 from fem.solve import solve_scene
-from fem.tetrahedral import estimated_errors, point_row, with_edges_across
+from fem.convergence import estimated_errors
+from fem.tetrahedral import point_row, with_edges_across
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.boxes import box_mesh
@@ -256,8 +257,8 @@ def test_the_estimate_is_exact_where_errors_follow_the_indicators():
     scene = pressed_block((4.0, 4.0, 2.0), Material())
     exact, slope = np.array([[0.0, 0.0, -2.0], [0.1, 0.0, -1.0]]), np.array([[0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
     history = [(eta, exact + slope * eta) for eta in (0.4, 0.3, 0.2, 0.1)]
-    assert estimated_errors(scene, history[:3]) == {"top": np.inf, "middle": np.inf}
-    errors = estimated_errors(scene, history)
+    assert estimated_errors([probe.name for probe in scene.probes], history[:3]) == {"top": np.inf, "middle": np.inf}
+    errors = estimated_errors([probe.name for probe in scene.probes], history)
     assert np.isclose(errors["top"], 0.03 / 1.97)
     assert np.isclose(errors["middle"], 0.02 / np.hypot(0.12, 1.0))
 

@@ -1,0 +1,216 @@
+"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of fourth order, split where the probes need it.
+
+The first mesh has a line at every edge of body, regions and loads, and little else. Each solve tells which boxes the
+errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
+neither moduli far apart nor ν near 0.5 cost more than anything else.
+"""
+
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from fem.box_mesh import AxisTree, BoxMesh
+from fem.box_system import ORDER, BoxSystem, Condensed
+from fem.convergence import estimated_errors
+from fem.factors import FactorMemoryError, SolverError
+from fem.indicator import dual_weights
+from fem.linear_solver import checked_solve, factorized
+from fem.mirrors import flipped_points, images
+from fem.plan import Plan
+from fem.scene import Scene
+from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution
+from fem.structured import VTK_MIRRORED, VTK_PLACES
+from geometry.layout import FloatArray
+
+WIDEST = 1.6  #: of the first boxes, relative to the least extent of the body
+MAX_FIRST = 80  #: first boxes; where there would be more, they are wider
+MAX_BOXES = 4000  #: beyond, memory of some 6 GB is needed
+MAX_MESHES = 30
+SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
+LAST_SHARE = 0.4
+GROWTH = 2.5  #: of the number of boxes, at most, from mesh to mesh
+
+
+def solve_by_splitting(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
+    """Solve a scene whose every region is a box (or the same sheared box) on boxes that are split where it matters.
+
+    Parameters
+    ----------
+    scene : Scene
+    plan : Plan
+        Of method "grid" and element "Q4"; of its mirrors, each with one parity.
+    with_field : bool
+        Also hand back the displacement of the whole body.
+
+    Notes
+    -----
+    The estimate is that of `fem.convergence.estimated_errors`. Where the tolerance asks for more than `MAX_BOXES`,
+    or more memory than there is, the answer is that of the last mesh, its estimate says so, and so do the steps.
+
+    Raises
+    ------
+    SolverError
+        If an answer cannot be trusted.
+    """
+    # OpenBLAS gets products too small for two threads; MKL's factorisation keeps its own
+    with ThreadpoolController().select(internal_api="openblas").limit(limits=1):
+        return _solve(scene, plan, with_field)
+
+
+def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
+    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+    clock = perf_counter()
+
+    def spent(step: str) -> None:
+        nonlocal clock
+        now = perf_counter()
+        seconds[step] += now - clock
+        clock = now
+
+    outline = scene.outline
+    lean_x, lean_y, _ = (np.array(outline.top_mm) - outline.base_mm) / outline.height_mm
+    lean = float(lean_x), float(lean_y)
+    mesh = first_mesh(scene, plan, lean)
+    condensed: dict[tuple[int, ...], Condensed] = {}
+    steps: list[str] = []
+    history: list[tuple[float, FloatArray]] = []
+    found: tuple[BoxSystem, FloatArray, float] | None = None
+    estimate = np.inf
+    while True:
+        spent("mesh")
+        system = BoxSystem(scene, plan, mesh, lean, condensed)
+        forces, rows = system.loads(), system.probe_rows()
+        spent("assemble")
+        try:
+            factor = factorized(system.matrix, plan.solver, definite=True)
+        except FactorMemoryError:
+            if found is None:
+                raise
+            steps.append(f"stopped: the factor of {system.n_unknowns} unknowns does not fit in memory")
+            break
+        spent("factor")
+        x, residual = checked_solve(system.matrix, factor, forces[:, None])
+        u = x[:, 0]
+        probes = rows @ u
+        weights, scales = dual_weights(probes)
+        unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
+        duals, _ = checked_solve(system.matrix, factor, np.ascontiguousarray(unit))
+        del factor
+        indicators = system.indicators(u, duals, scales)
+        if not np.isfinite(indicators).all():
+            raise SolverError("indicators of boxes are not numbers: bring moduli and sizes closer.")
+        found = system, u, residual
+        history.append((float(indicators.sum()), probes))
+        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=3).values())
+        estimate = worst
+        steps.append(
+            f"{len(mesh.boxes)} boxes of order {ORDER}: {system.n_unknowns} unknowns"
+            + (f", estimated error {worst:.1e}" if np.isfinite(worst) else "")
+        )
+        spent("solve")
+        if worst <= scene.tolerance:
+            break
+        if len(mesh.boxes) >= MAX_BOXES or len(history) >= MAX_MESHES:
+            steps.append(f"stopped at {len(mesh.boxes)} boxes, short of the tolerance {scene.tolerance:g}")
+            break
+        share = SHARE if worst > 2 * scene.tolerance else LAST_SHARE
+        mesh.split(marked(indicators, share))
+    system, u, residual = found
+    return Solution(
+        probes={probe.name: history[-1][1][number] for number, probe in enumerate(scene.probes)},
+        energy_mj=float(system.loads() @ u) / 2 / system.share,
+        residual=residual,
+        unknowns=system.n_unknowns,
+        error_estimate=estimate,
+        seconds=seconds,
+        steps=tuple(steps),
+        field=_field(system, u) if with_field else None,
+    )
+
+
+def marked(indicators: FloatArray, share: float) -> np.ndarray:
+    """Boxes to split along each axis, shape (n, 3): the largest indicators that hold a share of the sum.
+
+    Fewer where that would make more than `GROWTH` times as many boxes.
+    """
+    order = np.argsort(-indicators, axis=None)
+    running = np.cumsum(indicators.ravel()[order])
+    marks = np.zeros(indicators.shape, dtype=bool)
+    for place in order[: int(np.searchsorted(running, share * running[-1])) + 1]:
+        marks.flat[place] = True
+        if (2.0 ** marks.sum(axis=1)).sum() > GROWTH * len(indicators):
+            break
+    return marks
+
+
+def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
+    """Boxes between the edges of body, loads and regions, none much wider than the body's least extent."""
+    outline = scene.outline
+    mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
+    stops = []
+    for axis in (0, 1):
+        middle, half = outline.base_mm[axis], outline.section_mm[axis] / 2
+        shift = lean[axis] * outline.height_mm  # from the base, where lines are stated, to the top with its loads
+        places = [middle - half, middle + half]
+        places += [p.base_mm[axis] + side * p.section_mm[axis] / 2 for p, _ in plan.regions for side in (-1, 1)]
+        places += [load.rectangle[side] - shift for load in scene.loads for side in (axis, axis + 2)]
+        if axis in mirrored:
+            places = [middle + abs(place - middle) for place in places]
+        stops.append(_apart(places, scene.rounding_mm))
+    levels = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
+    stops.append(_apart([0.0, outline.height_mm, *levels], scene.rounding_mm))
+    ends = [[mirrored[axis]] if axis in mirrored else [] for axis in range(3)]
+    widest = WIDEST * min(outline.height_mm, *outline.section_mm)
+    while True:
+        lines = [_divided(sorted({*own, *end}), widest) for own, end in zip(stops, ends, strict=True)]
+        if np.prod([len(line) - 1 for line in lines]) <= MAX_FIRST or widest > 2 * max(
+            line[-1] - line[0] for line in lines
+        ):
+            break
+        widest *= 1.25
+    x, y, z = (AxisTree(line, np.array(own)) for line, own in zip(lines, stops, strict=True))
+    return BoxMesh((x, y, z))
+
+
+def _apart(places: list[float], slack: float) -> list[float]:
+    """Places in order, without those that only rounding tells from the one before."""
+    kept: list[float] = []
+    for place in sorted(places):
+        if not kept or place - kept[-1] > slack:
+            kept.append(place)
+    return kept
+
+
+def _divided(places: list[float], widest: float) -> FloatArray:
+    """Lines through all places, evenly between them where they lie further apart than the widest box."""
+    pieces = [
+        np.linspace(low, high, int(np.ceil((high - low) / widest - 1e-9)) + 1)[:-1] for low, high in pairwise(places)
+    ]
+    return np.append(np.concatenate(pieces), places[-1])
+
+
+def _field(system: BoxSystem, u: FloatArray) -> Field:
+    """Displacement of the whole body at the edge nodes of its boxes and midway between them."""
+    local = (VTK_PLACES[:20] * ORDER) // 2 @ np.array([(ORDER + 1) ** 2, ORDER + 1, 1])
+    corner = system.low[:, None, :] + VTK_PLACES[None, :20] / 2 * system.size[:, None, :]
+    corner[..., :2] += np.array(system.lean) * corner[..., 2:]
+    moved = np.stack([system.element_values(e, u[:, None])[local, :, 0] for e in range(len(system.size))])
+    points, displacements, cells = [], [], []
+    count = len(system.size) * 20
+    for number, (flipped, signs) in enumerate(images(system.mirrors, system.parity)):
+        own = np.arange(count).reshape(-1, 20)
+        for mirror in flipped:
+            own = own[:, VTK_MIRRORED[mirror.axis][:20]]
+        cells.append(own + number * count)
+        points.append(flipped_points(corner.reshape(-1, 3), flipped))
+        displacements.append(moved.reshape(-1, 3) * signs)
+    return Field(
+        points_mm=np.vstack(points),
+        cells=np.vstack(cells),
+        cell_type=QUADRATIC_HEXAHEDRON,
+        displacement_mm=np.vstack(displacements),
+        region=np.tile(system.region, len(cells)),
+        material=tuple(system.materials),
+    )

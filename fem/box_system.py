@@ -1,0 +1,352 @@
+"""Elasticity on boxes of fourth order: each condensed to its surface, all assembled into one sparse matrix.
+
+The volume change of every box is projected to polynomials of two degrees less, as mixed elements do: they stay stable
+for flat and slender boxes beside large ones, whatever ν (Schötzau, Schwab and Stenberg, "Mixed hp-FEM on anisotropic
+meshes II", Numer. Math. 83 (1999)). Projected to one degree less, pressures at singular edges grew with each splitting
+and carried the probes off by 1 %.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from fem.box_mesh import BoxMesh, IntArray
+from fem.kronecker import elastic_tensors, lobatto_points, shape_functions
+from fem.mirrors import flipped_points, flipped_rectangle, images, parities, sign
+from fem.plan import Plan
+from fem.scene import Probe, Rectangle, Scene
+from geometry.layout import FloatArray
+
+ORDER = 4  #: of the functions along each axis; at order 3 the same error takes three to five times the unknowns
+CHUNK = 48  #: boxes condensed at once: some 60 MB
+DIVERGENCE_WEIGHT = 0.25  #: of pressures beside shear strains in the indicator of the error
+
+
+_LATTICE = np.indices((ORDER + 1,) * 3).reshape(3, -1)
+#: of an element's nodes in lexicographic order, those on its surface and those inside
+SURFACE, INNER = (np.flatnonzero(((_LATTICE % ORDER == 0).any(axis=0)) == side) for side in (True, False))
+N_SURFACE = 3 * len(SURFACE)  #: degrees of freedom on it
+
+
+@cache
+def _nodal_products() -> FloatArray:
+    """∫ φₐ⁽ᵏ⁾ φ_b⁽ˡ⁾ over the cube [−1, 1]³, differentiated along k and l, shape (3, 3, n, n)."""
+    x, weights = legendre.leggauss(ORDER + 1)
+    functions = shape_functions(ORDER, x)
+    one = {(i, j): np.einsum("q,qa,qb->ab", weights, functions[i], functions[j]) for i in (0, 1) for j in (0, 1)}
+    n = (ORDER + 1) ** 3
+    products = np.empty((3, 3, n, n))
+    for k, m in np.ndindex(3, 3):
+        X, Y, Z = (one[int(k == d), int(m == d)] for d in range(3))
+        products[k, m] = np.einsum("ad,be,cf->abcdef", X, Y, Z).reshape(n, n)
+    return products
+
+
+@cache
+def divergence_modes() -> FloatArray:
+    """Legendre coefficients of ∂φ/∂k up to degree ORDER − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
+    x, weights = legendre.leggauss(ORDER + 1)
+    normal = legendre.legvander(x, ORDER - 2) * np.sqrt(np.arange(ORDER - 1) + 0.5)
+    one = [np.einsum("q,qm,qa->ma", weights, normal, values) for values in shape_functions(ORDER, x)]
+    modes = [[one[int(k == d)] for d in range(3)] for k in range(3)]
+    return np.stack([np.einsum("ad,be,cf->abcdef", *each).reshape((ORDER - 1) ** 3, -1) for each in modes])
+
+
+def element_terms(volumetric: FloatArray, shear: FloatArray) -> tuple[list[tuple[int, int]], FloatArray]:
+    """Stiffness of boxes as a sum of fixed matrices: K = Σ s_kl M_kl, s_kl = (volume/8) (2/h_k) (2/h_l).
+
+    Parameters
+    ----------
+    volumetric, shear : array, shape (3, 3, 3, 3)
+        `fem.kronecker.elastic_tensors`.
+
+    Returns
+    -------
+    list of (k, l) and array, shape (n_terms, 3n, 3n)
+        Rows run over nodes, those on the surface first, then components.
+    """
+    n = (ORDER + 1) ** 3
+    products, modes = _nodal_products(), divergence_modes()
+    pairs, terms = [], []
+    for k in range(3):
+        for m in range(k, 3):
+            M = np.zeros((n, 3, n, 3))
+            for row, column in {(k, m), (m, k)}:
+                projected = modes[row].T @ modes[column]
+                for a, b in np.ndindex(3, 3):
+                    M[:, a, :, b] += volumetric[a, row, b, column] * projected
+                    M[:, a, :, b] += shear[a, row, b, column] * products[row, column]
+            if M.any():
+                pairs.append((k, m))
+                by_place = np.concatenate([SURFACE, INNER])
+                terms.append(M[by_place][:, :, by_place].reshape(3 * n, 3 * n))
+    return pairs, np.array(terms)
+
+
+class Condensed(NamedTuple):
+    """An element whose inside is eliminated."""
+
+    stiffness: FloatArray  #: on its surface, (N_SURFACE, N_SURFACE)
+    inner: NDArray[np.float32]  #: (n_inner·3, N_SURFACE): displacements inside, from those of the surface
+
+
+class BoxSystem:
+    """The equations of a scene on a mesh of boxes, for displacements of one parity in each of the plan's mirrors.
+
+    Unknowns are displacements of the independent nodes above the base: node, then component. Elements of an
+    earlier mesh are taken from `condensed`, by the intervals of their boxes, and new ones kept there.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        plan: Plan,
+        mesh: BoxMesh,
+        lean: tuple[float, float],
+        condensed: dict[tuple[int, ...], Condensed],
+    ) -> None:
+        self.scene, self.mirrors, self.mesh, self.lean = scene, plan.mirrors, mesh, lean
+        (self.parity,) = parities(plan.mirrors)
+        self.materials = [scene.material, *(material for _, material in plan.regions)]
+        self.low, self.high = mesh.corners
+        self.size = self.high - self.low
+        self.region = np.zeros(len(mesh.boxes), dtype=np.int64)
+        for number, (prism, _) in enumerate(plan.regions, start=1):
+            self.region[prism.holds((self.low + self.high) / 2)] = number
+        self._boxes = [tuple(box) for box in mesh.boxes.tolist()]
+        self._terms = [element_terms(*elastic_tensors(material, lean)) for material in self.materials]
+
+        nodes = mesh.nodes(ORDER)
+        self._nodes = nodes
+        free = nodes.independent & (nodes.vertex[:, 2] != mesh.axes[2].first)
+        self._number = np.where(free, np.cumsum(free) - 1, -1)
+        self._free = np.flatnonzero(free)
+        self.n_nodes = len(self._free)
+        first = nodes.vertex[free][:, :2] == [axis.first for axis in mesh.axes[:2]]
+        #: components that vanish on a mirror plane, shape (n_nodes, 3)
+        self.held = np.zeros((self.n_nodes, 3), dtype=bool)
+        for mirror in self.mirrors:
+            odd = [sign(a, mirror.axis, self.parity) == -1 for a in range(3)]
+            self.held |= first[:, mirror.axis, None] & np.array(odd)
+        self._weights = [self._element_weights(number) for number in range(len(mesh.boxes))]
+        self._condense(condensed)
+        self._condensed = [condensed[box] for box in self._boxes]
+        self.matrix = self._assembled()
+
+    @property
+    def n_unknowns(self) -> int:
+        return 3 * self.n_nodes
+
+    @property
+    def share(self) -> float:
+        """Of the whole body."""
+        return 0.5 ** len(self.mirrors)
+
+    def _element_weights(self, number: int) -> tuple[FloatArray | None, IntArray, NDArray[np.bool_] | None]:
+        """What the surface nodes of an element are made of: weights (n_surface, k) of nodes (k,).
+
+        Where all are independent, the weights are None and the third value says which of them are not on the base.
+        """
+        own = self._nodes.of_elements[number]
+        if self._nodes.independent[own].all():
+            numbers = self._number[own]
+            return None, numbers[numbers >= 0], numbers >= 0
+        rows = self._nodes.constraint[own]
+        columns = np.unique(rows.indices)
+        columns = columns[self._number[columns] >= 0]
+        return rows[:, columns].toarray(), self._number[columns], None
+
+    def _stiffness(self, elements: IntArray) -> FloatArray:
+        """Of whole elements, shape (n, 3·(ORDER + 1)³, the same), their surfaces first."""
+        n = 3 * (ORDER + 1) ** 3
+        K = np.empty((len(elements), n, n))
+        for region, (pairs, terms) in enumerate(self._terms):
+            mine = self.region[elements] == region
+            size = self.size[elements[mine]]
+            scale = np.stack([size.prod(axis=1) / 2 / size[:, k] / size[:, m] for k, m in pairs], axis=1)
+            K[mine] = (scale @ terms.reshape(len(pairs), -1)).reshape(-1, n, n)
+        return K
+
+    def _condense(self, known: dict[tuple[int, ...], Condensed]) -> None:
+        """Bring what is known up to the mesh: its new boxes with their insides eliminated, and no others."""
+        for box in known.keys() - set(self._boxes):
+            del known[box]
+        new = np.array([e for e, box in enumerate(self._boxes) if box not in known], dtype=np.int64)
+        m = N_SURFACE
+        for start in range(0, len(new), CHUNK):
+            elements = new[start : start + CHUNK]
+            K = self._stiffness(elements)
+            recovered = np.linalg.solve(K[:, m:, m:], K[:, m:, :m])
+            for element, own, inner in zip(elements, K, recovered, strict=True):
+                stiffness = own[:m, :m] - own[m:, :m].T @ inner
+                # seven digits of what only indicators, pictures and points inside need
+                known[self._boxes[element]] = Condensed(stiffness, -inner.astype(np.float32))
+
+    def _assembled(self) -> sp.bsr_matrix:
+        """The stiffness matrix in blocks of 3 × 3; held components are 1 on the diagonal and 0 beside it."""
+        keys, blocks = [], []
+        for (stiffness, _), (weights, numbers, kept) in zip(self._condensed, self._weights, strict=True):
+            K = stiffness.reshape(len(SURFACE), 3, -1, 3)
+            if weights is None:
+                K = K[kept][:, :, kept]
+            else:
+                K = np.tensordot(np.tensordot(weights, K, (0, 0)), weights, (2, 0)).transpose(0, 1, 3, 2)
+            rank = np.argsort(numbers)
+            i, j = _upper(len(numbers))
+            i, j = rank[i], rank[j]
+            keys.append(numbers[i] * self.n_nodes + numbers[j])
+            blocks.append(K[i, :, j, :].reshape(-1, 9))
+        places, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+        every = np.concatenate(blocks)
+        del blocks
+        data = np.stack([np.bincount(inverse, every[:, c], len(places)) for c in range(9)], axis=1).reshape(-1, 3, 3)
+        rows, columns = places // self.n_nodes, places % self.n_nodes
+        data *= ~self.held[rows][:, :, None] & ~self.held[columns][:, None, :]
+        diagonal = rows == columns
+        data[diagonal] += self.held[:, :, None] * np.eye(3)
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=self.n_nodes))])
+        shape = (self.n_unknowns,) * 2
+        upper = sp.bsr_matrix((data, columns, indptr), shape=shape)
+        beyond = sp.bsr_matrix((data * ~diagonal[:, None, None], columns, indptr), shape=shape)
+        return (upper + beyond.T).tobsr((3, 3))
+
+    def loads(self) -> FloatArray:
+        """Nodal forces of the scene's loads on what is solved, shape (n_unknowns,)."""
+        forces = np.zeros((self.n_nodes, 3))
+        for load in self.scene.loads:
+            forces += self.share * self._integrals(load.rectangle) * np.array(load.traction_mpa)
+        return np.where(self.held, 0.0, forces).ravel()
+
+    def probe_rows(self) -> FloatArray:
+        """Rows that take unknowns to the probes' displacements, shape (n_probes, 3, n_unknowns)."""
+        rows = np.zeros((len(self.scene.probes), 3, self.n_nodes, 3))
+        for row, probe in zip(rows, self.scene.probes, strict=True):
+            if probe.kind == "mean":
+                x0, y0, x1, y1 = probe.rectangle
+                weights = self._integrals(probe.rectangle) / ((x1 - x0) * (y1 - y0))
+                for a in range(3):
+                    row[a, :, a] = weights[:, a]
+            else:
+                self._add_point(row, probe)
+        return np.where(self.held, 0.0, rows).reshape(len(rows), 3, -1)
+
+    def _integrals(self, rectangle: Rectangle) -> FloatArray:
+        """∫ of the top's functions over a rectangle anywhere on the body, for each component, shape (n_nodes, 3)."""
+        total = np.zeros((self.n_nodes, 3))
+        for flipped, signs in images(self.mirrors, self.parity):
+            total += self._integral(flipped_rectangle(rectangle, flipped))[:, None] * signs
+        return total
+
+    def _integral(self, rectangle: FloatArray) -> FloatArray:
+        x, weights = legendre.leggauss(ORDER // 2 + 1)
+        height = self.scene.height_mm
+        low, high = self.low[:, :2], self.high[:, :2]
+        shift = height * np.array(self.lean)
+        start, end = np.maximum(low, rectangle[:2] - shift), np.minimum(high, rectangle[2:] - shift)
+        at_top = self.high[:, 2] == self.mesh.axes[2].high[self.mesh.axes[2].last]
+        top = np.arange((ORDER + 1) ** 3).reshape((ORDER + 1,) * 3)[:, :, -1].ravel()
+        columns = np.searchsorted(SURFACE, top)
+        total = np.zeros(len(self._number))
+        for element in np.flatnonzero(at_top & (end > start).all(axis=1)):
+            along = []
+            for d in range(2):
+                half = (end[element, d] - start[element, d]) / 2
+                places = start[element, d] + half * (x + 1)
+                within = (2 * places - low[element, d] - high[element, d]) / self.size[element, d]
+                along.append(half * (weights @ shape_functions(ORDER, within)[0]))
+            total[self._nodes.of_elements[element, columns]] += np.multiply.outer(*along).ravel()
+        return (self._nodes.constraint.T @ total)[self._free]
+
+    def _add_point(self, row: FloatArray, probe: Probe) -> None:
+        """Add the functions at a point, anywhere on the body, to a probe's rows, shape (3, n_nodes, 3)."""
+        point = np.array(probe.position_mm)
+        point[:2] -= np.array(self.lean) * point[2]
+        beyond = {mirror.axis for mirror in self.mirrors if point[mirror.axis] < mirror.position_mm}
+        flipped, signs = next(
+            image for image in images(self.mirrors, self.parity) if {mirror.axis for mirror in image[0]} == beyond
+        )
+        point = flipped_points(point, flipped)
+        outside = np.maximum(self.low - point, point - self.high).max(axis=1)
+        element = int(np.argmin(outside))
+        within = 2 * (point - self.low[element]) / self.size[element] - 1
+        X, Y, Z = (shape_functions(ORDER, within[d : d + 1])[0][0] for d in range(3))
+        values = np.einsum("i,j,k->ijk", X, Y, Z).ravel()
+        recovered = self._condensed[element].inner.reshape(len(INNER), 3, len(SURFACE), 3)
+        weights, numbers, kept = self._weights[element]
+        for a in range(3):
+            functions = np.einsum("i,inb->nb", values[INNER], recovered[:, a])
+            functions[:, a] += values[SURFACE]
+            functions = functions[kept] if weights is None else weights.T @ functions
+            row[a, numbers] += signs[a] * functions
+
+    def element_values(self, element: int, u: FloatArray) -> FloatArray:
+        """Displacements at all nodes of an element, shape ((ORDER + 1)³, 3, k), of solutions u (n_unknowns, k)."""
+        weights, numbers, kept = self._weights[element]
+        free = u.reshape(self.n_nodes, 3, -1)[numbers]
+        if weights is None:
+            on_surface = np.zeros((len(SURFACE), *free.shape[1:]))
+            on_surface[kept] = free
+        else:
+            on_surface = np.tensordot(weights, free, (1, 0))
+        values = np.empty(((ORDER + 1) ** 3, *free.shape[1:]))
+        values[SURFACE] = on_surface
+        recovered = self._condensed[element].inner @ on_surface.reshape(N_SURFACE, -1)
+        values[INNER] = recovered.reshape(len(INNER), 3, -1)
+        return values
+
+    def indicators(self, u: FloatArray, duals: FloatArray, scales: FloatArray) -> FloatArray:
+        """Share of each element, along each axis, in the errors of the probes, up to a constant; shape (n, 3).
+
+        Parameters
+        ----------
+        u : array, shape (n_unknowns,)
+            The answer.
+        duals : array, shape (n_unknowns, k)
+            Answers to unit loads on the probes.
+        scales : array, shape (k,)
+            Size of each probe's displacement [mm].
+
+        Notes
+        -----
+        What the highest degree along an axis adds to u and to a dual, multiplied as strain energies are: degree ORDER
+        of the displacement by μ |∂u|², degree ORDER − 2 of the pressure by p²/μ. Without the pressure, marks miss
+        corners that carry 1 % of the answer at ν = 0.4999.
+        """
+        n = ORDER + 1
+        nodes = lobatto_points(ORDER)
+        to_highest = np.linalg.inv(legendre.legvander(nodes, ORDER))[ORDER]
+        lumped = 2 / (ORDER * n * legendre.legval(nodes, np.eye(n)[ORDER]) ** 2)
+        across = np.multiply.outer(lumped, lumped)
+        slope = 1 + np.array([*self.lean, 0.0]) ** 2  # |∇ξ|² of the sheared coordinates
+        lame = np.array([material.lame_mpa for material in self.materials])[self.region]
+        pull = np.eye(3)
+        pull[:2, 2] = -np.array(self.lean)
+        modes = divergence_modes()
+        degree = np.array(np.unravel_index(np.arange(modes.shape[1]), (n - 2,) * 3)).T
+        toward = (degree == n - 3) / (degree == n - 3).sum(axis=1, keepdims=True).clip(1)
+        both = np.column_stack([u, duals])
+        found = np.zeros((len(self.size), 3))
+        for element, size in enumerate(self.size):
+            lam, mu = lame[element]
+            volume = size.prod() / 8
+            values = self.element_values(element, both)
+            lattice = values.reshape(n, n, n, 3, -1)
+            for d in range(3):
+                top = np.abs(np.tensordot(to_highest, lattice, (0, d)))
+                energy = np.einsum("jk,jka,jkam->m", across, top[..., 0], top[..., 1:])
+                found[element, d] = slope[d] * mu * (2 / size[d]) ** 2 * volume * ORDER * n * (energy / scales).sum()
+            derived = np.einsum("ka,nac->knc", pull * (2 / size)[:, None], values)
+            divergence = np.tensordot(modes, derived, ((0, 2), (0, 1)))
+            products = np.abs(divergence[:, :1] * divergence[:, 1:]) @ (1 / scales)
+            found[element] += DIVERGENCE_WEIGHT * lam**2 / mu * volume * (products @ toward)
+        return found
+
+
+@cache
+def _upper(n: int) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the upper triangle, the diagonal included."""
+    return np.triu_indices(n)
