@@ -32,8 +32,8 @@ class AxisTree:
     ----------
     lines : array, shape (n + 1,)
         Ends of the first intervals, rising [mm].
-    stops : sequence of float
-        Lines at which the stress may be singular: intervals that end there are split near them.
+    stops : array, shape (k,)
+        Places at which the stress may be singular [mm]: an interval is split at one, or near those at its ends.
     """
 
     def __init__(self, lines: FloatArray, stops: FloatArray) -> None:
@@ -41,9 +41,9 @@ class AxisTree:
         self.high: list[float] = []
         self.parent: list[int] = []  #: the interval by whose splitting it came to be; −1 of the first ones
         self.ends: list[tuple[int, int]] = []  #: vertices of an interval; −1 of a vertex
+        self._stops = np.sort(stops)
         self._children: dict[int, tuple[int, int]] = {}
         vertices = [self._vertex(float(x), -1) for x in lines]
-        self._stops = {v for v in vertices if np.min(np.abs(stops - self.low[v])) == 0.0}
         self.first, self.last = vertices[0], vertices[-1]
         self.roots = [self._interval(a, b, -1) for a, b in pairwise(vertices)]
 
@@ -61,13 +61,19 @@ class AxisTree:
         return len(self.low) - 1
 
     def split(self, interval: int) -> tuple[int, int]:
-        """The two halves of an interval: near the stop at which it ends, or else in the middle."""
+        """The two parts of an interval, divided at the stop next to its middle, near one at an end, or evenly."""
         if interval not in self._children:
             a, b = self.ends[interval]
-            share = 0.5
-            if (a in self._stops) != (b in self._stops):
-                share = TOWARD_STOP if a in self._stops else 1 - TOWARD_STOP
-            middle = self._vertex(self.low[a] + share * (self.low[b] - self.low[a]), interval)
+            low, high = self.low[a], self.low[b]
+            inside = self._stops[(self._stops > low) & (self._stops < high)]
+            at_low, at_high = np.isin([low, high], self._stops)
+            if len(inside):
+                place = float(inside[np.argmin(np.abs(inside - (low + high) / 2))])
+            elif at_low == at_high:
+                place = (low + high) / 2
+            else:
+                place = low + (TOWARD_STOP if at_low else 1 - TOWARD_STOP) * (high - low)
+            middle = self._vertex(place, interval)
             self._children[interval] = self._interval(a, middle, interval), self._interval(middle, b, interval)
         return self._children[interval]
 
@@ -115,7 +121,7 @@ class BoxMesh:
         """Split boxes along the axes that `marks`, shape (n, 3), names; then those whose faces would cross."""
         while marks.any():
             chosen = marks.any(axis=1)
-            new = []
+            new: list[tuple[int, ...]] = []
             for box, along in zip(self.boxes[chosen].tolist(), marks[chosen], strict=True):
                 new += product(
                     *(axis.split(i) if cut else (i,) for axis, i, cut in zip(self.axes, box, along, strict=True))

@@ -5,7 +5,6 @@ errors of the probes come from, and along which axis; those are split, the other
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 """
 
-from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -24,9 +23,9 @@ from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution
 from fem.structured import VTK_MIRRORED, VTK_PLACES
 from geometry.layout import FloatArray
 
-WIDEST = 1.6  #: of the first boxes, relative to the least extent of the body
-MAX_FIRST = 80  #: first boxes; where there would be more, they are wider
-MAX_BOXES = 4000  #: beyond, memory of some 6 GB is needed
+WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body
+MAX_FIRST = 60  #: first boxes, before any is split; where there would be more, they are wider
+MAX_BOXES = 2500  #: beyond, memory of some 5 GB is needed
 MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
 LAST_SHARE = 0.4
@@ -146,32 +145,52 @@ def marked(indicators: FloatArray, share: float) -> np.ndarray:
 
 
 def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
-    """Boxes between the edges of body, loads and regions, none much wider than the body's least extent."""
+    """Boxes none of which is much wider than the body's least extent, split at the faces of regions and edges of loads.
+
+    A box is split only where such a face or edge cuts it, so none of them runs through the body.
+    """
     outline = scene.outline
     mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
-    stops = []
-    for axis in (0, 1):
-        middle, half = outline.base_mm[axis], outline.section_mm[axis] / 2
-        shift = lean[axis] * outline.height_mm  # from the base, where lines are stated, to the top with its loads
-        places = [middle - half, middle + half]
-        places += [p.base_mm[axis] + side * p.section_mm[axis] / 2 for p, _ in plan.regions for side in (-1, 1)]
-        places += [load.rectangle[side] - shift for load in scene.loads for side in (axis, axis + 2)]
-        if axis in mirrored:
-            places = [middle + abs(place - middle) for place in places]
-        stops.append(_apart(places, scene.rounding_mm))
-    levels = [z for prism, _ in plan.regions for z in (prism.base_mm[2], prism.top_mm[2])]
-    stops.append(_apart([0.0, outline.height_mm, *levels], scene.rounding_mm))
-    ends = [[mirrored[axis]] if axis in mirrored else [] for axis in range(3)]
+    shift = np.array([*lean, 0.0]) * outline.height_mm  # from the base, where lines are stated, to the top's loads
+    middle, half = np.array(outline.base_mm), np.array([*outline.section_mm, 0.0]) / 2
+    low, high = middle - half, middle + half + [0.0, 0.0, outline.height_mm]
+    solids = [(low, high)]
+    for prism, _ in plan.regions:
+        side = np.array([*prism.section_mm, 0.0]) / 2
+        solids.append((prism.base_mm - side, np.array([*prism.base_mm[:2], prism.top_mm[2]]) + side))
+    for load in scene.loads:
+        x0, y0, x1, y1 = load.rectangle
+        solids.append(
+            (np.array([x0, y0, high[2]]) - shift * [1, 1, 0], np.array([x1, y1, high[2]]) - shift * [1, 1, 0])
+        )
+    for axis, place in mirrored.items():
+        for one, two in solids:
+            one[axis], two[axis] = np.sort(place + np.abs([one[axis] - place, two[axis] - place]))
+    for axis, place in mirrored.items():
+        solids[0][0][axis] = place
+    slack = scene.rounding_mm
+    stops = [_apart([float(side[axis]) for solid in solids for side in solid], slack) for axis in range(3)]
     widest = WIDEST * min(outline.height_mm, *outline.section_mm)
-    while True:
-        lines = [_divided(sorted({*own, *end}), widest) for own, end in zip(stops, ends, strict=True)]
-        if np.prod([len(line) - 1 for line in lines]) <= MAX_FIRST or widest > 2 * max(
-            line[-1] - line[0] for line in lines
-        ):
-            break
+    while np.prod(np.ceil((solids[0][1] - solids[0][0]) / widest)) > MAX_FIRST:
         widest *= 1.25
+    lines = [
+        np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
+        for start, end in zip(*solids[0], strict=True)
+    ]
     x, y, z = (AxisTree(line, np.array(own)) for line, own in zip(lines, stops, strict=True))
-    return BoxMesh((x, y, z))
+    mesh = BoxMesh((x, y, z))
+    while True:
+        lowest, highest = mesh.corners
+        marks = np.zeros(lowest.shape, dtype=bool)
+        for one, two in solids[1:]:
+            meets = (lowest <= two + slack) & (highest >= one - slack)
+            for axis in range(3):
+                beside = np.delete(meets, axis, axis=1).all(axis=1)
+                for face in (one[axis], two[axis]):
+                    marks[:, axis] |= beside & (lowest[:, axis] < face - slack) & (highest[:, axis] > face + slack)
+        if not marks.any():
+            return mesh
+        mesh.split(marks)
 
 
 def _apart(places: list[float], slack: float) -> list[float]:
@@ -181,14 +200,6 @@ def _apart(places: list[float], slack: float) -> list[float]:
         if not kept or place - kept[-1] > slack:
             kept.append(place)
     return kept
-
-
-def _divided(places: list[float], widest: float) -> FloatArray:
-    """Lines through all places, evenly between them where they lie further apart than the widest box."""
-    pieces = [
-        np.linspace(low, high, int(np.ceil((high - low) / widest - 1e-9)) + 1)[:-1] for low, high in pairwise(places)
-    ]
-    return np.append(np.concatenate(pieces), places[-1])
 
 
 def _field(system: BoxSystem, u: FloatArray) -> Field:

@@ -194,6 +194,9 @@ class FastDiagonal:
                 eigenvalues, V = eigh(
                     matrices[d][True, True][first:, first:], matrices[d][False, False][first:, first:]
                 )
+                # rounding is relative to the largest: at lines far closer than others it makes the least negative
+                least = first * (np.pi / 2 / np.ptp(lines[d])) ** 2
+                eigenvalues = np.maximum(eigenvalues, least)
                 modes.append(V)
                 total = total + C[a, d, a, d] * eigenvalues.reshape([-1 if axis == d else 1 for axis in range(3)])
             self._modes.append(modes)

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from fem.cost import seconds_by_order, seconds_by_splitting
 from fem.mirrors import Mirror, flipped_points, flipped_rectangle, parities
 from fem.scene import Load, Prism, Rectangle, Scene, SceneError, Sensor
 from geometry.design import Material
@@ -38,8 +39,6 @@ TETRAHEDRAL_ELEMENTS = {
     "P1": "4-node tetrahedra, which lock as ν nears 0.5",
 }
 SOLVERS = ("pardiso", "cholmod", "superlu", "multigrid")
-MOST_POISSON = 0.4999  #: up to which Qp's iterations are few: they grow as 1 / √(1 − 2ν)
-MOST_CONTRAST = 1e3  #: of Young's moduli, likewise: iterations grow as its root
 FOR_DEFINITE = ("cholmod", "multigrid")  #: which the mixed form, TH, is not
 
 
@@ -121,10 +120,16 @@ def make_plan(
     method, mesh = _method(scene, regions, keeps, element, field)
     mirrors: tuple[Mirror, ...] = ()
     decisions = [*one_material, mesh]
+    chosen, why = element or "", ""
     if method == "grid":
         mirrors, symmetry = _symmetry(scene, regions, keeps, solver)
+        chosen, why = _element(scene, regions, mirrors, element, solver)
+        if chosen == "Q4" and any(len(mirror.parities) > 1 for mirror in mirrors):
+            mirrors = tuple(mirror for mirror in mirrors if len(mirror.parities) == 1)
+            symmetry = _folded(mirrors)
         decisions.append(symmetry)
-    chosen, why = _element(scene, regions, method, element, solver)
+    elif method != "nothing":
+        chosen, why = _element(scene, regions, None, element, solver)
     if method != "nothing":
         decisions.append(Decision(name="element", choice=chosen, reason=why))
     if chosen == "TH" and solver in FOR_DEFINITE:
@@ -132,6 +137,8 @@ def make_plan(
             f"solver '{solver}' takes definite matrices only, which element TH does not give: take pardiso or superlu, "
             "or element P2."
         )
+    if chosen == "Q4" and solver == "multigrid":
+        raise SceneError("element 'Q4' is factored: take solver pardiso, cholmod or superlu, or element Q2.")
     if chosen == "Qp" and solver is not None:
         raise SceneError(f"element 'Qp' has an iteration of its own: leave solver '{solver}' away, or take element Q2.")
     if solver is not None:
@@ -198,25 +205,21 @@ def _method(
 def _element(
     scene: Scene,
     regions: list[tuple[Prism, Material]],
-    method: Method,
+    mirrors: tuple[Mirror, ...] | None,
     element: str | None,
     solver: str | None,
 ) -> tuple[str, str]:
-    """The element and why."""
+    """The element and why; `mirrors` are those of a grid, None for tetrahedra."""
     described = GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS
     if element is not None:
         return element, f"asked for: {described[element]}"
-    if method in ("tetrahedra", "cells"):
+    if mirrors is None:
         return "TH", described["TH"]
     if solver is not None:
         return "Q2", f"solver {solver} needs a matrix: {described['Q2']}"
-    rubbers = [scene.material, *(material for _, material in regions)]
-    moduli = [material.young_mpa for material in rubbers]
-    if max(material.poisson for material in rubbers) > MOST_POISSON:
-        return "Q2", f"ν above {MOST_POISSON:g} takes too many iterations: {described['Q2']}"
-    if max(moduli) > MOST_CONTRAST * min(moduli):
-        return "Q2", f"moduli more than {MOST_CONTRAST:g} apart take too many iterations: {described['Q2']}"
-    return "Qp", described["Qp"]
+    seconds = {"Qp": seconds_by_order(scene, regions, mirrors), "Q4": seconds_by_splitting(scene, regions)}
+    best, other = sorted(seconds, key=seconds.__getitem__)
+    return best, f"predicted {seconds[best]:.1g} s (by {other} {seconds[other]:.1g} s): {described[best]}"
 
 
 def _symmetry(
@@ -229,12 +232,19 @@ def _symmetry(
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
+    return mirrors, _folded(mirrors)
+
+
+def _folded(mirrors: tuple[Mirror, ...]) -> Decision:
+    """What mirrors save."""
+    if not mirrors:
+        return Decision(name="symmetry", choice="unused", reason="the loads are neither even nor odd in any plane")
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
     share = {1: "half", 2: "a quarter"}[len(mirrors)]
     count = len(parities(mirrors))
     loads = "the loads as well" if count == 1 else f"the loads are split into {count} even and odd parts"
     reason = f"the body mirrors in {planes} mm, {loads}"
-    return mirrors, Decision(name="symmetry", choice=f"{share} of the grid", reason=reason)
+    return Decision(name="symmetry", choice=f"{share} of the grid", reason=reason)
 
 
 def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> Mirror | None:
