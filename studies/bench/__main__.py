@@ -7,7 +7,8 @@ import typer
 
 from studies.bench.contenders import CONTENDERS
 from studies.bench.figures import draw_work_precision
-from studies.bench.scenes import all_scenes
+from studies.bench.reference import has_reference
+from studies.bench.scenes import all_scenes, hard_scenes
 from studies.bench.table import ratio_table, work_precision_table
 from studies.bench.work_precision import Settings, as_plain, measure_scene
 from studies.console import say, wrote
@@ -16,7 +17,7 @@ from studies.report import show
 from studies.surroundings import surroundings
 from studies.writing import write_json
 
-SCENES = ("block-normal-0.49", "slab-12-normal")  #: a symmetric scene and one that is not
+SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
 
 
@@ -39,6 +40,9 @@ def bench(
     for name in scene or SCENES:
         if name not in scenes:
             raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
+        if not has_reference(name):
+            say(f"{name}: skipped, no reference yet: run python -m studies.bench.reference {name}")
+            continue
         found = measure_scene(name, scenes[name], chosen, settings, say)
         everything += found
         pictures.append(out / f"{name}.png")

@@ -18,9 +18,19 @@ class Answer:
 
 def is_homogeneous_block(scene: Scene) -> bool:
     """True for an upright box of one material: the scenes that every peer can be handed."""
+    return is_homogeneous(scene) and scene.outline.is_upright
+
+
+def fits_boxes(scene: Scene) -> bool:
+    """True for what hexahedra between lines can follow: one material in any body, upright inclusions in a box."""
     if isinstance(scene.body, Sensor):
         return scene.body.design.is_homogeneous
-    return scene.outline.is_upright and not scene.inclusions
+    return all(inclusion.is_upright for inclusion in scene.inclusions)
+
+
+def is_homogeneous(scene: Scene) -> bool:
+    """True for one material in any body."""
+    return fits_boxes(scene) and not scene.inclusions
 
 
 def any_scene(scene: Scene) -> bool:

@@ -56,7 +56,7 @@ def column_under_pressure() -> float:
 
 
 def response_of_the_papers_array() -> float:
-    """The middle pad's own electrodes against a converged solution by another program, stored with the benchmarks."""
+    """The middle pad's own electrodes against NGSolve's converged solution, stored with the benchmarks."""
     from studies.bench.arrays import errors
 
     return errors(_paper_response().influence_mm_per_n)["inner self"]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.scene import Block, Load, Probe, Scene
+from fem.scene import Block, Inclusion, Load, Probe, Scene
 from fem.solution import largest_error
 from geometry.design import Material
 from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
@@ -24,6 +24,17 @@ COLUMN = Scene(
     probes=(Probe(name="corner", kind="mean", center_mm=(1.0, 1.0), size_mm=(2.0, 2.0)),),
 )
 SUNK_MM = -3.0 / 6.1
+SANDWICH = replace(
+    COLUMN,
+    inclusions=(
+        Inclusion(
+            base_mm=(2.0, 3.0, 0.0),
+            top_mm=(2.0, 3.0, 1.0),
+            section_mm=(4.0, 6.0),
+            material=Material(young_mpa=12.2, poisson=0.0),
+        ),
+    ),
+)
 PEERS = [*scikit_fem.CONTENDERS, *ngsolve_peer.CONTENDERS, *calculix.CONTENDERS]
 
 
@@ -37,6 +48,42 @@ def test_column_follows_hooke(peer, monkeypatch):
     assert answer.probes["corner"] == pytest.approx([0.0, 0.0, SUNK_MM], abs=1e-6)
     assert answer.unknowns > 0
     assert sum(answer.seconds.values()) > 0
+
+
+@pytest.mark.parametrize(
+    "peer",
+    [peer for peer in PEERS if peer.covers(SANDWICH) and "hp" not in peer.name],  # that takes 15 s
+    ids=lambda peer: peer.name,
+)
+def test_two_rubbers_in_series_add_up(peer, monkeypatch):
+    """ν = 0: a lower third of twice the modulus sinks by half as much."""
+    if peer.missing():
+        pytest.skip(peer.missing())
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    answer = peer.solve(SANDWICH, 2 if "order" in peer.name else 1)
+    assert answer.probes["corner"] == pytest.approx([0.0, 0.0, -2.0 / 6.1 - 1.0 / 12.2], abs=1e-6)
+
+
+@pytest.mark.parametrize("graded", [False, True])
+def test_grids_follow_a_body_that_leans(graded):
+    scene = all_scenes()["leaning-56"]
+    grid = calculix.make_grid(scene, 1, "C3D20R", graded)
+    corners = scene.outline.corners()
+    assert grid.points_mm.min(axis=0) == pytest.approx(corners.min(axis=0), abs=1e-12)
+    assert grid.points_mm.max(axis=0) == pytest.approx(corners.max(axis=0), abs=1e-12)
+    assert scene.outline.holds(grid.points_mm, 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["NGSolve hexahedra of rising order, reduced, geometric", "CalculiX C3D20R hexahedra, graded"]
+)
+def test_a_leaning_pillar_is_near_its_reference(name, monkeypatch):
+    peer = next(one for one in PEERS if one.name == name)
+    if peer.missing():
+        pytest.skip(peer.missing())
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    reference = read_reference("leaning-56")
+    assert largest_error(peer.solve(all_scenes()["leaning-56"], 3).probes, reference.probes) < 0.1  # coarse
 
 
 @pytest.mark.parametrize("peer", PEERS[-1:], ids=lambda peer: peer.name)

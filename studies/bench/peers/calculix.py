@@ -1,7 +1,8 @@
 """CalculiX (Debian's calculix-ccx): a deck of quadratic hexahedra or tetrahedra, run by `ccx` on two threads.
 
-The deck is a structured grid through the load's outline. Tractions go in as consistent nodal forces, so that any axis
-can be loaded; probes come back as nodal displacements of the top, integrated by the same weights.
+The deck is a structured grid through the outlines of loads and inclusions, sheared where the body leans. Tractions go
+in as consistent nodal forces, so that any axis can be loaded; probes come back as nodal displacements of the top,
+integrated by the same weights.
 """
 
 import os
@@ -19,8 +20,8 @@ from numpy.typing import NDArray
 
 from fem.scene import Rectangle, Scene
 from geometry.layout import FloatArray
-from studies.bench.contender import Answer, Contender
-from studies.bench.peers.grids import scene_lines
+from studies.bench.contender import Answer, Contender, fits_boxes
+from studies.bench.peers.grids import inclusion_box, lean, scene_lines
 from studies.bench.stopwatch import Stopwatch
 
 IntArray = NDArray[np.int64]
@@ -58,7 +59,7 @@ class Grid:
     cells: IntArray  #: shape (m, 20) or (m, 10), into points
     element: str  #: CalculiX's name
     lattice: IntArray  #: point at each half-step or -1, shape (2nx + 1, 2ny + 1, 2nz + 1)
-    lines: tuple[FloatArray, FloatArray, FloatArray]
+    lines: tuple[FloatArray, FloatArray, FloatArray]  #: in the coordinates of the top face
 
     def weights(self, rectangle: Rectangle) -> FloatArray:
         """∫ of every function over a rectangle of the top that the lines conform to, shape (n,).
@@ -98,6 +99,7 @@ def make_grid(scene: Scene, n: float, element: str, graded: bool) -> Grid:
     lattice[used] = np.arange(len(used))
     index = np.unravel_index(used, shape)
     points = np.stack([half[i] for half, i in zip(halves, index, strict=True)], axis=1)
+    points[:, :2] += lean(scene, points[:, 2])
     return Grid(points, cells.reshape(numbers.shape), element, lattice.reshape(shape), lines)
 
 
@@ -117,8 +119,17 @@ def deck(scene: Scene, grid: Grid, solver: str) -> str:
     for name, chosen in {"BASE": z == 0.0, "TOP": z == scene.height_mm}.items():
         out.write(f"*NSET, NSET={name}\n")
         np.savetxt(out, np.flatnonzero(chosen) + 1, "%d,")
-    E, nu = scene.material.young_mpa, scene.material.poisson
-    out.write(f"*MATERIAL, NAME=RUBBER\n*ELASTIC\n{E:.12g}, {nu:.12g}\n*SOLID SECTION, ELSET=BODY, MATERIAL=RUBBER\n")
+    materials, region = [scene.material], np.zeros(len(grid.cells), dtype=int)
+    middles = grid.points_mm[grid.cells].mean(axis=1)
+    for inclusion in scene.inclusions:
+        low, high = inclusion_box(inclusion)
+        region[((middles > low) & (middles < high)).all(axis=1)] = len(materials)
+        materials.append(inclusion.material)
+    for number, material in enumerate(materials):
+        out.write(f"*ELSET, ELSET=PART{number}\n")
+        np.savetxt(out, np.flatnonzero(region == number) + 1, "%d,")
+        out.write(f"*MATERIAL, NAME=RUBBER{number}\n*ELASTIC\n{material.young_mpa:.12g}, {material.poisson:.12g}\n")
+        out.write(f"*SOLID SECTION, ELSET=PART{number}, MATERIAL=RUBBER{number}\n")
     out.write(f"*BOUNDARY\nBASE, 1, 3\n*STEP\n*STATIC, SOLVER={solver}\n*CLOAD\n")
     forces = np.zeros((len(grid.points_mm), 3))
     for load in scene.loads:
@@ -173,6 +184,7 @@ CONTENDERS = [
         family="CalculiX",
         solve=lambda scene, n: solve_by_ccx(scene, n, "C3D10", graded=True),
         resolutions=(1, 1.5, 2, 3),
+        covers=fits_boxes,
         missing=missing,
     ),
     Contender(
@@ -180,6 +192,7 @@ CONTENDERS = [
         family="CalculiX",
         solve=lambda scene, n: solve_by_ccx(scene, n, "C3D20R", graded=False),
         resolutions=(1, 2, 3),
+        covers=fits_boxes,
         missing=missing,
     ),
     Contender(
@@ -187,6 +200,7 @@ CONTENDERS = [
         family="CalculiX",
         solve=lambda scene, n: solve_by_ccx(scene, n, "C3D20R", graded=True),
         resolutions=(1, 1.5, 2, 3, 4, 5, 6),
+        covers=fits_boxes,
         missing=missing,
     ),
 ]

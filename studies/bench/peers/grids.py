@@ -1,46 +1,71 @@
-"""Structured grids for programs that take a mesh: lines through the outlines of loads and probes."""
+"""Structured grids for programs that take a mesh: lines through the outlines of loads, probes and inclusions."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
 from fem.grid import geometric_line
-from fem.scene import Scene
+from fem.scene import Inclusion, Pillar, Scene
 from geometry.layout import FloatArray
 
 
 def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Grid lines along x, y and z in the scene's coordinates.
+    """Grid lines along x, y and z, in the coordinates of the top face: of a body that leans, shift them by `lean`.
 
     Parameters
     ----------
     scene : Scene
-        Its body must be an upright box.
+        Inclusions must be upright.
     n : float
-        Elements along half of the smallest load.
+        Elements along half of the smallest load or inclusion, or along the height if that is less.
     graded : bool
-        Shrink elements toward load outlines and the top, as the square root of the distance, which suits quadratic
-        elements; else all are about as large.
+        Shrink elements toward load outlines, the top and inclusions, as the square root of the distance, which suits
+        quadratic elements; else all are about as large.
     """
-    size_mm = min(min(load.size_mm) for load in scene.loads) / 2
-    x0, y0, x1, y1 = scene.top_mm
-    lines = []
-    for d, (start, end) in enumerate(((x0, x1), (y0, y1))):
-        edges = sorted({float(rectangle[i]) for rectangle in scene.load_rectangles_mm for i in (d, d + 2)})
-        stops = {float(rectangle[i]) for rectangle in scene.probe_rectangles_mm for i in (d, d + 2)}
-        lines.append(_line(sorted({start, end, *edges, *stops}), edges, size_mm, n, graded))
-    return lines[0], lines[1], _line([0.0, scene.height_mm], [scene.height_mm], size_mm, n, graded)
+    sections = [load.size_mm for load in scene.loads] + [inclusion.section_mm for inclusion in scene.inclusions]
+    size_mm = min(scene.height_mm, *(min(section) / 2 for section in sections))
+    return _each_axis(scene, lambda stops, edges: _line(sorted(stops), sorted(edges), size_mm, n, graded))
 
 
 def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Few lines, geometrically closer toward load outlines and the top: for elements of high order."""
-    x0, y0, x1, y1 = scene.top_mm
+    """Few lines, geometrically closer toward load outlines, the top and inclusions: for elements of high order."""
+    widest_mm = max(scene.height_mm, min(min(load.size_mm) for load in scene.loads) / 2)
+
+    def line(stops: set[float], edges: set[float]) -> FloatArray:
+        return geometric_line(dict.fromkeys(stops, 0) | dict.fromkeys(edges, layers), ratio, widest_mm)
+
+    return _each_axis(scene, line)
+
+
+def inclusion_box(inclusion: Inclusion) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of an upright inclusion."""
+    corners = inclusion.corners()
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def lean(scene: Scene, z_mm: FloatArray | float) -> FloatArray:
+    """How far the body's axis lies from the top face's centre at some heights, along x and y; shape (..., 2) [mm]."""
+    outline = scene.outline
+    slope = (np.array(outline.top_mm) - np.array(outline.base_mm))[:2] / outline.height_mm
+    return np.multiply.outer(np.asarray(z_mm) - outline.height_mm, slope)
+
+
+def _each_axis(
+    scene: Scene, line: Callable[[set[float], set[float]], FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lines by where each axis must have one, and where the stress is singular: a free pillar's ends among them."""
+    corners = [inclusion_box(inclusion) for inclusion in scene.inclusions]
     lines = []
-    for d, ends in enumerate(((x0, x1), (y0, y1))):
-        wanted = dict.fromkeys([*ends, *scene.probe_rectangles_mm[:, [d, d + 2]].ravel().tolist()], 0)
-        wanted |= dict.fromkeys(scene.load_rectangles_mm[:, [d, d + 2]].ravel().tolist(), layers)
-        lines.append(geometric_line(wanted, ratio, widest_mm=scene.height_mm))
-    return lines[0], lines[1], geometric_line({0.0: 0, scene.height_mm: layers}, ratio, widest_mm=scene.height_mm)
+    for d in range(2):
+        edges = set(scene.load_rectangles_mm[:, [d, d + 2]].ravel().tolist())
+        edges |= {float(corner[d]) for pair in corners for corner in pair}
+        stops = {scene.top_mm[d], scene.top_mm[d + 2], *scene.probe_rectangles_mm[:, [d, d + 2]].ravel().tolist()}
+        lines.append(line(stops | edges, edges))
+    heights = {scene.height_mm, *(float(corner[2]) for pair in corners for corner in pair)}
+    if isinstance(scene.body, Pillar):
+        heights.add(0.0)
+    return lines[0], lines[1], line({0.0, *heights}, heights)
 
 
 def _line(stops: list[float], edges: list[float], size_mm: float, n: float, graded: bool) -> FloatArray:

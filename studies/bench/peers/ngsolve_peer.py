@@ -1,7 +1,7 @@
 """NGSolve as one who knows it would use it: netgen's graded or hp-refined meshes, orders 2 to 4, its own solver.
 
-The patch outlines are glued into the top face, so that the mesh conforms to them and is refined there: either by local
-edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra.
+Patch outlines and inclusions are glued into the body, so that the mesh conforms to them and is refined there: either by
+local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra.
 """
 
 import os
@@ -10,12 +10,11 @@ from contextlib import nullcontext
 from importlib.util import find_spec
 from typing import Any, Literal
 
-import numpy as np
-
-from fem.scene import Rectangle, Scene
+from fem.scene import Scene
 from geometry.layout import FloatArray
-from studies.bench.contender import Answer, Contender
-from studies.bench.peers.grids import geometric_lines, scene_lines
+from studies.bench.contender import Answer, Contender, fits_boxes, is_homogeneous
+from studies.bench.ngsolve_solution import inside, mean_over, moduli, prism, rectangle
+from studies.bench.peers.grids import geometric_lines, lean, scene_lines
 from studies.bench.stopwatch import Stopwatch
 
 Form = Literal["displacement", "reduced", "mixed"]
@@ -23,57 +22,59 @@ MeshMaker = Callable[[Scene, float], Any]
 
 
 def local_size_mesh(scene: Scene, n: float) -> Any:
-    """Tetrahedra by netgen, shrinking toward the outlines of loads."""
-    patch_mm = min(min(load.size_mm) for load in scene.loads)
-    return _netgen_mesh(scene, largest_mm=scene.height_mm / max(1.0, n / 2), edge_mm=patch_mm / 2 / n**1.5, hp=0)
+    """Tetrahedra by netgen, shrinking toward the outlines of loads and toward inclusions."""
+    return _netgen_mesh(scene, largest_mm=scene.height_mm / max(1.0, n / 2), fineness=n**1.5, hp=0)
 
 
 def hp_mesh(scene: Scene, n: float) -> Any:
-    """Tetrahedra and their kin by netgen, refined geometrically twice toward the outlines of loads."""
-    patch_mm = min(min(load.size_mm) for load in scene.loads)
-    return _netgen_mesh(scene, largest_mm=scene.height_mm / n, edge_mm=patch_mm / 2 / n, hp=2)
+    """Tetrahedra and their kin by netgen, refined geometrically twice toward the outlines of loads and inclusions."""
+    return _netgen_mesh(scene, largest_mm=scene.height_mm / n, fineness=n, hp=2)
 
 
 def hexahedra_mesh(scene: Scene, n: float) -> Any:
     """Graded hexahedra on the lines of `grids.scene_lines`."""
-    return _structured_mesh(scene_lines(scene, n, graded=True))
+    return _structured_mesh(scene, scene_lines(scene, n, graded=True))
 
 
 def geometric_mesh(scene: Scene, layers: float) -> Any:
     """Few hexahedra on the lines of `grids.geometric_lines`."""
-    return _structured_mesh(geometric_lines(scene, int(layers)))
+    return _structured_mesh(scene, geometric_lines(scene, int(layers)))
 
 
-def _structured_mesh(lines: tuple[FloatArray, FloatArray, FloatArray]) -> Any:
+def _structured_mesh(scene: Scene, lines: tuple[FloatArray, FloatArray, FloatArray]) -> Any:
     from ngsolve.meshes import MakeStructured3DMesh
 
     counts = [len(line) - 1 for line in lines]
 
     def mapped(*share: float) -> tuple[float, ...]:
         # vertices are whole shares of each line, up to rounding
-        return tuple(float(line[round(s * count)]) for line, count, s in zip(lines, counts, share, strict=True))
+        x, y, z = (float(line[round(s * count)]) for line, count, s in zip(lines, counts, share, strict=True))
+        dx, dy = lean(scene, z).tolist()
+        return x + dx, y + dy, z
 
     return MakeStructured3DMesh(hexes=True, nx=counts[0], ny=counts[1], nz=counts[2], mapping=mapped)
 
 
-def _netgen_mesh(scene: Scene, largest_mm: float, edge_mm: float, hp: int) -> Any:
-    from netgen.occ import Axes, Box, Glue, OCCGeometry, Pnt, WorkPlane, X, Z
+def _netgen_mesh(scene: Scene, largest_mm: float, fineness: float, hp: int) -> Any:
+    """A mesh whose edges along loads and inclusions are half as long as those are wide, over the fineness."""
+    from netgen.occ import Glue, OCCGeometry
     from ngsolve import Mesh
 
-    x0, y0, x1, y1 = scene.top_mm
-    h = scene.height_mm
-    body = Box(Pnt(x0, y0, 0.0), Pnt(x1, y1, h))
+    def refined(shape: Any, width_mm: float) -> Any:
+        for edge in shape.edges:
+            edge.maxh = width_mm / 2 / fineness
+            edge.hpref = 1 if hp else 0
+        return shape
+
+    h, smallest_mm = scene.height_mm, min(min(load.size_mm) for load in scene.loads)
     rectangles = {tuple(r): True for r in scene.load_rectangles_mm.tolist()}
     rectangles |= {tuple(r): r in scene.load_rectangles_mm.tolist() for r in scene.probe_rectangles_mm.tolist()}
-    patches = []
-    for (a0, b0, a1, b1), loaded in rectangles.items():
-        face = WorkPlane(Axes(Pnt(a0, b0, h), n=Z, h=X)).Rectangle(a1 - a0, b1 - b0).Face()
-        if loaded:
-            for edge in face.edges:
-                edge.maxh = edge_mm
-                edge.hpref = 1 if hp else 0
-        patches.append(face)
-    shape = Glue([body, *patches])
+    parts = [prism(scene.outline)]
+    for corners, loaded in rectangles.items():
+        face = rectangle(corners, h)
+        parts.append(refined(face, smallest_mm) if loaded else face)
+    parts += [refined(prism(inclusion), min(inclusion.section_mm)) for inclusion in scene.inclusions]
+    shape = Glue(parts)
     for face in shape.faces:
         if abs(face.center.z) < 1e-9 * h:
             face.name = "bottom"
@@ -108,8 +109,7 @@ def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> 
     import ngsolve as ng
     from ngsolve import ET, H1, BilinearForm, GridFunction, InnerProduct, IntegrationRule, LinearForm, Sym, VectorH1
 
-    lame, mu = scene.material.lame_mpa
-    lame = max(lame, 1e-9 * mu)  # the mixed form divides by it
+    lame, mu = moduli(scene, mesh, least=1e-9)  # the mixed form divides by λ
     V = VectorH1(mesh, order=order, dirichlet="bottom")
     if form == "mixed":
         space = V * H1(mesh, order=order - 1)
@@ -127,7 +127,7 @@ def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> 
         a += lame * ng.div(u) * ng.div(v) * ng.dx
     f = LinearForm(space)
     for load in scene.loads:
-        f += _inside(load.rectangle) * InnerProduct(ng.CF(load.traction_mpa), v) * ng.ds("top")
+        f += inside(load.rectangle) * InnerProduct(ng.CF(load.traction_mpa), v) * ng.ds("top")
     a.Assemble()
     f.Assemble()
     done("assemble")
@@ -140,22 +140,9 @@ def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> 
     solution.vec.data += a.harmonic_extension * solution.vec
     solution.vec.data += a.inner_solve * f.vec
     displacement = solution.components[0] if form == "mixed" else solution
-    probes = {}
-    for probe in scene.mean_probes:
-        x0, y0, x1, y1 = probe.rectangle
-        inside, area = _inside(probe.rectangle), (x1 - x0) * (y1 - y0)
-        totals = [ng.Integrate(inside * displacement[axis] * ng.ds("top"), mesh) for axis in range(3)]
-        probes[probe.name] = np.array(totals) / area
+    probes = {probe.name: mean_over(displacement, probe.rectangle) for probe in scene.mean_probes}
     done("solve")
     return Answer(probes, space.ndof, done.seconds)
-
-
-def _inside(rectangle: Rectangle) -> Any:
-    """1 inside a rectangle, 0 outside: constant on each face, for the mesh conforms to its outline."""
-    import ngsolve as ng
-
-    x0, y0, x1, y1 = rectangle
-    return ng.IfPos((ng.x - x0) * (x1 - ng.x), 1, 0) * ng.IfPos((ng.y - y0) * (y1 - ng.y), 1, 0)
 
 
 def missing() -> str:
@@ -169,6 +156,7 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 3, "displacement"),
         resolutions=(1, 1.5, 2, 3, 4),
+        covers=fits_boxes,
         missing=missing,
     ),
     Contender(
@@ -176,6 +164,7 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 2, "mixed"),
         resolutions=(1, 2, 3, 4, 5),
+        covers=is_homogeneous,  # a continuous pressure does not suit two rubbers
         missing=missing,
     ),
     Contender(
@@ -183,6 +172,7 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, hp_mesh, n, 4, "displacement"),
         resolutions=(1, 1.5, 2),
+        covers=fits_boxes,
         missing=missing,
     ),
     Contender(
@@ -190,6 +180,7 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, n: solve_by_ngsolve(scene, hexahedra_mesh, n, 3, "reduced"),
         resolutions=(1, 1.5, 2, 3, 4),
+        covers=fits_boxes,
         missing=missing,
     ),
     Contender(
@@ -197,6 +188,7 @@ CONTENDERS = [
         family="NGSolve",
         solve=lambda scene, order: solve_by_ngsolve(scene, geometric_mesh, 2, int(order), "reduced"),
         resolutions=(2, 3, 4, 5),
+        covers=fits_boxes,
         missing=missing,
     ),
 ]
