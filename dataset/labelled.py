@@ -19,6 +19,7 @@ from geometry.design_file import design_from_dict, design_to_toml
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.netcdf import read_netcdf, write_netcdf
+from geometry.seal import say_made_anew
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -95,8 +96,8 @@ def read_labelled(path: Path) -> LabelledData:
     Raises
     ------
     FileFormatError
-        If the file is truncated or foreign, lacks an axis or a pillar, or holds a NaN, an infinity or a
-        resistance not above 0.
+        If the file is damaged or foreign, states another hash than its content's, lacks an axis or a pillar, or holds
+        what no sensor gives.
     """
     wanted = {name: VARIABLES[name][0] for name in ("force_n", "resistance_ohm")}
     data = read_netcdf(path, wanted, made_by="tripillar dataset")
@@ -118,13 +119,19 @@ def read_labelled(path: Path) -> LabelledData:
             f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
         )
+    content_hash = files.digest(force_n, resistance_ohm)
+    if data.attrs.get("content_hash", content_hash) != content_hash:
+        raise FileFormatError(
+            f"{path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if you "
+            "changed them on purpose, or make the file again."
+        )
     rows, cols = force_n.shape[1:3]
     sensor = stated_imperfections(data.attrs, rows, cols)
     return LabelledData(
         resistance_ohm=resistance_ohm,
         force_n=force_n,
         design=design,
-        content_hash=files.digest(force_n, resistance_ohm),
+        content_hash=content_hash,
         noise=sensor.noise,
         bits=sensor.bits,
         dead=sensor.dead_mask(rows, cols),
@@ -141,14 +148,15 @@ def _stated_design(text: object) -> SensorDesign | None:
 
 
 def is_current(path: Path, recipe: str) -> bool:
-    """Whether a dataset file was made by a recipe and still holds what was written."""
+    """Whether a dataset file was made by a recipe and still holds what was written; says so where it is damaged."""
     import netCDF4
 
     try:
-        content_hash = read_labelled(path).content_hash
+        read_labelled(path)
         with netCDF4.Dataset(path) as opened:
-            return bool(opened.recipe == recipe and opened.content_hash == content_hash)
+            return bool(opened.recipe == recipe)
     except (TriPillarError, OSError, AttributeError):
+        say_made_anew(path)
         return False
 
 

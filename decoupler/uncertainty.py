@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
+from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -38,6 +39,12 @@ class Uncertainty:
     misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
     widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.noise, float | int) or not 0 <= self.noise < np.inf:
+            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
+        if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
 
     @classmethod
     def fitted(
