@@ -41,6 +41,8 @@ VARIABLES = {
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
+#: what no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
+MOST_N, LEAST_OHM, MOST_OHM = 1e6, 1e-9, 1e15
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
 
@@ -110,9 +112,9 @@ def read_labelled(path: Path) -> LabelledData:
             )
         data = data.sel({dim: labels})
     force_n, resistance_ohm = (_numbers(path, name, data[name].to_numpy()) for name in wanted)
-    _require_sane(path, "force_n", force_n, np.isfinite(force_n), "a finite number")
-    sound = np.isfinite(resistance_ohm) & (resistance_ohm > 0)
-    _require_sane(path, "resistance_ohm", resistance_ohm, sound, "finite and above 0")
+    _require_sane(path, "force_n", force_n, np.abs(force_n) <= MOST_N, f"finite, at most {MOST_N:g} N either way")
+    sound = (resistance_ohm >= LEAST_OHM) & (resistance_ohm <= MOST_OHM)
+    _require_sane(path, "resistance_ohm", resistance_ohm, sound, f"finite and above 0, {LEAST_OHM:g} to {MOST_OHM:g} Ω")
     design = _stated_design(data.attrs.get("design"))
     if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
         raise FileFormatError(

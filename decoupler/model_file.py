@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
+METHOD = 3  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _UNCERTAINTY = ("inverse_matrix", "misfit_n2", "unexplained_n2", "widths")
 _NOT_BELOW_0 = {"input_half_range", "output_half_range", "ohm_per_mm2", "misfit_n2", "unexplained_n2", "widths"}

@@ -204,6 +204,9 @@ def test_file_that_does_not_say_its_design_is_read(path):
         ("resistance_ohm", 0.0, "resistance_ohm is 0.0 at sample 3, row 1, col 2, pillar x"),
         ("force_n", np.nan, "force_n is nan at sample 3, row 1, col 2, axis y"),
         ("force_n", -np.inf, "force_n is -inf at sample 3, row 1, col 2, axis y"),
+        ("force_n", 1e300, "force_n is 1e+300 at sample 3, row 1, col 2, axis y; it must be finite, at most 1e+06 N"),
+        ("resistance_ohm", 1e300, "resistance_ohm is 1e+300 at sample 3, row 1, col 2, pillar x; it must be finite"),
+        ("resistance_ohm", 1e-300, "resistance_ohm is 1e-300 at sample 3, row 1, col 2, pillar x; it must be finite"),
     ],
 )
 def test_senseless_values_are_named_with_their_place(path, data, name, value, said):
