@@ -19,6 +19,7 @@ from geometry.design_file import design_from_dict, design_to_toml
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.netcdf import read_netcdf, write_netcdf
+from geometry.seal import say_made_anew
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,6 +41,8 @@ VARIABLES = {
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
+#: what no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
+MOST_N, LEAST_OHM, MOST_OHM = 1e6, 1e-9, 1e15
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
 
@@ -95,8 +98,8 @@ def read_labelled(path: Path) -> LabelledData:
     Raises
     ------
     FileFormatError
-        If the file is truncated or foreign, lacks an axis or a pillar, or holds a NaN, an infinity or a
-        resistance not above 0.
+        If the file is damaged or foreign, states another hash than its content's, lacks an axis or a pillar, or holds
+        what no sensor gives.
     """
     wanted = {name: VARIABLES[name][0] for name in ("force_n", "resistance_ohm")}
     data = read_netcdf(path, wanted, made_by="tripillar dataset")
@@ -109,14 +112,20 @@ def read_labelled(path: Path) -> LabelledData:
             )
         data = data.sel({dim: labels})
     force_n, resistance_ohm = (_numbers(path, name, data[name].to_numpy()) for name in wanted)
-    _require_sane(path, "force_n", force_n, np.isfinite(force_n), "a finite number")
-    sound = np.isfinite(resistance_ohm) & (resistance_ohm > 0)
-    _require_sane(path, "resistance_ohm", resistance_ohm, sound, "finite and above 0")
+    _require_sane(path, "force_n", force_n, np.abs(force_n) <= MOST_N, f"finite, at most {MOST_N:g} N either way")
+    sound = (resistance_ohm >= LEAST_OHM) & (resistance_ohm <= MOST_OHM)
+    _require_sane(path, "resistance_ohm", resistance_ohm, sound, f"finite and above 0, {LEAST_OHM:g} to {MOST_OHM:g} Ω")
     design = _stated_design(data.attrs.get("design"))
     if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
         raise FileFormatError(
             f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
+        )
+    content_hash = files.digest(force_n, resistance_ohm)
+    if data.attrs.get("content_hash", content_hash) != content_hash:
+        raise FileFormatError(
+            f"{path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if you "
+            "changed them on purpose, or make the file again."
         )
     rows, cols = force_n.shape[1:3]
     sensor = stated_imperfections(data.attrs, rows, cols)
@@ -124,7 +133,7 @@ def read_labelled(path: Path) -> LabelledData:
         resistance_ohm=resistance_ohm,
         force_n=force_n,
         design=design,
-        content_hash=files.digest(force_n, resistance_ohm),
+        content_hash=content_hash,
         noise=sensor.noise,
         bits=sensor.bits,
         dead=sensor.dead_mask(rows, cols),
@@ -141,14 +150,15 @@ def _stated_design(text: object) -> SensorDesign | None:
 
 
 def is_current(path: Path, recipe: str) -> bool:
-    """Whether a dataset file was made by a recipe and still holds what was written."""
+    """Whether a dataset file was made by a recipe and still holds what was written; says so where it is damaged."""
     import netCDF4
 
     try:
-        content_hash = read_labelled(path).content_hash
+        read_labelled(path)
         with netCDF4.Dataset(path) as opened:
-            return bool(opened.recipe == recipe and opened.content_hash == content_hash)
+            return bool(opened.recipe == recipe)
     except (TriPillarError, OSError, AttributeError):
+        say_made_anew(path)
         return False
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.labelled import LEAST_OHM, MOST_N, MOST_OHM
 from decoupler.errors import SampleError
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -62,7 +63,7 @@ def pillar_columns(
     Raises
     ------
     SampleError
-        If the shape is another, or one of the component's resistances is not finite or not above 0.
+        If the shape is another, or one of the component's resistances is not finite, not above 0 or no sensor's.
     """
     if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
         raise SampleError(
@@ -76,12 +77,13 @@ def pillar_columns(
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
         taken = np.where(dead[..., pillars], DEAD_OHM, taken)
-    if taken.size and not 0 < taken.min() <= taken.max() < np.inf:  # NaN is neither
-        sound = np.isfinite(taken) & (taken > 0)
+    if taken.size and not LEAST_OHM <= taken.min() <= taken.max() <= MOST_OHM:  # NaN is neither
+        sound = (taken >= LEAST_OHM) & (taken <= MOST_OHM)
         sample, row, col, pillar = np.argwhere(~sound)[0]
         raise SampleError(
             f"resistance of pillar {component.pillars[pillar]} in row {row}, col {col} of sample {sample} is "
-            f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0: "
+            f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0, "
+            f"{LEAST_OHM:g} to {MOST_OHM:g} Ω: "
             "leave that sample out or mend the pillar."
         )
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
@@ -97,10 +99,11 @@ def readable_columns(component: Component, dead: NDArray[np.bool_] | None, n_col
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
     """The forces a component gives, (n, rows, cols, 3) -> (n, rows·cols·n_axes) [N]."""
     taken = np.asarray(force_n[..., [AXES.index(axis) for axis in component.axes]], dtype=np.float64)
-    if not np.isfinite(taken).all():
-        sample, row, col, axis = np.argwhere(~np.isfinite(taken))[0]
+    if taken.size and not -MOST_N <= taken.min() <= taken.max() <= MOST_N:  # NaN is neither
+        sample, row, col, axis = np.argwhere(~(np.abs(taken) <= MOST_N))[0]
         raise SampleError(
-            f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is not finite: "
+            f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is "
+            f"{taken[sample, row, col, axis]:g} N, must be finite, at most {MOST_N:g} N either way: "
             "leave that sample out."
         )
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))

@@ -2,20 +2,22 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from multiprocessing import active_children, get_context
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dataset import LabelledData
+from decoupler.components import component_named
 from decoupler.errors import SampleError
 from decoupler.metrics import ForceErrors, evaluate
+from decoupler.samples import distinct, load_numbers, selected
 from decoupler.settings import NetworkConfig, TrainingConfig
-from geometry.files import digest, uninterrupted
+from geometry.files import uninterrupted
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -42,12 +44,6 @@ def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
     if not 2 <= folds <= n_samples // 2:
         raise SampleError(f"folds={folds} must be from 2 to {n_samples // 2}, half of the {n_samples} samples.")
     return np.array_split(np.random.default_rng(seed).permutation(n_samples), folds)
-
-
-def selected(data: LabelledData, samples: Sequence[int] | np.ndarray | slice) -> LabelledData:
-    """Some of the samples, with a hash of their own."""
-    force_n, resistance_ohm = data.force_n[samples], data.resistance_ohm[samples]
-    return replace(data, force_n=force_n, resistance_ohm=resistance_ohm, content_hash=digest(force_n, resistance_ohm))
 
 
 def cross_validate(
@@ -87,8 +83,15 @@ def jobs_of(
     folds: int,
     response: "ArrayResponse | None",
 ) -> list[Job]:
-    """The jobs of one cross-validation, for `in_parallel` together with others."""
-    parts = split_folds(len(data.force_n), folds, training.seed)
+    """The jobs of one cross-validation, for `in_parallel` together with others.
+
+    A sample given twice counts once, and samples of one load come into one fold: else the answer would be known.
+    """
+    data = distinct(data, component_named(component))
+    load = load_numbers(data.force_n)
+    by_load = np.split(np.argsort(load, kind="stable"), np.cumsum(np.bincount(load))[:-1])
+    loads = split_folds(len(by_load), folds, training.seed)
+    parts = [np.concatenate([by_load[number] for number in part]) for part in loads]
     every = np.arange(len(data.force_n))
     return [(fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
 

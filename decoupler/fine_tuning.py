@@ -12,7 +12,10 @@ from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
 from decoupler.ridge import best_ridge
+from decoupler.samples import distinct, load_numbers, over_loads, without_stuck
+from decoupler.uncertainty import LEAST_FREEDOM
 from geometry.files import digest
+from geometry.layout import PILLARS
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -28,14 +31,15 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
     decoupler : Decoupler
         Trained on simulated data.
     pairs : LabelledData
-        Measured resistances and the forces that caused them; one is enough to begin with.
+        Measured resistances and the forces that caused them; one is enough to begin with; one given twice counts once.
     response : ArrayResponse, optional
         Of the sensor as designed; not needed if the model holds one.
 
     Raises
     ------
     SampleError
-        If the response is unknown, of another array, or a resistance or force is no number.
+        If the response is unknown, of another array, a resistance or force is no number, or a pillar that the model
+        leans on does not follow its loads.
 
     Notes
     -----
@@ -49,30 +53,44 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
         forward = ForwardModel.of(response, component)
     else:
         raise SampleError("fine-tuning needs the array's response, and none is known: state the design in the data.")
+    given, pairs = pairs, distinct(pairs, component)
     columns, forces = decoupler.columns(pairs.resistance_ohm), force_columns(pairs.force_n, component)
     if forces.shape[1] != forward.n_forces:
         raise SampleError(f"the pairs hold {forces.shape[1]} forces, the model {forward.n_forces}: measure this array.")
+    _require_alive(pairs, decoupler, forward)
     calibration = Calibration.fitted(columns, forward.resistances(forces), pairs.noise)
     tuned = replace(decoupler, calibration=calibration)
     if len(forces) >= LEAST_PAIRS:
-        tuned = _nearer(tuned, columns, forces)
+        tuned = _nearer(tuned, columns, forces, load_numbers(pairs.force_n))
     if tuned.uncertainty is not None:
         noise = pairs.noise * np.sqrt(1.0 + 2.0 / len(forces))  # gain and offset are only as good as the pairs
         tuned = replace(tuned, uncertainty=tuned.uncertainty.widened(tuned, columns, forces, noise, pairs.bits))
-    story = {"fine_tuned_on": pairs.content_hash, "pairs": len(forces)}
-    recipe = digest(decoupler.made_from.get("recipe"), pairs.content_hash, pairs.noise)
+    story = {"fine_tuned_on": given.content_hash, "pairs": len(forces)}
+    recipe = digest(decoupler.made_from.get("recipe"), given.content_hash, pairs.noise)
     return replace(tuned, made_from=decoupler.made_from | story | {"recipe": recipe})
 
 
-def _nearer(decoupler: Decoupler, columns_ohm: np.ndarray, force_n: np.ndarray) -> Decoupler:
+def _require_alive(pairs: LabelledData, decoupler: Decoupler, forward: ForwardModel) -> None:
+    """Refuse pairs of a sensor with a stuck pillar: no gain and offset make it tell its load."""
+    known = np.zeros(pairs.resistance_ohm.shape[1:], dtype=bool) if decoupler.dead is None else decoupler.dead
+    found = without_stuck(replace(pairs, dead=known), decoupler.component, forward).dead
+    for row, col, pillar in np.argwhere(found & ~known)[:1]:
+        raise SampleError(
+            f"pillar {row},{col},{PILLARS[pillar]} does not follow the loads of the pairs, and the model leans on it: "
+            f"mend it, or train a model on data with --dead-pillar {row},{col},{PILLARS[pillar]}."
+        )
+
+
+def _nearer(decoupler: Decoupler, columns_ohm: np.ndarray, force_n: np.ndarray, load: np.ndarray) -> Decoupler:
     """The model with another output layer if that lowers the errors of pairs left out, else itself."""
     A = decoupler.activations(columns_ohm)
     missing = decoupler.output_scaling.scale(force_n) - A @ decoupler.output_weights.T
     M = A.T @ A
-    M.flat[:: len(M) + 1] += best_ridge(A, missing)
+    M.flat[:: len(M) + 1] += best_ridge(A, missing, len(load) / (load.max() + 1))
     solved = np.linalg.solve(M, A.T)  # (n_features, n_pairs)
     leverage = np.einsum("ni,in->n", A, solved)
-    left_out = (missing - A @ (solved @ missing)) / (1.0 - leverage)[:, None]
+    freedom = 1.0 - over_loads(leverage, load)  # pairs of one load are left out together
+    left_out = (missing - A @ (solved @ missing)) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
     if np.sum(left_out**2) >= np.sum(missing**2):
         return decoupler
     return replace(decoupler, output_weights=decoupler.output_weights + (solved @ missing).T)

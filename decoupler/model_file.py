@@ -24,14 +24,16 @@ from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.files import digest, replacing
 from geometry.layout import PILLAR_TOP, PILLARS
+from geometry.seal import BLANK, KEY, MARK, require_intact, seal
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
-FORMAT = "tripillar-model-1"
-METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
+FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
+METHOD = 3  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _UNCERTAINTY = ("inverse_matrix", "misfit_n2", "unexplained_n2", "widths")
+_NOT_BELOW_0 = {"input_half_range", "output_half_range", "ohm_per_mm2", "misfit_n2", "unexplained_n2", "widths"}
 _MEND = "give a file made by 'tripillar train'"
 
 
@@ -49,9 +51,10 @@ def model_recipe(
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
-    """Write a model file, whole or not at all."""
+    """Write a model file with the hash of its content, whole or not at all."""
     header = {
         "format": FORMAT,
+        KEY: BLANK.decode(),
         "component": decoupler.component.name,
         "rows": decoupler.rows,
         "cols": decoupler.cols,
@@ -66,6 +69,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+        seal(temporary)
 
 
 def read_model(path: Path) -> Decoupler:
@@ -74,8 +78,10 @@ def read_model(path: Path) -> Decoupler:
     Raises
     ------
     FileFormatError
-        If the file is missing, truncated, foreign or holds weights that do not fit its header.
+        If the file is missing, damaged, foreign, of an earlier version, or holds what makes no sense.
     """
+    path = Path(path)
+    require_intact(path, _MEND)
     try:
         with safe_open(path, framework="np") as opened:
             metadata = opened.metadata() or {}
@@ -98,6 +104,9 @@ def read_model(path: Path) -> Decoupler:
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
                 f"finite numbers of shape {shape}: {_MEND}."
             )
+    for name in _NOT_BELOW_0 & set(arrays):
+        if arrays[name].min(initial=0.0) < 0:
+            raise FileFormatError(f"{path}: {name} holds {arrays[name].min():g}, must not be below 0: {_MEND}.")
     if decoupler.inverse is not None and not _holds_pillars(decoupler.inverse.forward):
         raise FileFormatError(f"{path}: its pillars stand on electrodes that it does not hold: {_MEND}.")
     return decoupler
@@ -205,7 +214,12 @@ def _holds_pillars(forward: ForwardModel) -> bool:
 
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
     if header["format"] != FORMAT:
-        raise ValueError(f"format is {header['format']}, not {FORMAT}")
+        raise ValueError(f"format is {header['format']}, not {FORMAT}: of another version, train it again")
+    if not str(header[KEY]).startswith(MARK.decode()):
+        raise ValueError(f"{KEY} is {header[KEY]!r}, no hash")
+    for name in ("rows", "cols"):
+        if type(header[name]) is not int or header[name] < 1:
+            raise ValueError(f"{name} is {header[name]!r}, must be a whole number from 1 on")
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
@@ -216,15 +230,15 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         inverse = ModelInverse(forward=forward, **{n: arrays[n] for n in ("centre_n", "centre_mm", "correctors")})
     if _UNCERTAINTY[0] in arrays:
         given = {name: arrays[name] for name in _UNCERTAINTY}
-        uncertainty = Uncertainty(**given, noise=float(header["noise"]), bits=header["bits"])
+        uncertainty = Uncertainty(**given, noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")
     least_squares = None
     if "least_squares" in arrays:
         least_squares = LeastSquares(component=component, coefficients=arrays["least_squares"], dead=dead)
     return Decoupler(
         component=component,
-        rows=int(header["rows"]),
-        cols=int(header["cols"]),
+        rows=header["rows"],
+        cols=header["cols"],
         network=network,
         input_scaling=Scaling(arrays["input_centre"], arrays["input_half_range"]),
         output_scaling=Scaling(arrays["output_centre"], arrays["output_half_range"]),

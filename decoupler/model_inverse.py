@@ -15,6 +15,7 @@ from decoupler.components import Component, force_columns, pillar_columns, reada
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
 from decoupler.rowwise import rowwise
+from decoupler.samples import without_stuck
 from decoupler.settings import Feature, Net
 from geometry.layout import FloatArray
 
@@ -162,6 +163,7 @@ def suited_feature(data: LabelledData, component: Component, net: Net, response:
     """`inverse` for a skip net if the response explains the data, else `root`."""
     if net != "skip" or response is None:
         return "root"
+    data = without_stuck(data, component, ForwardModel.of(response, component))
     columns = pillar_columns(data.resistance_ohm, component, data.dead)
     forces = force_columns(data.force_n, component)
     try:

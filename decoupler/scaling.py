@@ -9,6 +9,7 @@ import numpy as np
 from geometry.layout import FloatArray
 
 SMALLEST_RANGE = 1e-12  #: of a column's size; below it a column is constant up to rounding
+SMALLEST = 1e-100  #: a range in newtons or ohms whose square still is a number
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Scaling:
         """
         low, high = values.min(axis=0), values.max(axis=0)
         half_range = (high - low) / 2.0
-        constant = half_range <= SMALLEST_RANGE * np.maximum(np.abs(low), np.abs(high))
+        constant = half_range <= np.maximum(SMALLEST_RANGE * np.maximum(np.abs(low), np.abs(high)), SMALLEST)
         return cls((low + high) / 2.0, np.where(constant, 0.0, half_range))
 
     def scale(self, values: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from dataset import LabelledData
 from decoupler.baseline import LeastSquares
@@ -16,6 +17,7 @@ from decoupler.components import Component, component_named, force_columns, pill
 from decoupler.damping import Outcome, Point, Progress, Stop
 from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError, TrainingError
+from decoupler.forward_model import ForwardModel
 from decoupler.gauss_newton import Samples
 from decoupler.levenberg_marquardt import train_lm
 from decoupler.model_file import model_recipe
@@ -23,6 +25,7 @@ from decoupler.model_inverse import ModelInverse, explaining
 from decoupler.momentum import Momentum
 from decoupler.network import Network
 from decoupler.ridge import best_ridge
+from decoupler.samples import distinct, load_numbers, without_stuck
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import Uncertainty
@@ -60,7 +63,7 @@ def train(
     Parameters
     ----------
     data : LabelledData
-        At least two samples.
+        At least two samples that differ; one that is given twice counts once.
     component : str
         fz, fx, fy or all.
     network, training : NetworkConfig, TrainingConfig
@@ -84,8 +87,10 @@ def train(
     """
     started = time.perf_counter()
     parts = component_named(component)
+    given, data = data, distinct(data, parts)
     if len(data.resistance_ohm) < 2:
-        raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2.")
+        raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
+    data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
     columns = pillar_columns(data.resistance_ohm, parts, data.dead)
     forces = force_columns(data.force_n, parts)
     untrained = _untrained(data, parts, network, columns, forces, response)
@@ -98,19 +103,21 @@ def train(
     model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     if known:
         torch.nn.init.zeros_(model.output)  # what is known is the start
+    load = load_numbers(data.force_n)
     with _one_torch_thread():
-        ridge = best_ridge(samples.linear.numpy(), targets) if known else _ridge(network, len(inputs))
-        point, outcome = _TRAINERS[training.trainer](model, samples, ridge, training, progress)
+        readings = len(load) / (load.max() + 1)
+        ridge = best_ridge(samples.linear.numpy(), targets, readings) if known else _ridge(network, len(inputs))
+        point, outcome = _TRAINERS[training.trainer](model, samples, load, ridge, training, progress)
     output_weights = point.output.numpy().copy()
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     decoupler = replace(
         trained,
-        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge),
+        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, load),
         made_from={
-            "recipe": model_recipe(data, component, network, training, response),
-            "data_hash": data.content_hash,
+            "recipe": model_recipe(given, component, network, training, response),
+            "data_hash": given.content_hash,
             "n_samples": len(inputs),
             "training": asdict(training),
             "outcome": asdict(outcome),
@@ -176,25 +183,41 @@ def _one_torch_thread() -> Iterator[None]:
 
 @torch.no_grad()
 def _varpro(
-    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
+    model: Network,
+    samples: Samples,
+    load: NDArray[np.int64],
+    ridge: float,
+    training: TrainingConfig,
+    progress: Progress,
 ) -> tuple[Point, Outcome]:
-    n = len(samples.X)
-    mixed = samples[
-        torch.from_numpy(np.random.default_rng(training.seed).permutation(n))
-    ]  # files may be sorted by load
-    held_out = int(training.held_out * n) if model.skip else 0  # a plain net has no linear map to fall back on
+    # files may be sorted by load; readings of one load stay together, on one side of what is held out
+    order = np.argsort(np.random.default_rng(training.seed).permutation(load.max() + 1).argsort()[load], kind="stable")
+    mixed, sorted_load = samples[torch.from_numpy(order)], load[order]
+    held_out = int(training.held_out * len(load)) if model.skip else 0  # a plain net has no linear map to fall back on
+    while 0 < held_out < len(load) and sorted_load[-held_out] == sorted_load[-held_out - 1]:
+        held_out -= 1
     return train_varpro(mixed, model.hidden.detach(), ridge, held_out, training, progress)
 
 
 @torch.no_grad()
 def _lm(
-    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
+    model: Network,
+    samples: Samples,
+    load: NDArray[np.int64],
+    ridge: float,
+    training: TrainingConfig,
+    progress: Progress,
 ) -> tuple[Point, Outcome]:
     return train_lm(samples, model.hidden.detach(), model.output.detach(), training, progress)
 
 
 def _momentum(
-    model: Network, samples: Samples, ridge: float, training: TrainingConfig, progress: Progress
+    model: Network,
+    samples: Samples,
+    load: NDArray[np.int64],
+    ridge: float,
+    training: TrainingConfig,
+    progress: Progress,
 ) -> tuple[Point, Outcome]:
     optimizer = Momentum(model.parameters(), training.learning_rate, training.momentum)
     stop, iteration = Stop(training), 0

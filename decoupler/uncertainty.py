@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
+from decoupler.samples import over_loads
+from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -39,6 +41,12 @@ class Uncertainty:
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
     widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.noise, float | int) or not 0 <= self.noise < np.inf:
+            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
+        if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
+
     @classmethod
     def fitted(
         cls,
@@ -48,13 +56,15 @@ class Uncertainty:
         noise: float,
         bits: int | None,
         ridge: float,
+        load: NDArray[np.int64],
     ) -> Self:
-        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N].
+        """From the training set: readings (n, n_in) [Ω], forces (n, n_out) [N] and the number of its load (n,).
 
         Notes
         -----
         A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
-        residual of linear regression); the hidden weights, shared by all outputs, add their share to every leverage. A
+        residual of linear regression); the hidden weights, shared by all outputs, add their share to every leverage.
+        Readings of one load are left out together: their leverages add up, which is exact where they are alike. A
         sample that the network meets whatever its force is (fewer samples than weights) has none; it is taken to be as
         unknown as before training.
         """
@@ -63,7 +73,8 @@ class Uncertainty:
         M.flat[:: len(M) + 1] += ridge
         G = np.linalg.inv(M).astype(np.float64)
         leverage = _leverage(A, G).clip(0.0, 1.0)
-        freedom = 1.0 - leverage - np.count_nonzero(decoupler.hidden_weights) / force_n.size
+        shared = np.count_nonzero(decoupler.hidden_weights) / force_n.size
+        freedom = 1.0 - over_loads(leverage + shared, load)
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
         errors = np.where((freedom > LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
         unexplained = (errors**2).mean(axis=0)

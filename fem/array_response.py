@@ -16,6 +16,7 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
 from geometry.files import cache_folder, digest
 from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
+from geometry.seal import say_made_anew
 
 VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
@@ -79,7 +80,7 @@ def array_response(
         if response.recipe == recipe:
             return replace(response, design=design), path, True
     except FileFormatError:
-        pass  # missing or damaged: solve again
+        say_made_anew(path)
     response = replace(solve_response(design, settings, progress, cached=True), recipe=recipe)
     write_response(response, path)
     return response, path, False

@@ -2,13 +2,13 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from fem.cell import CondensedCell
 from fem.ports import PortModes
-from geometry.files import digest, replacing
+from geometry.files import replacing
+from geometry.seal import LAST_LINE, require_intact, say_made_anew, seal
 
 MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
 
@@ -27,24 +27,22 @@ def write_refined(refined: RefinedCell, path: Path) -> None:
     cell = refined.cell
     matrices = {name: getattr(cell, name) for name in MATRICES}
     numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
-    content = digest(*matrices.values(), numbers)
     with replacing(path) as temporary:
-        np.savez(
-            temporary, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps), content=content
-        )
+        np.savez(temporary, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps))
+        seal(temporary, LAST_LINE)
 
 
 def read_refined(path: Path) -> RefinedCell | None:
-    """A cell that `write_refined` wrote; None if it is missing or damaged, so that it is refined again."""
+    """A cell that `write_refined` wrote; None if it is missing or damaged, which is said: it is refined again."""
     try:
+        require_intact(path, "delete it", required=True)
         with path.open("rb") as file, np.load(file) as kept:
             matrices = {name: kept[name] for name in MATRICES}
-            numbers, content = kept["numbers"], str(kept["content"])
+            numbers = kept["numbers"]
             ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
             steps = tuple(kept["steps"].tolist())
-    except (KeyError, ValueError, OSError, EOFError, BadZipFile):
-        return None
-    if digest(*matrices.values(), numbers) != content:
+    except (KeyError, ValueError, OSError):
+        say_made_anew(path)
         return None
     unknowns, residual, error_estimate = numbers.tolist()
     cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)

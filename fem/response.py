@@ -59,7 +59,7 @@ def write_response(response: ArrayResponse, path: Path) -> None:
 
 
 def read_response(path: Path) -> ArrayResponse:
-    """Read a response file that `write_response` wrote; `FileFormatError` if it is truncated or foreign."""
+    """Read a response file that `write_response` wrote; `FileFormatError` if it is damaged or foreign."""
     data = read_netcdf(path, {"influence_mm_per_n": INFLUENCE_DIMS}, made_by="tripillar response")
     try:
         response = ArrayResponse(
@@ -75,7 +75,7 @@ def read_response(path: Path) -> ArrayResponse:
                 for key, value in data.attrs.items()
                 if key.startswith("seconds_")
             },
-            recipe=data.attrs["recipe"],
+            recipe=str(data.attrs["recipe"]),
         )
         intact = response.content_hash == data.attrs["content_hash"]
     except KeyError as error:

@@ -6,7 +6,6 @@ outlines are then exact, and whatever is refined later stays so.
 
 from collections.abc import Sequence
 from itertools import combinations
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from geometry.errors import GeometryError
 from geometry.files import cache_folder, digest, replacing
 from geometry.layout import FloatArray
 from geometry.mesh import boundary_faces, cell_volumes, fill, outward
+from geometry.seal import LAST_LINE, require_intact, say_made_anew, seal
 from geometry.surface import Surface
 
 METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
@@ -70,11 +70,12 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     path = cache_folder() / f"scene-mesh-{recipe}.npz"
     if cached and path.is_file():
         try:
+            require_intact(path, "delete it", required=True)
             with path.open("rb") as file, np.load(file) as kept:
                 points, cells = kept["points_mm"], kept["cells"]
             return _as_skfem(points, cells), True
-        except (KeyError, ValueError, OSError, BadZipFile):
-            pass  # damaged: mesh again
+        except (KeyError, ValueError, OSError):
+            say_made_anew(path)
     for attempt in range(ATTEMPTS):
         try:
             points, cells = _snapped(scene.outline, prisms, edge_mm, envelope_mm / 2**attempt)
@@ -85,6 +86,7 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     if cached:
         with replacing(path) as temporary:
             np.savez(temporary, points_mm=points, cells=cells)
+            seal(temporary, LAST_LINE)
     return _as_skfem(points, cells), False
 
 

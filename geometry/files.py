@@ -33,7 +33,7 @@ def digest(*parts: Any) -> str:
             sha.update(part)
         elif isinstance(part, np.ndarray):
             sha.update(f"{part.dtype}{part.shape}".encode())
-            sha.update(np.ascontiguousarray(part).tobytes())
+            sha.update(np.ascontiguousarray(part).data)  # no copy: data sets are large
         else:
             plain = asdict(part) if is_dataclass(part) and not isinstance(part, type) else part
             sha.update(json.dumps(plain, sort_keys=True).encode())

@@ -21,6 +21,7 @@ from geometry.design import SensorDesign, quantity, require_numbers, require_pos
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.files import cache_folder, digest, replacing, uninterrupted
 from geometry.layout import FloatArray, inside_pillars
+from geometry.seal import BLANK, require_intact, say_made_anew, seal
 from geometry.surface import Surface, check_surface
 
 REGIONS = ("matrix", "pillar")  #: meaning of a cell's region number
@@ -111,7 +112,7 @@ def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, 
         if mesh.recipe == recipe:
             return mesh, path, True
     except FileFormatError:
-        pass  # missing or damaged: mesh again
+        say_made_anew(path)
     mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
     write_mesh(mesh, path)
     return mesh, path, False
@@ -307,7 +308,7 @@ def check_volumes(mesh: TetMesh, expected_mm3: FloatArray) -> None:
 
 
 def write_mesh(mesh: TetMesh, path: Path) -> None:
-    """Write a mesh as VTU with its regions and recipe, whole or not at all."""
+    """Write a mesh as VTU with its regions, recipe and hash, whole or not at all."""
     import pyvista as pv
 
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
@@ -315,15 +316,17 @@ def write_mesh(mesh: TetMesh, path: Path) -> None:
     grid.field_data["recipe"] = [mesh.recipe]
     with replacing(path) as temporary:
         grid.save(temporary)
+        seal(temporary, b"<!-- " + BLANK + b" -->\n")
 
 
 def read_mesh(path: Path) -> TetMesh:
-    """Read a mesh that `write_mesh` wrote; `FileFormatError` if it is missing, truncated or foreign."""
+    """Read a mesh that `write_mesh` wrote; `FileFormatError` if it is missing, damaged or foreign."""
     import pyvista as pv
 
     try:
         if not path.is_file():
             raise FileFormatError(f"{path}: no such file.")
+        require_intact(path, "delete it to mesh again", required=True)  # before VTK, which crashes on some damage
         with pv.vtk_verbosity("off"), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # VTK's pages about a broken file; one line of ours says it all
             grid = pv.read(path)

@@ -1,4 +1,4 @@
-"""NetCDF files through xarray: written whole or not at all, refused in one line when truncated or foreign."""
+"""NetCDF files through xarray: written whole or not at all, refused in one line when damaged or foreign."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,16 +6,19 @@ from typing import TYPE_CHECKING
 
 from geometry.errors import FileFormatError
 from geometry.files import replacing, uninterrupted
+from geometry.seal import LAST_LINE, require_intact, seal
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
 def write_netcdf(data: "xr.Dataset", path: Path) -> None:
-    """Write a dataset as NetCDF-4, whole or not at all."""
+    """Write a dataset as NetCDF-4 with the hash of its content, whole or not at all."""
     no_fill = {name: {"_FillValue": None} for name in data.variables}
-    with replacing(path) as temporary, uninterrupted():
-        data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
+    with replacing(path) as temporary:
+        with uninterrupted():
+            data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
+        seal(temporary, LAST_LINE)
 
 
 def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str) -> "xr.Dataset":
@@ -33,10 +36,13 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
     Raises
     ------
     FileFormatError
-        If the file is missing, is truncated, is no NetCDF file, lacks a variable or has it on other dims.
+        If the file is missing, states another hash than its content's, is truncated or no NetCDF file, lacks a
+        variable or has it on other dims.
     """
     import xarray as xr
 
+    path = Path(path)
+    require_intact(path, f"give a file made by '{made_by}'")
     try:
         with uninterrupted(), xr.open_dataset(path, engine="netcdf4", decode_times=False) as opened:
             missing = [name for name in wanted if name not in opened]
@@ -52,10 +58,10 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
                         f"give a file made by '{made_by}'."
                     )
             data = opened[list(wanted)].load()
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, AttributeError, LookupError) as error:  # all that damage raises
         if isinstance(error, FileFormatError):
             raise
         missing_file = isinstance(error, FileNotFoundError)
-        reason = "a folder" if Path(path).is_dir() else "no such file" if missing_file else "truncated or not NetCDF"
+        reason = "a folder" if path.is_dir() else "no such file" if missing_file else "truncated or not NetCDF"
         raise FileFormatError(f"{path}: {reason}: give a file made by '{made_by}'.") from None
     return data.assign({name: data[name].transpose(*dims) for name, dims in wanted.items()})

@@ -5,7 +5,6 @@ gives them, R, a model made for the sensor as designed gets (R − offset)/gain 
 the pillar, R_rest is what was last seen with nothing on the sensor and R₀ what the design says of that.
 """
 
-import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.files import replacing
 from geometry.layout import PILLARS, FloatArray
+from geometry.seal import opened_json, sealed_json
 from hardware.crossbar import Crossbar
 from hardware.frames import Info
 
@@ -148,7 +148,7 @@ class SensorCalibration:
             "rest_ohm": None if self.rest_ohm is None else self.rest_ohm.tolist(),
             "made_from": self.made_from,
         }
-        return json.dumps(plain)
+        return sealed_json(plain)
 
     @classmethod
     def from_json(cls, text: str, source: str = "the calibration") -> "SensorCalibration":
@@ -157,10 +157,10 @@ class SensorCalibration:
         Raises
         ------
         FileFormatError
-            If it is no calibration, or a number in it makes no sense.
+            If it is no calibration, states another hash than its content's, or a number in it makes no sense.
         """
         try:
-            plain = json.loads(text)
+            plain = opened_json(text)
             if plain.get("kind") != KIND or plain.get("version") != VERSION:
                 raise ValueError(f"kind {plain.get('kind')!r}, version {plain.get('version')!r}")
             gain, offset = (np.array(plain[name], dtype=np.float64) for name in ("gain", "offset_ohm"))

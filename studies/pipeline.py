@@ -4,7 +4,6 @@ design -> CAD -> response -> datasets -> networks -> table. Every file states th
 whose file states the wanted one is skipped and says so.
 """
 
-import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from geometry.errors import FileFormatError
 from geometry.files import digest
 from geometry.mesh import sensor_mesh, suited_settings
 from geometry.quality import quality
+from geometry.seal import opened_json, say_made_anew, sealed_json
 from studies.comparison import Comparison, compare
 from studies.progress import Bars
 from studies.writing import write_json, write_text
@@ -118,7 +118,7 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
 
         files = write_cad(design, folder)
         hashes = {path.name: _file_hash(path) for path in files}
-        write_json({"recipe": recipe, "files": hashes}, made)
+        write_text(sealed_json({"recipe": recipe, "files": hashes}, 1) + "\n", made)
     description = folder / "design.toml"
     write_text(design_to_toml(design), description)
     advance(1, "reused" if reused else f"{len(files)} files")
@@ -128,12 +128,16 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
 def _intact_files(made: Path, recipe: str) -> list[Path]:
     """Files that `made` lists, if it has the recipe and each is still as it was written; otherwise none."""
     try:
-        record = json.loads(made.read_text(encoding="utf-8"))
+        record = opened_json(made.read_text(encoding="utf-8"))
         files = [made.parent / name for name in record["files"]]
-        intact = record["recipe"] == recipe and all(_file_hash(path) == record["files"][path.name] for path in files)
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    return files if intact else []
+        if record["recipe"] != recipe:
+            return []
+        damaged = [path for path in files if _file_hash(path) != record["files"][path.name]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        damaged = [made]
+    for path in damaged:
+        say_made_anew(path)
+    return [] if damaged else files
 
 
 def _file_hash(path: Path) -> str:
@@ -242,7 +246,7 @@ def trained(
         if model.made_from.get("recipe") == recipe:
             return model, True
     except FileFormatError:
-        pass
+        say_made_anew(path)
     from decoupler.training import train  # loads torch, which takes seconds: only when something is trained
 
     model, _ = train(data, component, network, training, response=response)

@@ -1,13 +1,13 @@
 """What the experiments gave, by trial, and its JSON form."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from studies.writing import write_json
+from geometry.seal import opened_json, say_made_anew, sealed_json
+from studies.writing import write_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +84,14 @@ class Results:
 
 
 def write_results(results: Results, path: Path) -> None:
-    """Write the JSON file, whole or not at all."""
-    write_json(asdict(results), path)
+    """Write the JSON file with its hash, whole or not at all."""
+    write_text(sealed_json(asdict(results), 1) + "\n", path)
 
 
 def read_results(path: Path, recipe: str) -> Results | None:
     """The results in a file if they have that recipe; None if not, or if there is no such file."""
     try:
-        plain = json.loads(path.read_text(encoding="utf-8"))
+        plain = opened_json(path.read_text(encoding="utf-8"))
         if plain["recipe"] != recipe:
             return None
         lists = {
@@ -101,4 +101,5 @@ def read_results(path: Path, recipe: str) -> Results | None:
         }
         return Results(**plain | lists)
     except (OSError, ValueError, KeyError, TypeError):
+        say_made_anew(path)
         return None

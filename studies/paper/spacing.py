@@ -7,7 +7,6 @@ here of every pitch: how much a loaded pad moves its neighbours, what that costs
 form of an endless layer, since such a touch lies on no pad).
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,7 +35,8 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
-from studies.writing import write_json
+from geometry.seal import opened_json, say_made_anew, sealed_json
+from studies.writing import write_text
 
 VERSION = 1  #: raise when the same settings give other numbers
 LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored
@@ -263,14 +263,14 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
 
 
 def write_spacing(found: Spacing, path: Path) -> None:
-    """Write the JSON file, whole or not at all."""
-    write_json(asdict(found), path)
+    """Write the JSON file with its hash, whole or not at all."""
+    write_text(sealed_json(asdict(found), 1) + "\n", path)
 
 
 def read_spacing(path: Path, recipe: str) -> Spacing | None:
     """What a file holds if it has that recipe; None if not, or if there is no such file."""
     try:
-        plain = json.loads(path.read_text(encoding="utf-8"))
+        plain = opened_json(path.read_text(encoding="utf-8"))
         if plain["recipe"] != recipe:
             return None
         asked: dict[str, Any] = {
@@ -283,4 +283,5 @@ def read_spacing(path: Path, recipe: str) -> Spacing | None:
         }
         return Spacing(**plain | parts)
     except (OSError, ValueError, KeyError, TypeError):
+        say_made_anew(path)
         return None

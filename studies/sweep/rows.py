@@ -1,6 +1,5 @@
 """Rows of a sweep: one small file each while it runs, so that nothing is lost; Parquet and NetCDF of all at its end."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from geometry.files import replacing
 from geometry.layout import AXES, PILLARS
 from geometry.netcdf import write_netcdf
+from geometry.seal import opened_json, say_made_anew, sealed_json
 from studies.sweep.merits import DISTANCES, FIGURES
 
 if TYPE_CHECKING:
@@ -41,16 +41,18 @@ def row_path(folder: Path, recipe: str) -> Path:
 
 
 def write_row(row: Row, folder: Path) -> None:
-    """Write a row as a file of its own, whole or not at all."""
+    """Write a row as a file of its own with its hash, whole or not at all."""
     with replacing(row_path(folder, row.recipe)) as temporary:
-        temporary.write_text(json.dumps(asdict(row)) + "\n", encoding="utf-8")
+        temporary.write_text(sealed_json(asdict(row)) + "\n", encoding="utf-8")
 
 
 def read_row(folder: Path, recipe: str) -> Row | None:
-    """The row of a recipe; None if it is missing or damaged, so that its design is judged again."""
+    """The row of a recipe; None if it is missing or damaged, which is said: its design is judged again."""
+    path = row_path(folder, recipe)
     try:
-        row = Row(**json.loads(row_path(folder, recipe).read_text(encoding="utf-8")))
+        row = Row(**opened_json(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
+        say_made_anew(path)
         return None
     return row if row.recipe == recipe else None
 

@@ -27,9 +27,10 @@ def path(data, tmp_path) -> Path:
 
 
 def rewritten(path: Path, change) -> Path:
-    """The file with a change made to its content, as another program might write it."""
+    """The file with a change made to its content on purpose, as another program might write it."""
     with xr.open_dataset(path, engine="netcdf4") as opened:
         content = opened.load()
+    content.attrs.pop("content_hash", None)
     write_netcdf(change(content), path)
     return path
 
@@ -203,6 +204,9 @@ def test_file_that_does_not_say_its_design_is_read(path):
         ("resistance_ohm", 0.0, "resistance_ohm is 0.0 at sample 3, row 1, col 2, pillar x"),
         ("force_n", np.nan, "force_n is nan at sample 3, row 1, col 2, axis y"),
         ("force_n", -np.inf, "force_n is -inf at sample 3, row 1, col 2, axis y"),
+        ("force_n", 1e300, "force_n is 1e+300 at sample 3, row 1, col 2, axis y; it must be finite, at most 1e+06 N"),
+        ("resistance_ohm", 1e300, "resistance_ohm is 1e+300 at sample 3, row 1, col 2, pillar x; it must be finite"),
+        ("resistance_ohm", 1e-300, "resistance_ohm is 1e-300 at sample 3, row 1, col 2, pillar x; it must be finite"),
     ],
 )
 def test_senseless_values_are_named_with_their_place(path, data, name, value, said):
@@ -270,6 +274,26 @@ def test_design_of_another_array_is_refused(path):
 def test_a_design_in_other_words_is_not_known(path, design):
     """Whoever made the file may describe the sensor in another way; the arrays are the contract."""
     assert read_labelled(rewritten(path, lambda d: d.assign_attrs(design=design))).design is None
+
+
+def test_a_copy_by_another_program_is_accepted_while_it_states_the_truth(path, data, tmp_path):
+    """Compressed, without its last line, the attributes carried along; a changed sample must not carry the hash."""
+    with xr.open_dataset(path, engine="netcdf4") as opened:
+        content = opened.load()
+    packed = {name: {"zlib": True} for name in content.data_vars}
+    content.to_netcdf(tmp_path / "copy.nc", encoding=packed)
+    assert np.array_equal(read_labelled(tmp_path / "copy.nc").force_n, data.force_n)
+    content.isel(sample=slice(3)).to_netcdf(tmp_path / "part.nc")
+    assert "do not match its attribute 'content_hash': drop the attribute if you" in refusal(tmp_path / "part.nc")
+
+
+def test_an_attribute_changed_behind_our_back_is_refused(path):
+    """One bit of the stated noise: no reader could tell, but for the hash of the whole file."""
+    noise = np.float64(0.001).tobytes()
+    content = path.read_bytes()
+    assert content.count(noise) == 1
+    path.write_bytes(content.replace(noise, np.float64(0.002).tobytes()))
+    assert "damaged, its content does not match the hash it states" in refusal(path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate
-from decoupler.crossval import over_folds, selected, split_folds, summary
+from decoupler.crossval import jobs_of, over_folds, selected, split_folds, summary
 from decoupler.training import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -46,6 +46,24 @@ def test_processes_give_what_one_after_the_other_gives():
     assert [fold["rel_err"] for fold in found["folds"]] == rel_err
     assert found["mean_rel_err"] == pytest.approx(np.mean(rel_err))
     assert found["spread_rel_err"] == pytest.approx(np.std(rel_err))
+
+
+def test_copies_and_readings_of_one_load_come_into_one_fold():
+    """No load of a test set is among those of training; a copy of a sample counts once."""
+    noisy = DATA.resistance_ohm[:20] * (1 + 1e-3 * np.random.default_rng(0).standard_normal((20, 2, 3, 3)))
+    again = replace(
+        DATA,
+        force_n=np.concatenate([DATA.force_n, DATA.force_n, DATA.force_n[:20]]),
+        resistance_ohm=np.concatenate([DATA.resistance_ohm, DATA.resistance_ohm, noisy]),
+    )
+    jobs = jobs_of(again, "fx", NETWORK, FEW, 4, None)
+    tested = []
+    for _, data, *_, trained_on, tested_on in jobs:
+        assert len(data.force_n) == 73
+        assert not np.isin(data.force_n[tested_on, 0, 0, 0], data.force_n[trained_on, 0, 0, 0]).any()
+        assert sorted([*trained_on, *tested_on]) == list(range(73))
+        tested += [*tested_on]
+    assert sorted(tested) == list(range(73))
 
 
 def test_a_fold_never_sees_its_test_samples_scaling():

@@ -67,6 +67,30 @@ def test_uncertainty_grows_with_few_pairs():
     assert 0.6 < inside.mean() < 0.76  # 1800 forces, a hundred at a time from one load: 68 % to a few percent
 
 
+def test_pairs_given_ten_times_are_ten_times_the_same():
+    model, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    few = selected(PAIRS, slice(12))
+    once, often = (fine_tune(model, selected(few, np.tile(np.arange(12), k)), RESPONSE) for k in (1, 10))
+    R = TEST.resistance_ohm
+    assert np.array_equal(once.forces(R), often.forces(R))
+    assert np.array_equal(once.deviations(R), often.deviations(R))
+
+
+@pytest.mark.parametrize("n", [5, 100])
+def test_a_pillar_that_has_come_to_be_stuck_is_refused_by_name(n):
+    """Its gain would be nearly 0 and whatever it reads a wild force; one that the model does not look at may be so."""
+    config = NetworkConfig(hidden=6, feature="inverse")
+    model, _ = train(TRAIN, "all", config, TrainingConfig(), response=RESPONSE)
+    stuck = selected(PAIRS, np.arange(n))
+    stuck.resistance_ohm[:, 1, 2, 0] = 9000.0
+    with pytest.raises(SampleError, match=r"pillar 1,2,z does not follow .* with --dead-pillar 1,2,z"):
+        fine_tune(model, stuck, RESPONSE)
+    dead = np.zeros((2, 3, 3), dtype=bool)
+    dead[1, 2, 0] = True
+    masked, _ = train(replace(TRAIN, dead=dead), "all", config, TrainingConfig(), response=RESPONSE)
+    assert np.isfinite(fine_tune(masked, stuck, RESPONSE).forces(TEST.resistance_ohm)).all()
+
+
 def test_what_the_model_came_from_is_kept():
     model, _ = train(TRAIN, "all", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
     tuned = fine_tune(model, PAIRS, None)  # it holds the response itself

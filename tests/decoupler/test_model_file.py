@@ -18,6 +18,7 @@ from decoupler import (
 )
 from decoupler.training import train
 from geometry import Array, FileFormatError
+from geometry.seal import seal
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)
@@ -100,7 +101,7 @@ def test_truncated_file_is_refused(decoupler, tmp_path, share):
     write_model(decoupler, path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(FileFormatError, match="truncated or no safetensors file"):
+    with pytest.raises(FileFormatError, match=r"damaged|truncated or no safetensors file"):
         read_model(path)
 
 
@@ -125,6 +126,16 @@ def test_foreign_safetensors_file_is_refused(tmp_path):
         ),
         (lambda header, arrays: header["network"].update(net="deep"), "net='deep' is unknown"),
         (lambda header, arrays: header["network"].update(depth=3), "network has the keys"),
+        (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
+        (lambda header, arrays: header.update(rows="2"), "rows is '2', must be a whole number from 1 on"),
+        (lambda header, arrays: header.update(cols=0), "cols is 0, must be a whole number from 1 on"),
+        (lambda header, arrays: header.update(noise=-1.0), "noise=-1.0 must be a finite number not below 0"),
+        (lambda header, arrays: header.update(noise=np.nan), "noise=nan must be a finite number"),
+        (lambda header, arrays: header.update(noise="low"), "noise='low' must be a finite number"),
+        (lambda header, arrays: header.update(bits="x"), "bits='x' must be a whole number from 4 to 24"),
+        (lambda header, arrays: header.update(bits=99), "bits=99 must be a whole number from 4 to 24"),
+        (lambda header, arrays: header.update(made_from=3), "its header makes no sense"),
+        (lambda header, arrays: arrays["misfit_n2"].fill(-1.0), "misfit_n2 holds -1, must not be below 0"),
         (lambda header, arrays: arrays.pop("input_centre"), "input_centre"),
         (lambda header, arrays: arrays.update(output_centre=np.ones(3)), "output_centre is float64 of shape"),
         (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is .* not finite"),
@@ -138,7 +149,18 @@ def test_file_that_contradicts_itself_is_refused(decoupler, tmp_path, change, me
     header = json.loads(metadata["tripillar"])
     change(header, arrays)
     save_file(arrays, path, {"tripillar": json.dumps(header)})
+    with pytest.raises(FileFormatError, match="damaged, its content does not match the hash it states"):
+        read_model(path)
+    seal(path)  # as if it had been written so
     with pytest.raises(FileFormatError, match=message):
+        read_model(path)
+
+
+def test_a_model_that_states_no_hash_is_refused(decoupler, tmp_path):
+    path = tmp_path / "model.safetensors"
+    write_model(decoupler, path)
+    path.write_bytes(path.read_bytes().replace(b"tripillar-sha256:", b"tripillar-sha255:"))
+    with pytest.raises(FileFormatError, match=r"sha256 is 'tripillar-sha255:.*', no hash"):
         read_model(path)
 
 

@@ -34,3 +34,15 @@ def test_more_features_than_samples():
     generator = np.random.default_rng(0)
     A = generator.uniform(-1, 1, (5, 20))
     assert best_ridge(A, generator.standard_normal((5, 3))) in RIDGES * 5
+
+
+def test_readings_of_one_load_count_once():
+    """Ten noisy readings of each of 12 loads that no linear map meets: held as strongly as the 12 loads alone.
+
+    Counted one by one they seem to prove the fit: a tenth of the ridge and less.
+    """
+    generator = np.random.default_rng(0)
+    A, T = generator.uniform(-1, 1, (12, 10)), generator.standard_normal((12, 30))
+    often = np.repeat(A, 10, axis=0) + 1e-4 * generator.standard_normal((120, 10)), np.repeat(T, 10, axis=0)
+    assert best_ridge(*often, 10.0) / 120 == best_ridge(A, T) / 12
+    assert best_ridge(*often) / 120 < 0.1 * best_ridge(A, T) / 12

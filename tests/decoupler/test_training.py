@@ -120,6 +120,28 @@ def test_the_samples_that_judge_are_drawn_from_all(monkeypatch):
     assert not np.array_equal(once, other)
 
 
+def test_readings_of_one_load_judge_together_or_not_at_all(monkeypatch):
+    """Three readings of each load, a tenth held out: no load on both sides."""
+    sides = []
+
+    def spy(samples, hidden, ridge, held_out, *others):
+        sides.append((samples.targets[: len(samples.targets) - held_out], samples.targets[-held_out:]))
+        return train_varpro(samples, hidden, ridge, held_out, *others)
+
+    monkeypatch.setattr("decoupler.training.train_varpro", spy)
+    factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *TRAIN.resistance_ohm.shape))
+    often = replace(
+        TRAIN,
+        resistance_ohm=np.concatenate(TRAIN.resistance_ohm * factor),
+        force_n=np.tile(TRAIN.force_n, (3, 1, 1, 1)),
+    )
+    for seed in range(3):
+        train(often, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
+        fitted, judging = ({tuple(row) for row in side.tolist()} for side in sides[-1])
+        assert 0.08 * len(TRAIN.force_n) < len(judging) <= 0.1 * len(TRAIN.force_n)
+        assert not fitted & judging
+
+
 def test_global_state_of_torch_is_left_alone():
     threads, state = torch.get_num_threads(), torch.random.get_rng_state()
     torch.set_num_threads(2)

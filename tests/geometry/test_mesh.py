@@ -328,7 +328,8 @@ def test_mesh_without_regions_is_refused(tmp_path, capfd):
 def refuse(path: Path, capfd) -> None:
     with pytest.raises(FileFormatError) as caught:
         read_mesh(path)
-    assert str(caught.value) == f"{path}: truncated or not a mesh of this program; delete it to mesh again."
+    said = "states no hash of its content, damaged or of an earlier version: delete it to mesh again."
+    assert str(caught.value) == f"{path}: {said}"
     assert capfd.readouterr().out == ""
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
+from geometry.seal import opened_json
 from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
 from hardware.frames import Info
 
@@ -103,10 +104,19 @@ def test_a_file_holds_all_of_it(tmp_path):
     ],
 )
 def test_what_is_no_calibration_is_refused(change, says):
-    plain = json.loads(a_calibration().to_json()) | change
+    plain = opened_json(a_calibration().to_json()) | change
     with pytest.raises(FileFormatError, match="is no calibration") as refused:
         SensorCalibration.from_json(json.dumps(plain))
     assert says in str(refused.value)
+
+
+def test_a_number_changed_since_it_was_written_is_refused_one_by_hand_is_taken():
+    plain = json.loads(a_calibration().to_json())
+    plain["gain"][0][0][0] += 1.0
+    with pytest.raises(FileFormatError, match="do not match the hash it states; drop 'sha256' if you changed them"):
+        SensorCalibration.from_json(json.dumps(plain))
+    del plain["sha256"]
+    assert SensorCalibration.from_json(json.dumps(plain)).gain[0, 0, 0] == plain["gain"][0][0][0]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "17", '{"kind": "tripillar calibration", "version": 1}'])
