@@ -29,9 +29,17 @@ if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
 FORMAT = "tripillar-model-1"
-METHOD = 2  #: raise when the same settings train other weights, so that old models are not reused
+METHOD = 3  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
-_UNCERTAINTY = ("inverse_matrix", "misfit_n2", "unexplained_n2", "widths")
+_UNCERTAINTY = (
+    "inverse_matrix",
+    "misfit_n2",
+    "unexplained_n2",
+    "widths",
+    "misfit_at_rest_n2",
+    "widths_at_rest",
+    "light_n2",
+)
 _MEND = "give a file made by 'tripillar train'"
 
 
@@ -190,7 +198,8 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
     if decoupler.uncertainty is not None:
         n_axes = len(decoupler.component.axes)
         shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
-        shapes |= {"widths": (len(WITHIN), n_axes)}
+        shapes |= {"widths": (len(WITHIN), n_axes), "widths_at_rest": (len(WITHIN), n_axes)}
+        shapes |= {"misfit_at_rest_n2": (n_out,), "light_n2": (1,)}
     if decoupler.least_squares is not None:
         shapes["least_squares"] = (n_in + 1, n_out)
     if decoupler.dead is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from dataset import LabelledData
+from dataset import LabelledData, measured
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, component_named, force_columns, pillar_columns, readable_columns
@@ -31,6 +31,8 @@ from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
+
+AT_REST = 0.1  #: samples at rest that training adds where the response is known, a share of those given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +82,8 @@ def train(
     Notes
     -----
     With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
-    forces less those of the response's inverse, which are added back to the linear weights at the end.
+    forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
+    must not move rest, which data under load do not hold: samples at rest are added.
     """
     started = time.perf_counter()
     parts = component_named(component)
@@ -89,9 +92,13 @@ def train(
     columns = pillar_columns(data.resistance_ohm, parts, data.dead)
     forces = force_columns(data.force_n, parts)
     untrained = _untrained(data, parts, network, columns, forces, response)
+    known = network.feature == "inverse" and network.net == "skip"
+    n_at_rest = max(round(AT_REST * len(columns)), 1) if known else 0
+    if known:
+        columns = np.concatenate([columns, _at_rest(untrained, data.noise, data.bits, n_at_rest)])
+        forces = np.concatenate([forces, np.zeros((n_at_rest, forces.shape[1]))])
     inputs = untrained.inputs(columns)
     targets = untrained.output_scaling.scale(forces)
-    known = network.feature == "inverse" and network.net == "skip"
     if known:
         targets = targets - inputs
     samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
@@ -107,11 +114,11 @@ def train(
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     decoupler = replace(
         trained,
-        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge),
+        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, n_at_rest),
         made_from={
             "recipe": model_recipe(data, component, network, training, response),
             "data_hash": data.content_hash,
-            "n_samples": len(inputs),
+            "n_samples": len(data.force_n),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
@@ -161,6 +168,15 @@ def _untrained(
         dead=dead,
         least_squares=LeastSquares.fitted(data, component),
     )
+
+
+def _at_rest(untrained: Decoupler, noise: float, bits: int | None, n: int) -> FloatArray:
+    """Readings with nothing on the sensor, (n, n_in) [Ω], as the response and the calibration foretell them."""
+    assert untrained.inverse is not None
+    assert untrained.calibration is not None
+    forward, calibration = untrained.inverse.forward, untrained.calibration
+    ohms = forward.resistances(np.zeros((n, forward.n_forces))) * calibration.gain + calibration.offset_ohm
+    return measured(ohms, noise, bits, np.random.default_rng(0))
 
 
 @contextmanager
