@@ -54,7 +54,7 @@ class Uncertainty:
         ridge: float,
         n_at_rest: int = 0,
     ) -> Self:
-        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N], the last `n_at_rest` of them at rest.
+        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N], the last `n_at_rest` at rest.
 
         Notes
         -----
