@@ -39,7 +39,7 @@ def light_touch(decoupler: Decoupler, forward: ForwardModel, noise: float, bits:
     force_n[np.arange(SAMPLES, 2 * SAMPLES), touched] = generator.uniform(0.0, LIGHT_N, SAMPLES)
     ohms = forward.resistances(force_n)
     if decoupler.calibration is not None:
-        ohms = decoupler.calibration.gain * ohms + decoupler.calibration.offset_ohm
+        ohms = decoupler.calibration.shown(ohms)
     ohms = measured(ohms, noise, bits, generator)
     missed = _by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
     rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))

@@ -16,6 +16,7 @@ from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
 from decoupler.model_inverse import ModelInverse
+from decoupler.resting import Resting
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import WITHIN, Uncertainty
@@ -162,6 +163,8 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
         arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
     if decoupler.calibration is not None:
         arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
+    if decoupler.resting is not None:
+        arrays |= {"rest_ohm": decoupler.resting.rest_ohm, "full_counts": decoupler.resting.full_counts}
     if decoupler.uncertainty is not None:
         arrays |= {name: getattr(decoupler.uncertainty, name) for name in _UNCERTAINTY}
     if decoupler.least_squares is not None:
@@ -195,6 +198,8 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
         }
     if decoupler.calibration is not None:
         shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
+    if decoupler.resting is not None:
+        shapes |= {"rest_ohm": (n_in,), "full_counts": (1,)}
     if decoupler.uncertainty is not None:
         n_axes = len(decoupler.component.axes)
         shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
@@ -226,6 +231,9 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     if _UNCERTAINTY[0] in arrays:
         given = {name: arrays[name] for name in _UNCERTAINTY}
         uncertainty = Uncertainty(**given, noise=float(header["noise"]), bits=header["bits"])
+    resting = None
+    if "rest_ohm" in arrays:
+        resting = Resting(rest_ohm=arrays["rest_ohm"], full_counts=arrays["full_counts"])
     component, dead = component_named(header["component"]), arrays.get("dead")
     least_squares = None
     if "least_squares" in arrays:
@@ -242,6 +250,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
         calibration=Calibration(arrays["gain"], arrays["offset_ohm"]) if "gain" in arrays else None,
+        resting=resting,
         dead=dead,
         uncertainty=uncertainty,
         least_squares=least_squares,

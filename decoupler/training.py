@@ -22,6 +22,7 @@ from decoupler.model_file import model_recipe
 from decoupler.model_inverse import ModelInverse, explaining
 from decoupler.momentum import Momentum
 from decoupler.network import Network
+from decoupler.resting import Resting
 from decoupler.ridge import best_ridge
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
@@ -141,13 +142,14 @@ def _untrained(
     response: "ArrayResponse | None",
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
-    inverse = calibration = None
+    inverse = calibration = resting = None
     output_scaling = Scaling.fitted(force_n)
     dead = None if data.dead is None or not data.dead.any() else data.dead
     if network.feature == "inverse":
         readable = readable_columns(component, dead, columns_ohm.shape[1])
         forward = explaining(response, component, columns_ohm, force_n, readable)
         calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
+        resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), data.bits)
         inverse = ModelInverse.about(forward, force_n, readable, data.noise)
         input_scaling = output_scaling
     else:
@@ -165,6 +167,7 @@ def _untrained(
         design=data.design,
         inverse=inverse,
         calibration=calibration,
+        resting=resting,
         dead=dead,
         least_squares=LeastSquares.fitted(data, component),
     )
@@ -174,9 +177,8 @@ def _at_rest(untrained: Decoupler, noise: float, bits: int | None, n: int) -> Fl
     """Readings with nothing on the sensor, (n, n_in) [Ω], as the response and the calibration foretell them."""
     assert untrained.inverse is not None
     assert untrained.calibration is not None
-    forward, calibration = untrained.inverse.forward, untrained.calibration
-    ohms = forward.resistances(np.zeros((n, forward.n_forces))) * calibration.gain + calibration.offset_ohm
-    return measured(ohms, noise, bits, np.random.default_rng(0))
+    rest_ohm = untrained.calibration.shown(untrained.inverse.forward.at_rest_ohm())
+    return measured(np.tile(rest_ohm, (n, 1)), noise, bits, np.random.default_rng(0))
 
 
 @contextmanager
