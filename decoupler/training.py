@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from dataset import LabelledData, measured
+from dataset.protocols import MOST_TOUCHED
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, component_named, force_columns, pillar_columns, readable_columns
@@ -33,7 +34,8 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
-AT_REST = 0.1  #: samples at rest that training adds where the response is known, a share of those given
+LIGHT = 0.1  #: light samples that training adds where the response is known, a share of those given
+TOUCH = 0.05  #: of the largest force: a light touch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,7 @@ def train(
     -----
     With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
-    must not move rest, which data under load do not hold: samples at rest are added.
+    must not move rest, which data under load do not hold: light samples are added.
     """
     started = time.perf_counter()
     parts = component_named(component)
@@ -94,10 +96,11 @@ def train(
     forces = force_columns(data.force_n, parts)
     untrained = _untrained(data, parts, network, columns, forces, response)
     known = network.feature == "inverse" and network.net == "skip"
-    n_at_rest = max(round(AT_REST * len(columns)), 1) if known else 0
+    n_light = 0
     if known:
-        columns = np.concatenate([columns, _at_rest(untrained, data.noise, data.bits, n_at_rest)])
-        forces = np.concatenate([forces, np.zeros((n_at_rest, forces.shape[1]))])
+        light_ohm, light_n = _light(untrained, forces, data.noise, data.bits)
+        n_light = len(light_n)
+        columns, forces = np.concatenate([columns, light_ohm]), np.concatenate([forces, light_n])
     inputs = untrained.inputs(columns)
     targets = untrained.output_scaling.scale(forces)
     if known:
@@ -115,7 +118,7 @@ def train(
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     decoupler = replace(
         trained,
-        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, n_at_rest),
+        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, n_light),
         made_from={
             "recipe": model_recipe(data, component, network, training, response),
             "data_hash": data.content_hash,
@@ -173,12 +176,20 @@ def _untrained(
     )
 
 
-def _at_rest(untrained: Decoupler, noise: float, bits: int | None, n: int) -> FloatArray:
-    """Readings with nothing on the sensor, (n, n_in) [Ω], as the response and the calibration foretell them."""
+def _light(untrained: Decoupler, force_n: FloatArray, noise: float, bits: int | None) -> tuple[FloatArray, FloatArray]:
+    """Light samples, a quarter at rest, as response and calibration foretell them: (n, n_in) [Ω], (n, n_out) [N].
+
+    In each, none to `MOST_TOUCHED` forces are up to `TOUCH` of the largest that training has of them.
+    """
     assert untrained.inverse is not None
     assert untrained.calibration is not None
-    rest_ohm = untrained.calibration.shown(untrained.inverse.forward.at_rest_ohm())
-    return measured(np.tile(rest_ohm, (n, 1)), noise, bits, np.random.default_rng(0))
+    generator = np.random.default_rng(0)
+    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
+    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MOST_TOUCHED + 1, (n, 1))
+    least, most = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
+    light_n = touched * TOUCH * generator.uniform(least, most, (n, n_forces))
+    ohms = untrained.calibration.shown(untrained.inverse.forward.resistances(light_n))
+    return measured(ohms, noise, bits, generator), light_n
 
 
 @contextmanager

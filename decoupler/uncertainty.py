@@ -39,7 +39,7 @@ class Uncertainty:
     misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
     widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
-    misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, with nothing on the sensor
+    misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, at rest and under light touches
     widths_at_rest: FloatArray  #: (2, n_axes)
     light_n2: FloatArray  #: (1,): mean square of the forces of a light training sample [N²]
 
@@ -52,9 +52,9 @@ class Uncertainty:
         noise: float,
         bits: int | None,
         ridge: float,
-        n_at_rest: int = 0,
+        n_light: int = 0,
     ) -> Self:
-        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N], the last `n_at_rest` at rest.
+        """From the training set: readings (n, n_in) [Ω] and forces (n, n_out) [N], the last `n_light` light.
 
         Notes
         -----
@@ -71,17 +71,17 @@ class Uncertainty:
         freedom = 1.0 - leverage - np.count_nonzero(decoupler.hidden_weights) / force_n.size
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
         errors = np.where((freedom > LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
-        n = len(A) - n_at_rest
+        n = len(A) - n_light
         unexplained = (errors[:n] ** 2).mean(axis=0)
         n_axes = len(decoupler.component.axes)
         smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
-        parts = [np.arange(n), np.arange(n, len(A)) if n_at_rest else np.arange(n)]
+        parts = [np.arange(n), np.arange(n, len(A)) if n_light else np.arange(n)]
         misfits, ratios = [], []
         for part in parts:
             some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
             through = _through(decoupler, columns_ohm[some], noise, bits)
             left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
-            if part[0]:  # at rest readings are all alike: what one output misses says little of its next error
+            if part[0]:  # few outputs are touched often: all of an axis together tell more
                 left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
             misfits.append(left + smallest)
             weights_n2 = np.minimum(unexplained * leverage[some, None], decoupler.output_scaling.half_range**2)

@@ -27,7 +27,7 @@ def model():
 
 
 def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(model):
-    """10 kΩ before 10 kΩ is the worst place: the border of two counts. What is left is the calibration's error, from 300 samples."""
+    """10 kΩ before 10 kΩ is the worst place, between two counts. The calibration of 300 samples leaves a fifth."""
     rest_ohm = np.full((1, 2, 3, 3), 1e4)
     read_ohm = measured(rest_ohm, 0.0, 12, RNG)
     assert np.abs(read_ohm - rest_ohm).min() > 4.8
