@@ -21,7 +21,7 @@ from studies.pipeline import CAP, SPLITS, Stage
 def show(table: Table) -> None:
     """Print a table on stdout, as wide as it needs where stdout is no terminal."""
     console = Console()
-    console.print(table) if console.is_terminal else Console(width=120).print(table)
+    console.print(table) if console.is_terminal else Console(width=124).print(table)
 
 
 def comparison_table(comparisons: list[Comparison]) -> Table:
