@@ -42,7 +42,10 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
 
-Protocol = Literal["independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis"]
+Protocol = Literal[
+    "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
+    "light-fz", "light-fx", "light",
+]  # fmt: skip
 Component = Literal["fz", "fx", "fy", "all"]
 
 UnstatedOption = Annotated[

@@ -15,11 +15,11 @@ from geometry.layout import unit_centres
 
 
 def draw_protocols(design: SensorDesign, path: Path, seed: int = 1) -> None:
-    """Draw the first loads that each protocol draws: pressure in colour, shear as arrows; write a PNG."""
+    """Draw the first loads of each of the first six protocols: pressure in colour, shear as arrows; write a PNG."""
     figure, panels = plt.subplots(2, 3, figsize=(10, 6.6), layout="constrained")
     x, y = unit_centres(design).T
     extent = np.array([-1, 1, -1, 1]) / 2 * np.repeat(design.slab_mm[:2], 2)
-    for axes, (name, protocol) in zip(panels.flat, PROTOCOLS.items(), strict=True):
+    for axes, (name, protocol) in zip(panels.flat, PROTOCOLS.items(), strict=False):  # light ones would not be seen
         shear_x, shear_y, push = protocol.draw(np.random.default_rng(seed), 1, design)[0].T
         pressure = -push.reshape(design.array.rows, design.array.cols)
         image = axes.imshow(

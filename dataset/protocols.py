@@ -1,4 +1,4 @@
-"""Load protocols: random tractions on every pad, the way the paper loads its sensor and two ways it does not.
+"""Load protocols: random tractions on every pad, the way the paper loads its sensor and ways it does not.
 
 Each protocol is a function of a random generator, a number of samples and a design, and gives tractions of
 shape (n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing down. Ranges are the paper's:
@@ -19,6 +19,8 @@ NORMAL_PRELOAD_MPA = 0.5  #: light pressure on pads that no indenter touches: a 
 TANGENTIAL_PRELOAD_MPA = 0.1  #: the same for shear
 FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
 MOST_INDENTERS = 3
+LIGHT_N = 10.0  #: largest force of a light touch, the paper's smallest range
+MOST_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
 INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
 
 Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
@@ -76,6 +78,33 @@ def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) ->
     return traction
 
 
+def _light_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    traction[..., 2] = -_touches(generator, n, design)
+    return traction
+
+
+def _light_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    traction = np.zeros((n, design.n_units, 3))
+    traction[..., 0] = _touches(generator, n, design)
+    return traction
+
+
+def _light(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    pressure = _touches(generator, n, design)
+    traction = np.empty((n, design.n_units, 3))
+    traction[..., :2] = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
+    traction[..., 2] = -pressure
+    return traction
+
+
+def _touches(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+    """Tractions of 0 to `LIGHT_N` on none to `MOST_TOUCHED` pads of each sample, shape (n, n_units) [MPa]."""
+    number = generator.integers(0, MOST_TOUCHED + 1, (n, 1))
+    rank = generator.random((n, design.n_units)).argsort(axis=1)
+    return (rank < number) * generator.uniform(0.0, LIGHT_N, rank.shape) / design.pad.size_mm**2
+
+
 def _indenters(
     generator: np.random.Generator,
     n: int,
@@ -120,4 +149,7 @@ PROTOCOLS = {
     "contact-fx": Protocol("1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx),
     "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
     "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
+    "light-fz": Protocol("nothing, or 0-10 N of pressure on 1-3 pads", ("z",), _light_fz),
+    "light-fx": Protocol("nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), _light_fx),
+    "light": Protocol("nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light),
 }

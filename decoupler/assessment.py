@@ -10,6 +10,7 @@ from decoupler.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.components import force_columns, readable_columns
 from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
+from decoupler.light_touch import LightTouch, light_touch
 from decoupler.limits import bayes, cramer_rao
 from decoupler.metrics import ForceErrors, component_errors
 from geometry.layout import AXES, FloatArray
@@ -37,12 +38,13 @@ class Assessment:
     ratio: float | None  #: error over the lower bound without bias; None without noise
     baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
     coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % deviation
+    light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
 def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
-    `response` is that of the sensor; without it there are no limits.
+    `response` is that of the sensor; without it there are no limits, and nothing is known of light touches.
 
     Raises
     ------
@@ -60,6 +62,9 @@ def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | 
         baselines[LINEAR] = decoupler.least_squares.forces(resistance_ohm)
     compared = {name: component_errors(forces, data, component) for name, forces in baselines.items()}
     limits = _limits(decoupler, data, response)
+    light = None
+    if response is not None:
+        light = light_touch(decoupler, ForwardModel.of(response, component), data.noise, data.bits)
     covered = None
     if decoupler.uncertainty is not None:
         missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
@@ -73,6 +78,7 @@ def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | 
             ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
             baselines={label: by_force[name] for label, by_force in compared.items()},
             coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
+            light=None if light is None else light[name],
         )
     return found
 
@@ -110,6 +116,7 @@ def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:
             "ratio": one.ratio,
             "baselines": {label: asdict(errors) for label, errors in one.baselines.items()},
             "coverage": one.coverage,
+            "light": None if one.light is None else asdict(one.light),
         }
         for name, one in assessed.items()
     }

@@ -45,6 +45,10 @@ class Calibration:
         determinant = a * d - b * b
         return cls(1.0 + (d * p - b * q) / determinant, (a * q - b * p) / determinant)
 
+    def shown(self, modelled_ohm: FloatArray) -> FloatArray:
+        """What this sensor shows where one as designed has these resistances, (..., n_pillars) [Ω]."""
+        return self.gain * modelled_ohm + self.offset_ohm
+
     def modelled(self, measured_ohm: FloatArray) -> FloatArray:
         """What a sensor as designed would show, (n, n_pillars) [Ω]; kept above 0."""
         modelled = measured_ohm - self.offset_ohm

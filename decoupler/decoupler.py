@@ -15,6 +15,7 @@ from decoupler.components import Component, pillar_columns
 from decoupler.errors import SampleError
 from decoupler.limits import cramer_rao
 from decoupler.model_inverse import ModelInverse
+from decoupler.resting import Resting
 from decoupler.rowwise import in_blocks, rowwise
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig
@@ -42,6 +43,7 @@ class Decoupler:
     design: SensorDesign | None  #: of the training data; None if they did not say
     inverse: ModelInverse | None = None  #: of the known response; with the feature `inverse`
     calibration: Calibration | None = None  #: of this very sensor; None for one as designed
+    resting: Resting | None = None  #: of a sensor read by a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: of its forces
     least_squares: LeastSquares | None = None  #: the mark to beat, fitted to the same data
@@ -190,6 +192,8 @@ class Decoupler:
 
     def inputs(self, columns_ohm: FloatArray) -> FloatArray:
         """What the hidden layer sees of resistances, each (n, n_in): the feature, scaled."""
+        if self.resting is not None:
+            columns_ohm = self.resting.settled(columns_ohm)
         if self.calibration is not None:
             columns_ohm = self.calibration.modelled(columns_ohm)
         if self.inverse is not None:

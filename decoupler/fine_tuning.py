@@ -11,6 +11,7 @@ from decoupler.components import force_columns
 from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
+from decoupler.resting import Resting
 from decoupler.ridge import best_ridge
 from decoupler.samples import distinct, load_numbers, over_loads, without_stuck
 from decoupler.uncertainty import LEAST_FREEDOM
@@ -59,7 +60,8 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
         raise SampleError(f"the pairs hold {forces.shape[1]} forces, the model {forward.n_forces}: measure this array.")
     _require_alive(pairs, decoupler, forward)
     calibration = Calibration.fitted(columns, forward.resistances(forces), pairs.noise)
-    tuned = replace(decoupler, calibration=calibration)
+    resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), pairs.bits)
+    tuned = replace(decoupler, calibration=calibration, resting=resting)
     if len(forces) >= LEAST_PAIRS:
         tuned = _nearer(tuned, columns, forces, load_numbers(pairs.force_n))
     if tuned.uncertainty is not None:

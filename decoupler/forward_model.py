@@ -77,6 +77,10 @@ class ForwardModel:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
         return np.sqrt(resistance_ohm / self.ohm_per_mm2)
 
+    def at_rest_ohm(self) -> FloatArray:
+        """Resistance of each pillar without any force, (n_pillars,) [Ω]."""
+        return self.resistances(np.zeros((1, self.n_forces)))[0]
+
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths (n, n_pillars) [mm] and their derivatives (n, n_pillars, n_forces) [mm/N]."""
         vectors, lengths = self.vectors(force_n), self.lengths(force_n)

@@ -16,6 +16,7 @@ from decoupler.components import component_named
 from decoupler.decoupler import Decoupler
 from decoupler.forward_model import ForwardModel
 from decoupler.model_inverse import ModelInverse
+from decoupler.resting import Resting
 from decoupler.scaling import Scaling
 from decoupler.settings import NetworkConfig, TrainingConfig
 from decoupler.uncertainty import WITHIN, Uncertainty
@@ -30,10 +31,28 @@ if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 3  #: raise when the same settings train other weights, so that old models are not reused
+METHOD = 4  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
-_UNCERTAINTY = ("inverse_matrix", "misfit_n2", "unexplained_n2", "widths")
-_NOT_BELOW_0 = {"input_half_range", "output_half_range", "ohm_per_mm2", "misfit_n2", "unexplained_n2", "widths"}
+_UNCERTAINTY = (
+    "inverse_matrix",
+    "misfit_n2",
+    "unexplained_n2",
+    "widths",
+    "misfit_at_rest_n2",
+    "widths_at_rest",
+    "light_n2",
+)
+_NOT_BELOW_0 = {
+    "input_half_range",
+    "output_half_range",
+    "ohm_per_mm2",
+    "misfit_n2",
+    "unexplained_n2",
+    "widths",
+    "misfit_at_rest_n2",
+    "widths_at_rest",
+    "light_n2",
+}
 _MEND = "give a file made by 'tripillar train'"
 
 
@@ -163,6 +182,8 @@ def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
         arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
     if decoupler.calibration is not None:
         arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
+    if decoupler.resting is not None:
+        arrays |= {"rest_ohm": decoupler.resting.rest_ohm, "full_counts": decoupler.resting.full_counts}
     if decoupler.uncertainty is not None:
         arrays |= {name: getattr(decoupler.uncertainty, name) for name in _UNCERTAINTY}
     if decoupler.least_squares is not None:
@@ -196,10 +217,13 @@ def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
         }
     if decoupler.calibration is not None:
         shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
+    if decoupler.resting is not None:
+        shapes |= {"rest_ohm": (n_in,), "full_counts": (1,)}
     if decoupler.uncertainty is not None:
         n_axes = len(decoupler.component.axes)
         shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
-        shapes |= {"widths": (len(WITHIN), n_axes)}
+        shapes |= {"widths": (len(WITHIN), n_axes), "widths_at_rest": (len(WITHIN), n_axes)}
+        shapes |= {"misfit_at_rest_n2": (n_out,), "light_n2": (1,)}
     if decoupler.least_squares is not None:
         shapes["least_squares"] = (n_in + 1, n_out)
     if decoupler.dead is not None:
@@ -231,6 +255,9 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     if _UNCERTAINTY[0] in arrays:
         given = {name: arrays[name] for name in _UNCERTAINTY}
         uncertainty = Uncertainty(**given, noise=header["noise"], bits=header["bits"])
+    resting = None
+    if "rest_ohm" in arrays:
+        resting = Resting(rest_ohm=arrays["rest_ohm"], full_counts=arrays["full_counts"])
     component, dead = component_named(header["component"]), arrays.get("dead")
     least_squares = None
     if "least_squares" in arrays:
@@ -247,6 +274,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
         calibration=Calibration(arrays["gain"], arrays["offset_ohm"]) if "gain" in arrays else None,
+        resting=resting,
         dead=dead,
         uncertainty=uncertainty,
         least_squares=least_squares,

@@ -26,11 +26,14 @@ if TYPE_CHECKING:
 #: it explains 0.83, with those of an eighth less 0.99; noise of 1 % leaves 0.93 and more
 LEAST_EXPLAINED = 0.9
 SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, the body is softer or stiffer
-MOST_STEPS = 6  #: corrections; each divides the error by three to five and costs a fifth of a scan's time
-ENOUGH = 1e-3  #: of the forces' spread: what may be left when corrections end sooner
+MOST_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
+ENOUGH = 8e-4  #: of the forces' spread: what may be left under load when corrections end sooner
+ENOUGH_AT_REST = 1e-4  #: of the same: what may be left with nothing on the sensor
 LEAST_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
-LOADS = 4000  #: that the corrections are fitted to
-HELD = 1e-2  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
+LOADS = 4000  #: of the usual ones that the corrections are fitted to
+LIGHTER = 0.03  #: weight of as many lighter loads
+SCATTER = 0.02  #: of the forces' spread, added to each force: single touches, which indenters do not hold
+HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,31 +47,35 @@ class ModelInverse:
 
     @classmethod
     def about(cls, forward: ForwardModel, force_n: FloatArray, readable: NDArray[np.bool_], noise: float) -> Self:
-        """The inverse for loads like those of training, shape (n, n_forces) [N].
+        """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
 
         `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
         relative.
 
         Notes
         -----
-        Cₖ is the least-squares map from what the lengths still miss to what the forces still miss, over the training
-        forces after k corrections, by a ridge held to the tangent at their mean: what a length misses by less than its
-        noise says nothing. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is
-        kept where pillars cannot be read, since there the lengths would be asked for more than they can tell.
+        Cₖ is the least-squares map from what the lengths still miss to what the forces still miss after k corrections,
+        by a ridge held to the tangent at their mean. It is fitted to the training forces, to the same made lighter, and
+        to rest, which weighs as much as all of them: a map of so many numbers meets one more point at little cost
+        elsewhere. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is kept
+        where pillars cannot be read, since there the lengths would be asked for more than they can tell.
         """
         centre = force_n.mean(axis=0)
         unsure_mm = max(0.5 * noise, LEAST_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
         tangent = _tangent(forward, centre, force_n, readable, unsure_mm)
-        force_n = _enough_loads(force_n)
-        lengths = forward.lengths(force_n)
-        found = np.broadcast_to(centre, force_n.shape)
+        usual_n = _enough_loads(force_n)
+        loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
+        spread_n = np.std(usual_n - centre)
+        lengths = forward.lengths(loads_n)
+        found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
-        while len(correctors) < MOST_STEPS and np.std(force_n - found) > ENOUGH * np.std(force_n - centre):
+        while len(correctors) < MOST_STEPS and not _near(loads_n - found, len(usual_n), spread_n):
             residual = np.where(readable, lengths - forward.lengths(found), 0.0)
-            missing = force_n - found - residual @ tangent
-            G = residual.T @ residual
-            G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G) + len(force_n) * unsure_mm**2
-            correctors.append(tangent + (np.linalg.solve(G, residual.T @ missing) if readable.all() else 0.0))
+            weighted = weight[:, None] * residual
+            G = residual.T @ weighted
+            G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
+            missing = loads_n - found - residual @ tangent
+            correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
             found = found + residual @ correctors[-1]
         centre_mm = forward.lengths(centre[None])[0]
         return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
@@ -102,6 +109,28 @@ def _enough_loads(force_n: FloatArray) -> FloatArray:
     n = LOADS - len(force_n)
     one, other = force_n[generator.integers(len(force_n), size=(2, n))]
     return np.concatenate([force_n, one + generator.uniform(0.0, 1.0, (n, 1)) * (other - one)])
+
+
+def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The usual loads (n, n_forces) [N], n that are lighter, and last rest; the weight of each.
+
+    All but rest are scattered: each force by itself, and by what errors of the lengths would seem to say.
+    """
+    n, n_forces = usual_n.shape
+    generator = np.random.default_rng(1)
+    loads_n = np.concatenate([usual_n, usual_n * generator.uniform(0.0, 1.0, (n, 1))])
+    loads_n += SCATTER * np.std(usual_n - usual_n.mean(axis=0)) * generator.standard_normal(loads_n.shape)
+    loads_n += (unsure_mm * generator.standard_normal((2 * n, len(unsure_mm)))) @ tangent
+    weight = np.repeat([1.0, LIGHTER, (1.0 + LIGHTER) * n], [n, n, 1])
+    return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
+
+
+def _near(missed_n: FloatArray, n_usual: int, spread_n: float) -> bool:
+    """Whether corrections have come near enough under the usual loads, which are first, and at rest, which is last."""
+    return bool(
+        np.std(missed_n[:n_usual]) <= ENOUGH * spread_n
+        and np.sqrt(np.mean(missed_n[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
+    )
 
 
 def _tangent(

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset import LabelledData
+from dataset import LabelledData, measured
+from dataset.protocols import MOST_TOUCHED
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
 from decoupler.components import Component, component_named, force_columns, pillar_columns, readable_columns
@@ -24,6 +25,7 @@ from decoupler.model_file import model_recipe
 from decoupler.model_inverse import ModelInverse, explaining
 from decoupler.momentum import Momentum
 from decoupler.network import Network
+from decoupler.resting import Resting
 from decoupler.ridge import best_ridge
 from decoupler.samples import distinct, load_numbers, without_stuck
 from decoupler.scaling import Scaling
@@ -34,6 +36,9 @@ from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
+
+LIGHT = 0.1  #: light samples that training adds where the response is known, a share of those given
+TOUCH = 0.05  #: of the largest force: a light touch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +88,8 @@ def train(
     Notes
     -----
     With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
-    forces less those of the response's inverse, which are added back to the linear weights at the end.
+    forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
+    must not move rest, which data under load do not hold: light samples are added.
     """
     started = time.perf_counter()
     parts = component_named(component)
@@ -94,9 +100,14 @@ def train(
     columns = pillar_columns(data.resistance_ohm, parts, data.dead)
     forces = force_columns(data.force_n, parts)
     untrained = _untrained(data, parts, network, columns, forces, response)
+    known = network.feature == "inverse" and network.net == "skip"
+    n_light = 0
+    if known:
+        light_ohm, light_n = _light(untrained, forces, data.noise, data.bits)
+        n_light = len(light_n)
+        columns, forces = np.concatenate([columns, light_ohm]), np.concatenate([forces, light_n])
     inputs = untrained.inputs(columns)
     targets = untrained.output_scaling.scale(forces)
-    known = network.feature == "inverse" and network.net == "skip"
     if known:
         targets = targets - inputs
     samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
@@ -104,6 +115,7 @@ def train(
     if known:
         torch.nn.init.zeros_(model.output)  # what is known is the start
     load = load_numbers(data.force_n)
+    load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
     with _one_torch_thread():
         readings = len(load) / (load.max() + 1)
         ridge = best_ridge(samples.linear.numpy(), targets, readings) if known else _ridge(network, len(inputs))
@@ -114,11 +126,11 @@ def train(
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     decoupler = replace(
         trained,
-        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, load),
+        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
         made_from={
             "recipe": model_recipe(given, component, network, training, response),
             "data_hash": given.content_hash,
-            "n_samples": len(inputs),
+            "n_samples": len(data.force_n),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
@@ -141,13 +153,14 @@ def _untrained(
     response: "ArrayResponse | None",
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
-    inverse = calibration = None
+    inverse = calibration = resting = None
     output_scaling = Scaling.fitted(force_n)
     dead = None if data.dead is None or not data.dead.any() else data.dead
     if network.feature == "inverse":
         readable = readable_columns(component, dead, columns_ohm.shape[1])
         forward = explaining(response, component, columns_ohm, force_n, readable)
         calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
+        resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), data.bits)
         inverse = ModelInverse.about(forward, force_n, readable, data.noise)
         input_scaling = output_scaling
     else:
@@ -165,9 +178,26 @@ def _untrained(
         design=data.design,
         inverse=inverse,
         calibration=calibration,
+        resting=resting,
         dead=dead,
         least_squares=LeastSquares.fitted(data, component),
     )
+
+
+def _light(untrained: Decoupler, force_n: FloatArray, noise: float, bits: int | None) -> tuple[FloatArray, FloatArray]:
+    """Light samples, a quarter at rest, as response and calibration foretell them: (n, n_in) [Ω], (n, n_out) [N].
+
+    In each, none to `MOST_TOUCHED` forces are up to `TOUCH` of the largest that training has of them.
+    """
+    assert untrained.inverse is not None
+    assert untrained.calibration is not None
+    generator = np.random.default_rng(0)
+    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
+    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MOST_TOUCHED + 1, (n, 1))
+    least, most = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
+    light_n = touched * TOUCH * generator.uniform(least, most, (n, n_forces))
+    ohms = untrained.calibration.shown(untrained.inverse.forward.resistances(light_n))
+    return measured(ohms, noise, bits, generator), light_n
 
 
 @contextmanager

@@ -21,6 +21,7 @@ MANY_TIMES = 3.0  #: errors of an output over the usual, to distrust it
 LEAST_SHARE = 0.05  #: of half its range, to distrust an output where the usual is only known from the others
 BEST = 0.1  #: share of the outputs of an axis that are held to be as good as without dead pillars
 LEAST_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
+LIGHT = 0.05  #: share of the training samples that bear less than what counts as load
 LEAST_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
 
 
@@ -31,7 +32,7 @@ class Uncertainty:
     variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations
     of the sample and A those of the training set: the Gauss-Newton matrix of the output layer; no more than half the
     force's range squared, as unknown as before training. Scaled so that the shares `WITHIN` of leave-one-out errors lie
-    within.
+    within. Misfit and scale go from those at rest to those under load with the square of the forces.
     """
 
     noise: float  #: of the training readings, relative
@@ -40,6 +41,9 @@ class Uncertainty:
     misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
     widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
+    misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, at rest and under light touches
+    widths_at_rest: FloatArray  #: (2, n_axes)
+    light_n2: FloatArray  #: (1,): mean square of the forces of a light training sample [N²]
 
     def __post_init__(self) -> None:
         if not isinstance(self.noise, float | int) or not 0 <= self.noise < np.inf:
@@ -57,8 +61,11 @@ class Uncertainty:
         bits: int | None,
         ridge: float,
         load: NDArray[np.int64],
+        n_light: int = 0,
     ) -> Self:
         """From the training set: readings (n, n_in) [Ω], forces (n, n_out) [N] and the number of its load (n,).
+
+        The last `n_light` samples are light.
 
         Notes
         -----
@@ -77,39 +84,51 @@ class Uncertainty:
         freedom = 1.0 - over_loads(leverage + shared, load)
         errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
         errors = np.where((freedom > LEAST_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
-        unexplained = (errors**2).mean(axis=0)
-        some = np.linspace(0, len(A) - 1, min(ENOUGH_SAMPLES, len(A))).astype(int)
-        through = _through(decoupler, columns_ohm[some], noise, bits)
-        smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
-        misfit = np.maximum(unexplained - through.mean(axis=0), 0.0) + smallest
+        n = len(A) - n_light
+        unexplained = (errors[:n] ** 2).mean(axis=0)
         n_axes = len(decoupler.component.axes)
-        normal = cls(
+        smallest = (LEAST_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
+        parts = [np.arange(n), np.arange(n, len(A)) if n_light else np.arange(n)]
+        misfits, ratios = [], []
+        for part in parts:
+            some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
+            through = _through(decoupler, columns_ohm[some], noise, bits)
+            left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
+            if part[0]:  # few outputs are touched often: all of an axis together tell more
+                left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
+            misfits.append(left + smallest)
+            weights_n2 = np.minimum(unexplained * leverage[some, None], decoupler.output_scaling.half_range**2)
+            deviation = np.sqrt(through + misfits[-1] + weights_n2)
+            ratios.append(np.abs(errors[some] / deviation).reshape(-1, n_axes))
+        widths = [
+            np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
+            for ratio in ratios
+        ]
+        return cls(
             noise=noise,
             bits=bits,
             inverse_matrix=G,
-            misfit_n2=misfit,
+            misfit_n2=misfits[0],
             unexplained_n2=unexplained,
-            widths=np.ones((len(WITHIN), n_axes)),
+            widths=widths[0],
+            misfit_at_rest_n2=misfits[1],
+            widths_at_rest=widths[1],
+            light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
         )
-        deviation = normal._deviation(through, leverage[some], decoupler.output_scaling.half_range)
-        ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
-        widths = np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
-        return replace(normal, widths=widths)
-
-    def _deviation(self, through_n2: FloatArray, leverage: FloatArray, half_range_n: FloatArray) -> FloatArray:
-        """Standard deviations (n, n_out) [N] before widening."""
-        weights_n2 = np.minimum(self.unexplained_n2 * leverage[:, None], half_range_n**2)
-        return np.sqrt(through_n2 + self.misfit_n2 + weights_n2)
 
     def deviations(self, decoupler: "Decoupler", columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of errors, each (n, n_out) [N], for readings (n, n_in) [Ω]."""
         A = decoupler.activations(columns_ohm)
-        through = _through(decoupler, columns_ohm, self.noise, self.bits)
-        leverage = _leverage(A, self.inverse_matrix)
-        deviation = self._deviation(through, leverage, decoupler.output_scaling.half_range)
-        by_axis = deviation.reshape(len(deviation), -1, self.widths.shape[1])
+        force_n = decoupler.output_scaling.unscale(A @ decoupler.output_weights.T)
+        load = np.minimum((force_n**2).mean(axis=1, keepdims=True) / np.maximum(self.light_n2, 1e-300), 1.0)
+        weights_n2 = self.unexplained_n2 * _leverage(A, self.inverse_matrix)[:, None]
+        variance = _through(decoupler, columns_ohm, self.noise, self.bits)
+        variance += self.misfit_at_rest_n2 + load * (self.misfit_n2 - self.misfit_at_rest_n2)
+        variance += np.minimum(weights_n2, decoupler.output_scaling.half_range**2)
+        deviation = np.sqrt(variance).reshape(len(A), -1, self.widths.shape[1])
         one, two = (
-            k * (by_axis * width).reshape(deviation.shape) for k, width in zip((1, 2), self.widths, strict=True)
+            k * (deviation * (at_rest + load * (width - at_rest))[:, None]).reshape(variance.shape)
+            for k, at_rest, width in zip((1, 2), self.widths_at_rest, self.widths, strict=True)
         )
         return one, two
 
@@ -117,14 +136,16 @@ class Uncertainty:
         self, decoupler: "Decoupler", columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
     ) -> Self:
         """The same for another sensor and its noise, wider if its pairs (n, n_in) [Ω], (n, n_out) [N] say so."""
-        changed = replace(self, noise=noise, bits=bits, widths=np.ones_like(self.widths))
+        one = np.ones_like(self.widths)
+        changed = replace(self, noise=noise, bits=bits, widths=one, widths_at_rest=one)
         errors = np.abs(decoupler.outputs(columns_ohm) - force_n)
         n_axes = self.widths.shape[1]
         scales = [
             np.quantile((errors / width).reshape(-1, n_axes), share, axis=0)
             for share, width in zip(WITHIN, changed.deviations(decoupler, columns_ohm), strict=True)
         ]
-        return replace(changed, widths=np.maximum(np.stack(scales), 1.0))
+        wider = np.maximum(np.stack(scales), 1.0)
+        return replace(changed, widths=wider, widths_at_rest=wider)
 
     def untrusted(self, half_range_n: FloatArray, least_n: FloatArray | None = None) -> NDArray[np.bool_]:
         """Which outputs (n_out,) dead pillars leave unsure.

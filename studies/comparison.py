@@ -7,7 +7,11 @@ from dataset.labelled import LabelledData
 from decoupler.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.decoupler import Decoupler
 from decoupler.floor import pca_floor
+from decoupler.forward_model import ForwardModel
+from decoupler.light_touch import light_touch
 from decoupler.metrics import ForceErrors, component_errors
+from fem.response import ArrayResponse
+from studies.manufactured import errors_as_made
 from studies.paper.printed import MEAN_OVER_WIDTHS
 
 PAPER_CAP = 0.3  #: strain of the paper's data beside which ours are set
@@ -19,6 +23,9 @@ class Entry:
 
     decoupler: str
     errors: ForceErrors
+    at_rest_n: float | None  #: root mean square with nothing on the sensor [N]; None of what is no network
+    as_made: ForceErrors | None  #: on the sensor as manufacturing would make it
+    as_made_tuned: ForceErrors | None  #: the same after a few measured pairs
     made_from: dict[str, Any]  #: how a network was trained; empty for the others
 
 
@@ -34,8 +41,18 @@ class Comparison:
     entries: list[Entry]
 
 
-def compare(protocol: str, training: LabelledData, test: LabelledData, models: dict[str, Decoupler]) -> Comparison:
-    """Errors of networks and of the two marks they must beat: eq. 8, and least squares on √R."""
+def compare(
+    protocol: str,
+    training: LabelledData,
+    test: LabelledData,
+    models: dict[str, Decoupler],
+    response: ArrayResponse,
+    truth: ArrayResponse,
+) -> Comparison:
+    """Errors of networks and of the two marks they must beat: eq. 8, and least squares on √R.
+
+    `response` is of the sensor as designed, which made the data; `truth` of the sensor as made (`manufactured`).
+    """
     component = next(iter(models.values())).component
     narrow = min(model.network.hidden for model in models.values() if model.network.net == "plain")
     (name,) = component.forces
@@ -44,6 +61,9 @@ def compare(protocol: str, training: LabelledData, test: LabelledData, models: d
         predictions[HOOKE] = hooke_forces(test.resistance_ohm, test.design, component)
     predictions[LINEAR] = LeastSquares.fitted(training, component).forces(test.resistance_ohm)
     predictions |= {label: model.forces(test.resistance_ohm) for label, model in models.items()}
+    forward = ForwardModel.of(response, component)
+    at_rest = {label: light_touch(model, forward, 0.0, None)[name].at_rest_rmse_n for label, model in models.items()}
+    made = errors_as_made(models, truth, response, protocol, len(test.force_n))
     return Comparison(
         protocol=protocol,
         component=name,
@@ -54,6 +74,9 @@ def compare(protocol: str, training: LabelledData, test: LabelledData, models: d
             Entry(
                 decoupler=label,
                 errors=component_errors(forces, test, component)[name],
+                at_rest_n=at_rest.get(label),
+                as_made=made[label].untuned[name] if label in made else None,
+                as_made_tuned=made[label].tuned[name] if label in made else None,
                 made_from=models[label].made_from if label in models else {},
             )
             for label, forces in predictions.items()

@@ -5,7 +5,7 @@ whose file states the wanted one is skipped and says so.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -28,6 +28,7 @@ from geometry.mesh import sensor_mesh, suited_settings
 from geometry.quality import quality
 from geometry.seal import opened_json, say_made_anew, sealed_json
 from studies.comparison import Comparison, compare
+from studies.manufactured import SETTINGS, as_made
 from studies.progress import Bars
 from studies.writing import write_json, write_text
 
@@ -94,8 +95,10 @@ def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False
         return Outcome(stages=stages, comparisons=[])
     stage, models = train_networks(response, out, bars)
     stages.append(stage)
+    stage, truth = respond(as_made(design), bars, SETTINGS)
+    stages.append(replace(stage, name="as made"))
     comparisons = [
-        compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol])
+        compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol], response, truth)
         for protocol, test in ((p, read_labelled(_dataset_path(out, p, "test"))) for p in STUDIED)
     ]
     outcome = Outcome(stages=stages, comparisons=comparisons)

@@ -14,28 +14,38 @@ from decoupler.metrics import ForceErrors
 from fem.solution import Solution
 from geometry.layout import AXES
 from studies.comparison import Comparison
+from studies.manufactured import PAIRS
 from studies.pipeline import CAP, SPLITS, Stage
 
 
 def show(table: Table) -> None:
     """Print a table on stdout, as wide as it needs where stdout is no terminal."""
     console = Console()
-    console.print(table) if console.is_terminal else Console(width=120).print(table)
+    console.print(table) if console.is_terminal else Console(width=124).print(table)
 
 
 def comparison_table(comparisons: list[Comparison]) -> Table:
     """Errors of every decoupler on every protocol's test samples, beside the paper's."""
     (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
-    table = Table(title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%})")
+    table = Table(
+        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%})",
+        caption="Test samples come from the response that ours starts from; at rest, nothing is on the sensor.\n"
+        "As made: relative error on a sensor whose geometry, rubber, gains and offsets are a little off,\n"
+        f"with noise of 0.1 % and 12 bits; tuned: after {PAIRS} measured pairs of it",
+    )
     table.add_column("data")
     table.add_column("decoupler")
-    for header in ("relative error", "RMSE [N]", "% of full scale"):
+    for header in ("rel. error", "RMSE [N]", "% of full scale", "at rest [N]", "as made", "tuned"):
         table.add_column(header, justify="right")
     for comparison in comparisons:
-        title = f"{comparison.protocol}, {comparison.component.capitalize()}"
-        table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}", "", "")
+        title = comparison.protocol
+        table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}")
         for entry in comparison.entries:
-            table.add_row("", entry.decoupler, *_error_cells(entry.errors))
+            at_rest = "" if entry.at_rest_n is None else f"{entry.at_rest_n:.3f}"
+            made = [
+                f"{errors.rel_err:.2%}" for errors in (entry.as_made, entry.as_made_tuned) if errors and errors.rel_err
+            ]
+            table.add_row("", entry.decoupler, *_error_cells(entry.errors), at_rest, *made)
         floor = f"PCA floor of {comparison.floor_hidden} nodes"
         table.add_row("", floor, *_error_cells(comparison.plain_floor), style="dim", end_section=True)
     return table
@@ -69,6 +79,11 @@ def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
             table.add_row("", "limit knowing the usual loads", "", f"{one.limits.bayes_n:.3f}", "", "", style="dim")
         for label, errors in one.baselines.items():
             table.add_row("", label, *_error_cells(errors), "")
+        if one.light is not None:
+            light, limit = one.light, one.light.touch_limit_n
+            times = "–" if limit is None else f"{light.touch_rmse_n / limit:.3f}"
+            table.add_row("", "this model with nothing on the sensor", "", f"{light.at_rest_rmse_n:.3f}", "", "")
+            table.add_row("", "this model under 0-10 N on one pad", "", f"{light.touch_rmse_n:.3f}", "", times)
         table.add_section()
     return table
 

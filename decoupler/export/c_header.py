@@ -8,11 +8,13 @@ from textwrap import fill
 
 import numpy as np
 
+from dataset.measurement import SENSE_OHM
 from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.errors import ExportError
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
+from decoupler.resting import HALF_STEP, MOST
 from geometry.layout import PILLARS, FloatArray
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
@@ -45,14 +47,14 @@ this file:
 """
 
 _FUNCTION = """\
-/* Forces [N] of one scan.
+$resting/* Forces [N] of one scan.
    resistance_ohm[TRIPILLAR_RESISTANCES]: by row, column and pillar (z, x, y) [ohm], each finite and above 0; dead
    pillars and those that the model does not take may hold anything.
    force_n[TRIPILLAR_FORCES]: by row, column and axis ($axes) [N]. */
 static inline void tripillar_forces(const $real *resistance_ohm, $real *force_n)
 {
     $real input[TRIPILLAR_INPUTS], hidden[TRIPILLAR_HIDDEN];
-$workspace    for (int i = 0; i < TRIPILLAR_INPUTS; i++) {
+$workspace$counting    for (int i = 0; i < TRIPILLAR_INPUTS; i++) {
 $reading    }
 $inverse    for (int i = 0; i < TRIPILLAR_INPUTS; i++)
         input[i] = (input[i] - TRIPILLAR_READ(tripillar_input_centre[i])) * TRIPILLAR_READ(tripillar_input_factor[i]);
@@ -76,6 +78,29 @@ $skip        force_n[k] = sum;
 _SKIP = """\
         for (int i = 0; i < TRIPILLAR_INPUTS; i++)
             sum += TRIPILLAR_READ(tripillar_output[k][TRIPILLAR_HIDDEN + i]) * input[i];
+"""
+
+#: as Resting.settled
+_RESTING = """\
+/* Whether a converter cannot tell a reading [ohm] of input i from rest. */
+static inline int tripillar_rests(const $real *resistance_ohm, int i)
+{
+    const $real rest = TRIPILLAR_READ(tripillar_rest_ohm[i]);
+$given    const $real share = fabs$f($sense / (ohm + $sense) - $sense / (rest + $sense));
+    return share * TRIPILLAR_READ(tripillar_full_counts[0]) <= $half;
+}
+
+"""
+
+_COUNTING = """\
+    int resting = 0;
+    for (int i = 0; i < TRIPILLAR_INPUTS; i++)
+        resting += tripillar_rests(resistance_ohm, i);
+"""
+
+_SETTLED = """\
+        if (resting > $most * TRIPILLAR_INPUTS && tripillar_rests(resistance_ohm, i))
+            ohm = TRIPILLAR_READ(tripillar_rest_ohm[i]);
 """
 
 _CALIBRATION = """\
@@ -176,6 +201,10 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     reading = "        $real ohm = resistance_ohm[tripillar_place[i]];\n"
     if dead.any():
         reading = "        $real ohm = tripillar_place[i] < 0 ? $dead_ohm : resistance_ohm[tripillar_place[i]];\n"
+    given = reading.replace("$real ohm", "const $real ohm")[4:]
+    if decoupler.resting is not None:
+        numbers |= {"rest_ohm": decoupler.resting.rest_ohm, "full_counts": decoupler.resting.full_counts}
+        reading += _SETTLED
     if calibration is not None:
         numbers |= {"gain": calibration.gain, "offset_ohm": calibration.offset_ohm}
         reading += _CALIBRATION
@@ -199,7 +228,13 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
         "least_ohm": _literal(dtype(LEAST_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
+        "sense": _literal(dtype(SENSE_OHM)),
+        "half": _literal(dtype(HALF_STEP)),
+        "most": _literal(dtype(MOST)),
     }
+    known["given"] = Template(given).substitute(known)
+    known["resting"] = "" if decoupler.resting is None else Template(_RESTING).substitute(known)
+    known["counting"] = "" if decoupler.resting is None else _COUNTING
     known["reading"] = Template(reading + _FEATURE[network.feature]).substitute(known)
     known["workspace"] = Template("" if inverse is None else _WORKSPACE).substitute(known)
     known["inverse"] = Template("" if inverse is None else _INVERSE).substitute(known)

@@ -6,11 +6,13 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
+from dataset.measurement import SENSE_OHM
 from decoupler.calibration import LEAST_OHM
 from decoupler.components import DEAD_OHM
 from decoupler.decoupler import Decoupler
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.model_inverse import ModelInverse
+from decoupler.resting import HALF_STEP, MOST, Resting
 from geometry.layout import PILLARS, FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one
@@ -38,6 +40,8 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     x = graph.add("Gather", x, places(decoupler), axis=1)
     if dead.any():
         x = graph.add("Where", dead, np.array(DEAD_OHM), x)
+    if decoupler.resting is not None:
+        x = _settled(graph, x, decoupler.resting)
     if decoupler.calibration is not None:
         modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
         modelled = graph.add("Div", modelled, decoupler.calibration.gain)
@@ -94,6 +98,18 @@ class _Graph:
         values = values.astype(self.dtype) if values.dtype.kind == "f" else values
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(values), name))
         return name
+
+
+def _settled(graph: _Graph, columns_ohm: str, resting: Resting) -> str:
+    """Add `Resting.settled`: readings (n, n_in) [Ω] -> the same, or rest."""
+    sense = np.array(SENSE_OHM)
+    shares = graph.add("Div", sense, graph.add("Add", columns_ohm, sense))
+    steps = graph.add("Sub", shares, SENSE_OHM / (resting.rest_ohm + SENSE_OHM))
+    steps = graph.add("Mul", graph.add("Abs", steps), resting.full_counts)
+    alike = graph.add("LessOrEqual", steps, np.array(HALF_STEP))
+    ones = graph.add("Where", alike, np.array(1.0), np.array(0.0))
+    most = graph.add("Greater", graph.add("ReduceMean", ones, axes=[1]), np.array(MOST))
+    return graph.add("Where", graph.add("And", alike, most), resting.rest_ohm, columns_ohm)
 
 
 def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:

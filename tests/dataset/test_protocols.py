@@ -29,6 +29,7 @@ def test_papers_ranges():
 def test_names_are_those_of_the_command_line():
     assert list(PROTOCOLS) == [
         "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
+        "light-fz", "light-fx", "light",
     ]  # fmt: skip
 
 
@@ -47,7 +48,7 @@ def test_seed_decides(name):
     assert not np.array_equal(drawn(name, 5), drawn(name, 5, seed=1))
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize("name", [name for name in PROTOCOLS if not name.startswith("light")])
 def test_samples_and_pads_differ(name):
     traction = np.abs(drawn(name, 5)).sum(axis=2)
     assert len(np.unique(traction)) == traction.size
@@ -157,3 +158,15 @@ def test_contacts_follow_the_arrays_size():
     load = -drawn("contact-fz", 2000, SensorDesign(array=Array(rows=1, cols=20)))[..., Z]
     where = np.bincount(load.argmax(axis=1), minlength=20)
     assert where.min() > 0
+
+
+@pytest.mark.parametrize("name", ["light-fz", "light-fx", "light"])
+def test_light_loads_touch_few_pads_or_none_by_up_to_10_n(name):
+    """Of 2000 samples a quarter are at rest, to five standard deviations of that count."""
+    force_n = np.abs(drawn(name, 2000)) * PAPER.pad.size_mm**2
+    assert 9.9 < force_n.max() <= 10.0
+    touched = (force_n > 0).any(axis=2).sum(axis=1)
+    assert touched.max() == 3
+    assert abs((touched == 0).sum() - 500) < 5 * np.sqrt(2000 * 0.25 * 0.75)
+    if name == "light":
+        assert (np.hypot(force_n[..., X], force_n[..., Y]) <= FRICTION * force_n[..., Z] + 1e-12).all()

@@ -67,7 +67,10 @@ def test_narrow_plain_net_stops_at_the_pca_floor(trainer):
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
 def test_a_net_on_the_response_starts_from_its_inverse(trainer):
-    """Before the first step it gives the forces of the inverse itself (rounding), and then no worse ones."""
+    """Before the first step it gives the forces of the inverse itself (rounding), and then no worse ones.
+
+    Of the light samples that training adds, a tenth, the inverse misses less than of the others.
+    """
     network = NetworkConfig(hidden=4, feature="inverse")
     config = TrainingConfig(trainer=trainer, goal_mse=0.0, max_iterations=30)
     errors = []
@@ -76,7 +79,7 @@ def test_a_net_on_the_response_starts_from_its_inverse(trainer):
     known = decoupler.inverse.forces(decoupler.calibration.modelled(columns))
     scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
     if trainer != "varpro":  # whose output layer is never at its start
-        assert errors[0] == pytest.approx(np.mean(scaled**2), rel=1e-6)
+        assert np.mean(scaled**2) / 1.1 <= errors[0] <= np.mean(scaled**2)
     assert history.mse <= np.mean(scaled**2)
 
 

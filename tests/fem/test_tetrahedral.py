@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from skfem import ElementTetP1, ElementTetP2
 
+from fem.convergence import estimated_errors
 from fem.elasticity import displacement_form, lame_of_regions, taylor_hood
 from fem.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
 from fem.plan import make_plan
@@ -14,7 +15,6 @@ from fem.scene_file import scene_from_toml
 from fem.scene_mesh import prism_of_cells, scene_mesh
 from fem.solution import Solution, largest_error
 from fem.solve import solve_scene
-from fem.convergence import estimated_errors
 from fem.tetrahedral import point_row, with_edges_across
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes

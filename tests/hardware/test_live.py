@@ -5,10 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset import measured
+from decoupler import NetworkConfig, TrainingConfig
+from decoupler.training import train
 from geometry.errors import FileFormatError
+from hardware import Scanner, VirtualBoard
 from hardware.calibration import Electronics, SensorCalibration
 from hardware.frames import Info, ScanMode
 from hardware.live import ForceReader
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
@@ -141,3 +146,27 @@ def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
     steps = np.median(reader.crossbar.step_deviation(REST_OHM[None]))
     assert 1e-3 < steps < 1e-1
     assert reader.deviations(found) == pytest.approx(steps * found.resistance_ohm)
+
+
+@pytest.mark.parametrize(("bits", "tared"), [(16, False), (10, True)])
+def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared):
+    """Trained under load alone, far from rest, with noise of 0.1 %: 0 N lies within two standard deviations.
+
+    Steps of 10 bits hide the same of every like pillar, which deviations take to be independent: a tare finds that.
+    """
+    design = sensor(2, 3)
+    samples = labelled(design, "xyz", n_samples=400, seed=0)
+    noisy = replace(samples, resistance_ohm=measured(samples.resistance_ohm, 1e-3, None, np.random.default_rng(0)))
+    network = NetworkConfig(hidden=4, feature="inverse")
+    model, _ = train(replace(noisy, noise=1e-3), "all", network, TrainingConfig(), response=response(design))
+    info = replace(INFO, bits=bits)
+    counts = Electronics().crossbar(info).counts(model.rest_resistances()[None])
+    reader = ForceReader(info, model)
+    with VirtualBoard(counts[0], info) as board, Scanner(board.port) as scanner:
+        seen = np.stack([scanner.get(2).frame.counts for _ in range(5)])
+    if tared:
+        fresh = SensorCalibration.as_designed(2, 3)
+        reader = ForceReader(info, model, fresh.tared(reader.measured(seen)[0][0]))
+    found = reader.forces(seen)
+    assert (np.abs(found.force_n) <= 2 * reader.deviations(found)).all()
+    assert np.abs(found.force_n).max() < 0.02 * samples.force_n.max()

@@ -1,0 +1,61 @@
+"""What a converter cannot tell from rest is taken for rest, and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import measured
+from decoupler import NetworkConfig, TrainingConfig, read_model, write_model
+from decoupler.export.c_header import c_header, compiled_forces
+from decoupler.export.checked import run_onnx
+from decoupler.export.onnx_file import onnx_model
+from decoupler.resting import Resting
+from decoupler.training import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.test_export import CC, FLOAT, ROUNDING, deviation, needs_cc
+
+SENSOR = sensor(2, 3)
+RNG = np.random.default_rng(0)
+EXACT = labelled(SENSOR, "z", n_samples=300, seed=0)
+DATA = replace(EXACT, resistance_ohm=measured(EXACT.resistance_ohm, 0.0, 12, RNG), bits=12)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return train(DATA, "fz", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=response(SENSOR))[0]
+
+
+def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(model):
+    """10 kΩ before 10 kΩ is the worst place, between two counts. The calibration of 300 samples leaves a fifth."""
+    rest_ohm = np.full((1, 2, 3, 3), 1e4)
+    read_ohm = measured(rest_ohm, 0.0, 12, RNG)
+    assert np.abs(read_ohm - rest_ohm).min() > 4.8
+    assert np.abs(model.forces(read_ohm)).max() < 0.2 * np.abs(replace(model, resting=None).forces(read_ohm)).max()
+
+
+def test_only_where_most_of_a_scan_may_be_at_rest():
+    resting = Resting.read_with(np.full(5, 1e4), 12)
+    readings = 1e4 + np.array([[4.0, -4.0, 4.0, 500.0, 7.0], [4.0, -4.0, 500.0, 500.0, 7.0]])
+    np.testing.assert_array_equal(resting.settled(readings)[0], [1e4, 1e4, 1e4, 10500.0, 10007.0])
+    np.testing.assert_array_equal(resting.settled(readings)[1], readings[1])
+    assert Resting.read_with(np.full(5, 1e4), None) is None
+
+
+def test_model_file_and_exports_do_the_same(model, tmp_path):
+    write_model(model, tmp_path / "model.safetensors")
+    light = EXACT.resistance_ohm[:3].copy()
+    light[:, :, 1:] = measured(np.full_like(light[:, :, 1:], 1e4), 0.0, 12, RNG)
+    scans = np.concatenate([DATA.resistance_ohm[:3], light, measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
+    assert np.abs(model.forces(scans) - replace(model, resting=None).forces(scans))[3:].max() > 0.1
+    np.testing.assert_array_equal(read_model(tmp_path / "model.safetensors").forces(scans), model.forces(scans))
+    for dtype, most in ((np.float64, ROUNDING), (np.float32, FLOAT)):
+        assert deviation(run_onnx(onnx_model(model, dtype).SerializeToString(), scans, dtype), model, scans) < most
+
+
+@needs_cc
+def test_the_header_does_the_same(model):
+    scans = np.concatenate([DATA.resistance_ohm[:3], measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
+    for dtype, most in ((np.float64, ROUNDING), (np.float32, FLOAT)):
+        found = compiled_forces(c_header(model, dtype), scans, model.forces(scans).shape[1:], dtype, CC)
+        assert deviation(found, model, scans) < most
