@@ -11,6 +11,7 @@ never formed: applying it is a handful of small dense products along each axis.
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -49,19 +50,27 @@ def line_nodes(lines: FloatArray, order: int) -> FloatArray:
     return np.concatenate([lines[:1], (lines[:-1, None] + np.diff(lines)[:, None] * share).ravel()])
 
 
-def line_matrices(lines: FloatArray, order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
-    """Dense ∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx of a line, n_points Gauss points an element; keyed by (i, j): which is differentiated."""
+@cache
+def _reference_matrices(order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
+    """∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx over [−1, 1], keyed by (i, j)."""
     x, weights = legendre.leggauss(n_points)
     functions = shape_functions(order, x)
+    return {
+        (test, trial): np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
+        for test in (False, True)
+        for trial in (False, True)
+    }
+
+
+def line_matrices(lines: FloatArray, order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
+    """Dense ∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx of a line, n_points Gauss points an element; keyed by (i, j): which is differentiated."""
     matrices = {}
-    for test in (False, True):
-        for trial in (False, True):
-            element = np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
-            A = np.zeros((order * (len(lines) - 1) + 1,) * 2)
-            for e, half in enumerate(np.diff(lines) / 2):
-                mine = slice(e * order, (e + 1) * order + 1)
-                A[mine, mine] += half ** (1 - test - trial) * element
-            matrices[test, trial] = A
+    for (test, trial), element in _reference_matrices(order, n_points).items():
+        A = np.zeros((order * (len(lines) - 1) + 1,) * 2)
+        for e, half in enumerate(np.diff(lines) / 2):
+            mine = slice(e * order, (e + 1) * order + 1)
+            A[mine, mine] += half ** (1 - test - trial) * element
+        matrices[test, trial] = A
     return matrices
 
 
@@ -187,16 +196,16 @@ class FastDiagonal:
         matrices = [line_matrices(line, order, order + 1) for line in lines]
         self._modes: list[list[FloatArray]] = []
         self._inverse: list[FloatArray] = []
+        spectra = {}
+        for d, first in {(d, int(held.component[a][d])) for a in range(3) for d in range(3)}:
+            eigenvalues, V = eigh(matrices[d][True, True][first:, first:], matrices[d][False, False][first:, first:])
+            # rounding is relative to the largest: at lines far closer than others it makes the least negative
+            least = first * (np.pi / 2 / np.ptp(lines[d])) ** 2
+            spectra[d, first] = np.maximum(eigenvalues, least), V
         for a in range(3):
             modes, total = [], np.zeros((1, 1, 1))
             for d in range(3):
-                first = int(held.component[a][d])
-                eigenvalues, V = eigh(
-                    matrices[d][True, True][first:, first:], matrices[d][False, False][first:, first:]
-                )
-                # rounding is relative to the largest: at lines far closer than others it makes the least negative
-                least = first * (np.pi / 2 / np.ptp(lines[d])) ** 2
-                eigenvalues = np.maximum(eigenvalues, least)
+                eigenvalues, V = spectra[d, int(held.component[a][d])]
                 modes.append(V)
                 total = total + C[a, d, a, d] * eigenvalues.reshape([-1 if axis == d else 1 for axis in range(3)])
             self._modes.append(modes)
