@@ -102,7 +102,7 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
             raise SolverError("indicators of boxes are not numbers: bring moduli and sizes closer.")
         found = system, u, residual
         history.append((float(indicators.sum()), probes))
-        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=3).values())
+        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=2).values())
         estimate = worst
         steps.append(
             f"{len(mesh.boxes)} boxes of order {ORDER}: {system.n_unknowns} unknowns"
