@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fem.box_mesh import BoxMesh, IntArray
-from fem.kronecker import elastic_tensors, lobatto_points, shape_functions
+from fem.kronecker import elastic_tensors, gauss_points, lobatto_points, shape_functions
 from fem.mirrors import flipped_points, flipped_rectangle, images, parities, sign
 from fem.plan import Plan
 from fem.scene import Probe, Rectangle, Scene
@@ -35,7 +35,7 @@ N_SURFACE = 3 * len(SURFACE)  #: degrees of freedom on it
 @cache
 def _nodal_products() -> FloatArray:
     """∫ φₐ⁽ᵏ⁾ φ_b⁽ˡ⁾ over the cube [−1, 1]³, differentiated along k and l, shape (3, 3, n, n)."""
-    x, weights = legendre.leggauss(ORDER + 1)
+    x, weights = gauss_points(ORDER + 1)
     functions = shape_functions(ORDER, x)
     one = {(i, j): np.einsum("q,qa,qb->ab", weights, functions[i], functions[j]) for i in (0, 1) for j in (0, 1)}
     n = (ORDER + 1) ** 3
@@ -49,7 +49,7 @@ def _nodal_products() -> FloatArray:
 @cache
 def divergence_modes() -> FloatArray:
     """Legendre coefficients of ∂φ/∂k up to degree ORDER − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
-    x, weights = legendre.leggauss(ORDER + 1)
+    x, weights = gauss_points(ORDER + 1)
     normal = legendre.legvander(x, ORDER - 2) * np.sqrt(np.arange(ORDER - 1) + 0.5)
     one = [np.einsum("q,qm,qa->ma", weights, normal, values) for values in shape_functions(ORDER, x)]
     modes = [[one[int(k == d)] for d in range(3)] for k in range(3)]
@@ -242,7 +242,7 @@ class BoxSystem:
         return total
 
     def _integral(self, rectangle: FloatArray) -> FloatArray:
-        x, weights = legendre.leggauss(ORDER // 2 + 1)
+        x, weights = gauss_points(ORDER // 2 + 1)
         height = self.scene.height_mm
         low, high = self.low[:, :2], self.high[:, :2]
         shift = height * np.array(self.lean)

@@ -25,10 +25,30 @@ from geometry.layout import FloatArray
 Lines = tuple[FloatArray, FloatArray, FloatArray]  #: element boundaries along x, y, z [mm]
 
 
+@cache
 def lobatto_points(order: int) -> FloatArray:
-    """The order + 1 Gauss-Lobatto points of [-1, 1]: nodes of the Lagrange functions."""
+    """The order + 1 Gauss-Lobatto points of [-1, 1]: nodes of the Lagrange functions; not to be written to."""
     inner = np.sort(legendre.legroots(legendre.legder([0.0] * order + [1.0]))) if order > 1 else np.zeros(0)
-    return np.concatenate([[-1.0], inner, [1.0]])
+    return _constant(np.concatenate([[-1.0], inner, [1.0]]))
+
+
+@cache
+def gauss_points(count: int) -> tuple[FloatArray, FloatArray]:
+    """Gauss points of [-1, 1] and their weights; not to be written to."""
+    x, weights = legendre.leggauss(count)
+    return _constant(x), _constant(weights)
+
+
+def _constant(values: FloatArray) -> FloatArray:
+    values.flags.writeable = False
+    return values
+
+
+@cache
+def _to_legendre(order: int) -> tuple[FloatArray, FloatArray]:
+    """Legendre coefficients of the Lagrange functions, and of their derivatives; columns are functions."""
+    coefficients = np.linalg.inv(legendre.legvander(lobatto_points(order), order))
+    return coefficients, legendre.legder(coefficients)
 
 
 def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -39,9 +59,9 @@ def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> shape_functions(1, np.array([0.0]))
     (array([[0.5, 0.5]]), array([[-0.5,  0.5]]))
     """
-    to_legendre = np.linalg.inv(legendre.legvander(lobatto_points(order), order))
-    derivatives = np.stack([legendre.legval(x, legendre.legder(row)) for row in np.eye(order + 1)], axis=-1)
-    return legendre.legvander(x, order) @ to_legendre, derivatives @ to_legendre
+    functions, derivatives = _to_legendre(order)
+    powers = legendre.legvander(x, order)
+    return powers @ functions, powers[:, :order] @ derivatives
 
 
 def line_nodes(lines: FloatArray, order: int) -> FloatArray:
@@ -53,7 +73,7 @@ def line_nodes(lines: FloatArray, order: int) -> FloatArray:
 @cache
 def _reference_matrices(order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
     """∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx over [−1, 1], keyed by (i, j)."""
-    x, weights = legendre.leggauss(n_points)
+    x, weights = gauss_points(n_points)
     functions = shape_functions(order, x)
     return {
         (test, trial): np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
@@ -76,7 +96,7 @@ def line_matrices(lines: FloatArray, order: int, n_points: int) -> dict[tuple[bo
 
 def line_integral(lines: FloatArray, order: int, start: float, end: float) -> FloatArray:
     """∫ φₐ dx over [start, end] of every function of a line; exact, whether or not the ends are on the lines."""
-    x, weights = legendre.leggauss(order // 2 + 1)
+    x, weights = gauss_points(order // 2 + 1)
     integral = np.zeros(order * (len(lines) - 1) + 1)
     for e, (left, right) in enumerate(pairwise(lines)):
         a, b = max(left, start), min(right, end)
