@@ -188,22 +188,22 @@ class BoxSystem:
 
     def _assembled(self) -> sp.bsr_matrix:
         """The stiffness matrix in blocks of 3 × 3; held components are 1 on the diagonal and 0 beside it."""
-        keys, blocks = [], []
-        for (stiffness, _), (weights, numbers, kept) in zip(self._condensed, self._weights, strict=True):
-            K = stiffness.reshape(len(SURFACE), 3, -1, 3)
+        keys = []
+        for _, numbers, _ in self._weights:
+            i, j = _upper_pairs(numbers)
+            keys.append(numbers[i] * self.n_nodes + numbers[j])
+        ends = np.cumsum([len(key) for key in keys])
+        places, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+        del keys
+        data = np.zeros((len(places), 3, 3))
+        for condensed, (weights, numbers, kept), end in zip(self._condensed, self._weights, ends, strict=True):
+            K = condensed.stiffness.reshape(len(SURFACE), 3, -1, 3)
             if weights is None:
                 K = K[kept][:, :, kept]
             else:
                 K = np.tensordot(np.tensordot(weights, K, (0, 0)), weights, (2, 0)).transpose(0, 1, 3, 2)
-            rank = np.argsort(numbers)
-            i, j = _upper(len(numbers))
-            i, j = rank[i], rank[j]
-            keys.append(numbers[i] * self.n_nodes + numbers[j])
-            blocks.append(K[i, :, j, :].reshape(-1, 9))
-        places, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-        every = np.concatenate(blocks)
-        del blocks
-        data = np.stack([np.bincount(inverse, every[:, c], len(places)) for c in range(9)], axis=1).reshape(-1, 3, 3)
+            i, j = _upper_pairs(numbers)
+            data[inverse[end - len(i) : end]] += K[i, :, j, :]
         rows, columns = places // self.n_nodes, places % self.n_nodes
         data *= ~self.held[rows][:, :, None] & ~self.held[columns][:, None, :]
         diagonal = rows == columns
@@ -344,6 +344,13 @@ class BoxSystem:
             products = np.abs(divergence[:, :1] * divergence[:, 1:]) @ (1 / scales)
             found[element] += DIVERGENCE_WEIGHT * lam**2 / mu * volume * (products @ toward)
         return found
+
+
+def _upper_pairs(numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Where all pairs of numbers stand, those in order only, each number with itself included."""
+    rank = np.argsort(numbers)
+    i, j = _upper(len(numbers))
+    return rank[i], rank[j]
 
 
 @cache

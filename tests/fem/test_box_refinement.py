@@ -194,3 +194,18 @@ def test_patch_a_hair_from_the_corner_is_solved():
     assert isinstance(by_order.residual, float)
     allowed = by_order.error_estimate + by_splitting.error_estimate
     assert largest_error(by_order.probes, by_splitting.probes) <= allowed
+
+
+def test_lines_that_rounding_tells_apart_are_one():
+    """A load over the whole leaning top ends where the body ends, but for the last digit: no box is 1e-15 mm wide."""
+    body = Pillar(
+        section_mm=(2.0793607794778306, 2.92454076851681),
+        base_mm=(0.0, 0.0, 0.0),
+        top_mm=(-3.446131549941288, 3.1835828603223844, 9.824752758034366),
+    )
+    scene = pressed(body, material=Material(young_mpa=9.5, poisson=0.499999), tolerance=1e-2)
+    lean = (body.top_mm[0] / body.top_mm[2], body.top_mm[1] / body.top_mm[2])
+    low, high = first_mesh(scene, make_plan(scene, element="Q4"), lean).corners
+    assert (high - low).min() > 0.5
+    solution, _ = solve_scene(scene, element="Q4")
+    assert solution.error_estimate <= 1e-2
