@@ -127,7 +127,7 @@ def solve(
     tolerance: Annotated[float | None, typer.Option(help="Relative error of the probes; default: the scene's.")] = None,
     vtu: Annotated[Path | None, typer.Option(help="VTU file for the displacement of the whole body.")] = None,
     no_skip: Annotated[list[str] | None, typer.Option(help="A saving to do without, by name; repeatable.")] = None,
-    element: Annotated[str | None, typer.Option(help="Q2, S2, TH, P2 or P1; default: the plan's.")] = None,
+    element: Annotated[str | None, typer.Option(help="Qp, Q4, Q2, S2, TH, P2 or P1; default: the plan's.")] = None,
     solver: Annotated[str | None, typer.Option(help="Linear solver; default: the plan's.")] = None,
 ) -> None:
     """Solve any scene: a block, a pillar, a unit or an array under loads, to its tolerance."""

@@ -25,7 +25,7 @@ from geometry.layout import FloatArray
 
 WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body
 MAX_FIRST = 60  #: first boxes, before any is split; where there would be more, they are wider
-MAX_BOXES = 1200  #: beyond, more than 4 GB of memory are needed
+MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
 MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
 LAST_SHARE = 0.4
