@@ -26,6 +26,7 @@ class Settings:
     slow_s: float = 5.0  #: a run that takes longer is not repeated
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer resolutions are not tried
+    enough: float = 0.0  #: finer resolutions are not tried either once the worst probe errs by less
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def measure_scene(
     settings: Settings,
     report: Callable[[str], None] = lambda line: None,
 ) -> list[Measurement]:
-    """Every contender that covers the scene, coarse to fine until one loses patience."""
+    """Every contender that covers the scene, coarse to fine until it is accurate enough or too slow."""
     reference = read_reference(name)
     found = []
     for contender in contenders:
@@ -66,7 +67,7 @@ def measure_scene(
             measurement = measure(name, contender, resolution, reference, settings)
             found.append(measurement)
             report(describe(measurement))
-            if measurement.failure:
+            if measurement.failure or measurement.worst_error < settings.enough:
                 break
     return found
 

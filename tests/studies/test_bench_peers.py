@@ -190,3 +190,12 @@ def test_a_run_in_a_process_of_its_own():
     assert [one.failure for one in found] == [""]
     assert 0.2 < found[0].worst_error < 2.0  # a half-space is far softer than a 10 mm layer
     assert found[0].peak_mib > 10
+
+
+def test_what_is_accurate_enough_is_not_refined_further():
+    from studies.bench.ours import CONTENDERS
+
+    settings = Settings(runs=1, threads=1, enough=0.5)
+    found = measure_scene("block-normal-0.49", BLOCK, CONTENDERS[:1], settings)
+    assert [one.resolution for one in found] == list(CONTENDERS[0].resolutions[:1])
+    assert found[0].worst_error < settings.enough
