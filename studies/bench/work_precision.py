@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -119,16 +120,21 @@ def _run(scene: str, contender: str, resolution: float, settings: Settings) -> d
             "TRIPILLAR_CACHE": cache,
         }
         command = [sys.executable, "-m", "studies.bench.measure", contender, scene, repr(resolution)]
+        done = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
         try:
-            done = subprocess.run(
-                command, env=environment, capture_output=True, text=True, timeout=settings.patience_s, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return {"failure": f"over {settings.patience_s:g} s"}
+            said, complained = done.communicate(timeout=settings.patience_s)
+        except BaseException as stopped:
+            os.killpg(done.pid, signal.SIGKILL)  # with the programs that it started
+            done.communicate()
+            if isinstance(stopped, subprocess.TimeoutExpired):
+                return {"failure": f"over {settings.patience_s:g} s"}
+            raise
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        last = (complained.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         return {"failure": last[:200]}
-    found: dict = json.loads(done.stdout.splitlines()[-1])
+    found: dict = json.loads(said.splitlines()[-1])
     return found
 
 

@@ -85,7 +85,7 @@ def _netgen_mesh(scene: Scene, largest_mm: float, fineness: float, hp: int) -> A
             face.name = "bottom"
         elif abs(face.center.z - h) < 1e-9 * h:
             face.name = "top"
-    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=largest_mm, grading=0.4))
+    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=largest_mm, grading=0.4, parallel_meshing=False))
     if hp:
         mesh.RefineHP(hp, factor=0.15)
     return mesh
