@@ -45,7 +45,7 @@ GRADINGS: dict[tuple[str, ...], Grading] = {  #: how names of scenes begin → t
     ("oblique",): Grading(order=4, levels=0, ratio=1.0, largest_mm=5.0, edge_mm=2.0),
     ("plate",): Grading(order=5, levels=2, ratio=0.15, largest_mm=2.0, edge_mm=1.0),
     ("void", "side-inclusion"): Grading(order=6, levels=1, ratio=0.15, largest_mm=6.0, edge_mm=4.0),
-    ("two-inclusions",): Grading(order=5, levels=1, ratio=0.15, largest_mm=6.0, edge_mm=4.0),
+    ("two-inclusions",): Grading(order=5, levels=1, ratio=0.15, largest_mm=8.0, edge_mm=4.0),
 }
 
 
