@@ -25,7 +25,7 @@ from geometry.layout import FloatArray
 
 WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body
 MAX_FIRST = 60  #: first boxes, before any is split; where there would be more, they are wider
-MAX_BOXES = 2500  #: beyond, memory of some 5 GB is needed
+MAX_BOXES = 1200  #: beyond, more than 4 GB of memory are needed
 MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
 LAST_SHARE = 0.4
@@ -102,7 +102,7 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
             raise SolverError("indicators of boxes are not numbers: bring moduli and sizes closer.")
         found = system, u, residual
         history.append((float(indicators.sum()), probes))
-        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=3).values())
+        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=2).values())
         estimate = worst
         steps.append(
             f"{len(mesh.boxes)} boxes of order {ORDER}: {system.n_unknowns} unknowns"
@@ -194,12 +194,12 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
 
 
 def _apart(places: list[float], slack: float) -> list[float]:
-    """Places in order, without those that only rounding tells from the one before."""
+    """Places in order, without those that only rounding tells from one named before: the body's own come first."""
     kept: list[float] = []
-    for place in sorted(places):
-        if not kept or place - kept[-1] > slack:
+    for place in places:
+        if all(abs(place - other) > slack for other in kept):
             kept.append(place)
-    return kept
+    return sorted(kept)
 
 
 def _field(system: BoxSystem, u: FloatArray) -> Field:

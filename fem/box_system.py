@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fem.box_mesh import BoxMesh, IntArray
-from fem.kronecker import elastic_tensors, lobatto_points, shape_functions
+from fem.kronecker import elastic_tensors, gauss_points, lobatto_points, shape_functions
 from fem.mirrors import flipped_points, flipped_rectangle, images, parities, sign
 from fem.plan import Plan
 from fem.scene import Probe, Rectangle, Scene
@@ -35,7 +35,7 @@ N_SURFACE = 3 * len(SURFACE)  #: degrees of freedom on it
 @cache
 def _nodal_products() -> FloatArray:
     """∫ φₐ⁽ᵏ⁾ φ_b⁽ˡ⁾ over the cube [−1, 1]³, differentiated along k and l, shape (3, 3, n, n)."""
-    x, weights = legendre.leggauss(ORDER + 1)
+    x, weights = gauss_points(ORDER + 1)
     functions = shape_functions(ORDER, x)
     one = {(i, j): np.einsum("q,qa,qb->ab", weights, functions[i], functions[j]) for i in (0, 1) for j in (0, 1)}
     n = (ORDER + 1) ** 3
@@ -49,7 +49,7 @@ def _nodal_products() -> FloatArray:
 @cache
 def divergence_modes() -> FloatArray:
     """Legendre coefficients of ∂φ/∂k up to degree ORDER − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
-    x, weights = legendre.leggauss(ORDER + 1)
+    x, weights = gauss_points(ORDER + 1)
     normal = legendre.legvander(x, ORDER - 2) * np.sqrt(np.arange(ORDER - 1) + 0.5)
     one = [np.einsum("q,qm,qa->ma", weights, normal, values) for values in shape_functions(ORDER, x)]
     modes = [[one[int(k == d)] for d in range(3)] for k in range(3)]
@@ -188,22 +188,22 @@ class BoxSystem:
 
     def _assembled(self) -> sp.bsr_matrix:
         """The stiffness matrix in blocks of 3 × 3; held components are 1 on the diagonal and 0 beside it."""
-        keys, blocks = [], []
-        for (stiffness, _), (weights, numbers, kept) in zip(self._condensed, self._weights, strict=True):
-            K = stiffness.reshape(len(SURFACE), 3, -1, 3)
+        keys = []
+        for _, numbers, _ in self._weights:
+            i, j = _upper_pairs(numbers)
+            keys.append(numbers[i] * self.n_nodes + numbers[j])
+        ends = np.cumsum([len(key) for key in keys])
+        places, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+        del keys
+        data = np.zeros((len(places), 3, 3))
+        for condensed, (weights, numbers, kept), end in zip(self._condensed, self._weights, ends, strict=True):
+            K = condensed.stiffness.reshape(len(SURFACE), 3, -1, 3)
             if weights is None:
                 K = K[kept][:, :, kept]
             else:
                 K = np.tensordot(np.tensordot(weights, K, (0, 0)), weights, (2, 0)).transpose(0, 1, 3, 2)
-            rank = np.argsort(numbers)
-            i, j = _upper(len(numbers))
-            i, j = rank[i], rank[j]
-            keys.append(numbers[i] * self.n_nodes + numbers[j])
-            blocks.append(K[i, :, j, :].reshape(-1, 9))
-        places, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-        every = np.concatenate(blocks)
-        del blocks
-        data = np.stack([np.bincount(inverse, every[:, c], len(places)) for c in range(9)], axis=1).reshape(-1, 3, 3)
+            i, j = _upper_pairs(numbers)
+            data[inverse[end - len(i) : end]] += K[i, :, j, :]
         rows, columns = places // self.n_nodes, places % self.n_nodes
         data *= ~self.held[rows][:, :, None] & ~self.held[columns][:, None, :]
         diagonal = rows == columns
@@ -242,7 +242,7 @@ class BoxSystem:
         return total
 
     def _integral(self, rectangle: FloatArray) -> FloatArray:
-        x, weights = legendre.leggauss(ORDER // 2 + 1)
+        x, weights = gauss_points(ORDER // 2 + 1)
         height = self.scene.height_mm
         low, high = self.low[:, :2], self.high[:, :2]
         shift = height * np.array(self.lean)
@@ -344,6 +344,13 @@ class BoxSystem:
             products = np.abs(divergence[:, :1] * divergence[:, 1:]) @ (1 / scales)
             found[element] += DIVERGENCE_WEIGHT * lam**2 / mu * volume * (products @ toward)
         return found
+
+
+def _upper_pairs(numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Where all pairs of numbers stand, those in order only, each number with itself included."""
+    rank = np.argsort(numbers)
+    i, j = _upper(len(numbers))
+    return rank[i], rank[j]
 
 
 @cache

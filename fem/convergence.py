@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from fem.solution import relative_errors
 from geometry.layout import FloatArray
 
+OF_TWO = 3.0  #: caution with two meshes, whose line no third confirms
 LEAST_MESHES = 4  #: before an estimate by indicators is believed
 RATE = 2.5  #: of quadratic elements on the first graded grids; it rises to 4 as they get finer
 FINE_RATE = 3.3  #: by which the next level is chosen
@@ -50,7 +51,7 @@ def estimated_errors(
     -----
     The error of a probe is close to proportional to the sum η of its indicators, whose constant is unknown but changes
     little from mesh to mesh: J(η) = J₀ + C η. The line through the last two meshes and the one fitted to the last three
-    each give |C| η; the larger is taken.
+    each give |C| η; the larger is taken, and `OF_TWO` times that where there are but two.
     """
     if len(history) < least:
         return dict.fromkeys(names, np.inf)
@@ -62,7 +63,8 @@ def estimated_errors(
     between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
     answer = dict(zip(names, J[-1], strict=True))
     estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
-    return {name: max(estimate[name] for estimate in estimates) for name in names}
+    caution = OF_TWO if len(history) == 2 else 1.0
+    return {name: caution * max(estimate[name] for estimate in estimates) for name in names}
 
 
 def next_level(level: int, estimate: float, tolerance: float) -> int:

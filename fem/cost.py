@@ -13,7 +13,7 @@ from fem.scene import Prism, Scene
 from geometry.design import Material
 
 MAX_ITERATIONS = 5000  #: `fem.kronecker.conjugate_gradients` gives up there
-SHEARED = 8  #: as many unknowns where acute edges make errors fall slowly: two levels more
+SHEARED, HARDER = 8, 3  #: times as many unknowns: acute edges take two levels more, regions and narrow loads one
 ORDER, LAYERS, AT_LOADS, WIDEST = 3, 2, 1, 0.8  #: of the level of `fem.high_order` that most scenes end at
 
 
@@ -58,8 +58,8 @@ def seconds_by_order(scene: Scene, regions: Sequence[tuple[Prism, Material]], mi
     upright = levels | {outline.height_mm: AT_LOADS, 0.0: LAYERS}
     nodes.append(ORDER * _elements(upright, widest, scene.rounding_mm) + 1)
     unknowns = 3 * float(np.prod(nodes))
-    if not outline.is_upright:
-        unknowns *= SHEARED
+    narrow = any(min(load.size_mm) < outline.height_mm / 2 for load in scene.loads)
+    unknowns *= (1 if outline.is_upright else SHEARED) * (HARDER if regions else 1) * (HARDER if narrow else 1)
     each = 6e-8 * max(1.0, unknowns / 4e4) ** 0.45  # of an unknown and step; beyond the processor's cache it is dearer
     return steps * unknowns * len(parities(mirrors)) * each
 

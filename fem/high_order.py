@@ -58,7 +58,7 @@ LEVELS = (
 BY_CHANCE = 2.0  #: how much more slowly than expected changes may shrink before the estimate heeds it
 SLOWEST_FALL = 0.4  #: that the estimate reckons with, where changes shrink more slowly than they should
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998
-RESIDUAL = 1e-5  #: of conjugate gradients, over the tolerance; relative, in the norm of the preconditioner
+RESIDUAL = 1e-2  #: of conjugate gradients, over the tolerance; relative, in the norm of the preconditioner
 ROUNDED = 1e-12  #: of the loads: what is below it cancels but for rounding
 MOST_UNKNOWNS = 1_500_000  #: beyond, a level takes longer than anyone waits for a scene
 

@@ -11,6 +11,7 @@ never formed: applying it is a handful of small dense products along each axis.
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -24,10 +25,30 @@ from geometry.layout import FloatArray
 Lines = tuple[FloatArray, FloatArray, FloatArray]  #: element boundaries along x, y, z [mm]
 
 
+@cache
 def lobatto_points(order: int) -> FloatArray:
-    """The order + 1 Gauss-Lobatto points of [-1, 1]: nodes of the Lagrange functions."""
+    """The order + 1 Gauss-Lobatto points of [-1, 1]: nodes of the Lagrange functions; not to be written to."""
     inner = np.sort(legendre.legroots(legendre.legder([0.0] * order + [1.0]))) if order > 1 else np.zeros(0)
-    return np.concatenate([[-1.0], inner, [1.0]])
+    return _constant(np.concatenate([[-1.0], inner, [1.0]]))
+
+
+@cache
+def gauss_points(count: int) -> tuple[FloatArray, FloatArray]:
+    """Gauss points of [-1, 1] and their weights; not to be written to."""
+    x, weights = legendre.leggauss(count)
+    return _constant(x), _constant(weights)
+
+
+def _constant(values: FloatArray) -> FloatArray:
+    values.flags.writeable = False
+    return values
+
+
+@cache
+def _to_legendre(order: int) -> tuple[FloatArray, FloatArray]:
+    """Legendre coefficients of the Lagrange functions, and of their derivatives; columns are functions."""
+    coefficients = np.linalg.inv(legendre.legvander(lobatto_points(order), order))
+    return coefficients, legendre.legder(coefficients)
 
 
 def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -38,9 +59,9 @@ def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> shape_functions(1, np.array([0.0]))
     (array([[0.5, 0.5]]), array([[-0.5,  0.5]]))
     """
-    to_legendre = np.linalg.inv(legendre.legvander(lobatto_points(order), order))
-    derivatives = np.stack([legendre.legval(x, legendre.legder(row)) for row in np.eye(order + 1)], axis=-1)
-    return legendre.legvander(x, order) @ to_legendre, derivatives @ to_legendre
+    functions, derivatives = _to_legendre(order)
+    powers = legendre.legvander(x, order)
+    return powers @ functions, powers[:, :order] @ derivatives
 
 
 def line_nodes(lines: FloatArray, order: int) -> FloatArray:
@@ -49,25 +70,33 @@ def line_nodes(lines: FloatArray, order: int) -> FloatArray:
     return np.concatenate([lines[:1], (lines[:-1, None] + np.diff(lines)[:, None] * share).ravel()])
 
 
+@cache
+def _reference_matrices(order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
+    """∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx over [−1, 1], keyed by (i, j)."""
+    x, weights = gauss_points(n_points)
+    functions = shape_functions(order, x)
+    return {
+        (test, trial): np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
+        for test in (False, True)
+        for trial in (False, True)
+    }
+
+
 def line_matrices(lines: FloatArray, order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
     """Dense ∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx of a line, n_points Gauss points an element; keyed by (i, j): which is differentiated."""
-    x, weights = legendre.leggauss(n_points)
-    functions = shape_functions(order, x)
     matrices = {}
-    for test in (False, True):
-        for trial in (False, True):
-            element = np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
-            A = np.zeros((order * (len(lines) - 1) + 1,) * 2)
-            for e, half in enumerate(np.diff(lines) / 2):
-                mine = slice(e * order, (e + 1) * order + 1)
-                A[mine, mine] += half ** (1 - test - trial) * element
-            matrices[test, trial] = A
+    for (test, trial), element in _reference_matrices(order, n_points).items():
+        A = np.zeros((order * (len(lines) - 1) + 1,) * 2)
+        for e, half in enumerate(np.diff(lines) / 2):
+            mine = slice(e * order, (e + 1) * order + 1)
+            A[mine, mine] += half ** (1 - test - trial) * element
+        matrices[test, trial] = A
     return matrices
 
 
 def line_integral(lines: FloatArray, order: int, start: float, end: float) -> FloatArray:
     """∫ φₐ dx over [start, end] of every function of a line; exact, whether or not the ends are on the lines."""
-    x, weights = legendre.leggauss(order // 2 + 1)
+    x, weights = gauss_points(order // 2 + 1)
     integral = np.zeros(order * (len(lines) - 1) + 1)
     for e, (left, right) in enumerate(pairwise(lines)):
         a, b = max(left, start), min(right, end)
@@ -187,16 +216,16 @@ class FastDiagonal:
         matrices = [line_matrices(line, order, order + 1) for line in lines]
         self._modes: list[list[FloatArray]] = []
         self._inverse: list[FloatArray] = []
+        spectra = {}
+        for d, first in {(d, int(held.component[a][d])) for a in range(3) for d in range(3)}:
+            eigenvalues, V = eigh(matrices[d][True, True][first:, first:], matrices[d][False, False][first:, first:])
+            # rounding is relative to the largest: at lines far closer than others it makes the least negative
+            least = first * (np.pi / 2 / np.ptp(lines[d])) ** 2
+            spectra[d, first] = np.maximum(eigenvalues, least), V
         for a in range(3):
             modes, total = [], np.zeros((1, 1, 1))
             for d in range(3):
-                first = int(held.component[a][d])
-                eigenvalues, V = eigh(
-                    matrices[d][True, True][first:, first:], matrices[d][False, False][first:, first:]
-                )
-                # rounding is relative to the largest: at lines far closer than others it makes the least negative
-                least = first * (np.pi / 2 / np.ptp(lines[d])) ** 2
-                eigenvalues = np.maximum(eigenvalues, least)
+                eigenvalues, V = spectra[d, int(held.component[a][d])]
                 modes.append(V)
                 total = total + C[a, d, a, d] * eigenvalues.reshape([-1 if axis == d else 1 for axis in range(3)])
             self._modes.append(modes)

@@ -78,7 +78,7 @@ def test_a_grid_is_written_for_pictures_too(run, tmp_path):
 
 def test_an_estimate_above_the_tolerance_is_a_warning(run, monkeypatch):
     monkeypatch.setattr("fem.tetrahedral.MOST_UNKNOWNS", 1000)
-    monkeypatch.setattr("fem.tetrahedral.LEAST_MESHES", 1)
+    monkeypatch.setattr("fem.convergence.LEAST_MESHES", 1)
     monkeypatch.setattr("fem.tetrahedral.estimated_errors", lambda *_: {"top": 0.3})
     code, out, err = run("solve", "pillar.toml", "--no-skip", "hexahedra", "--json")
     assert code == 0
