@@ -1,5 +1,7 @@
 """``python -m studies.bench``: the table, the JSON and the pictures of run time against error."""
 
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,17 +26,23 @@ PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
 def bench(
     out: Annotated[Path, typer.Option(help="Folder for table, JSON and pictures.")] = Path("out/bench"),
     scene: Annotated[list[str] | None, typer.Option(help="Scene to run; may be given again.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Pattern: run contenders whose name holds it.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
     runs: Annotated[int, typer.Option(help="Runs of each, of which the median counts.")] = 3,
     patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 120.0,
     threads: Annotated[int, typer.Option(help="Threads of every contender.")] = 2,
+    by_processor: Annotated[
+        bool, typer.Option("--by-processor", help="Judge by processor time of one thread.")
+    ] = False,
+    enough: Annotated[float, typer.Option(help="Error of the worst probe below which none is refined further.")] = 0.0,
 ) -> None:
     """Measure every contender on every scene; what is not installed is skipped with a word."""
-    settings = Settings(runs=runs, threads=threads, patience_s=patience)
+    if by_processor:
+        threads = 1
+    settings = Settings(runs=runs, threads=threads, patience_s=patience, enough=enough, by_processor=by_processor)
     if quick:
-        settings = Settings(runs=1, threads=threads, patience_s=20.0)
-    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
+        settings = replace(settings, runs=1, patience_s=20.0)
+    chosen = [one for one in CONTENDERS if not only or any(re.search(word, one.name) for word in only)]
     scenes = all_scenes()
     everything, pictures = [], []
     for name in scene or SCENES:
@@ -51,8 +59,7 @@ def bench(
         show(ratio_table(name, found, loaded=True))
         if len(scenes[name].probes) > 1:
             show(ratio_table(name, found))
-    measured = {"threads": settings.threads, "runs": settings.runs, "patience_s": settings.patience_s}
-    about = surroundings(PACKAGES) | measured
+    about = surroundings(PACKAGES) | asdict(settings)
     write_json(as_plain(everything, about), out / "bench.json")
     wrote([*pictures, out / "bench.json"])
 

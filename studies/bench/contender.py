@@ -53,3 +53,4 @@ class Contender:
     resolutions: tuple[float, ...]  #: coarse to fine: elements along half a patch, an order or a tolerance
     covers: Callable[[Scene], bool] = is_homogeneous_block
     missing: Callable[[], str] = nothing_missing  #: what the environment lacks to run this, in a word
+    imports: tuple[str, ...] = ()  #: modules loaded before processor time is taken

@@ -117,7 +117,7 @@ def hp_mesh(scenes: Sequence[Scene], grading: Grading) -> Any:
             face.name = "bottom"
         elif abs(face.center.z - h) < 1e-9 * h:
             face.name = "top"
-    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=grading.largest_mm, grading=0.5))
+    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=grading.largest_mm, grading=0.5, parallel_meshing=False))
     if grading.levels:
         mesh.RefineHP(grading.levels, factor=grading.ratio)
     return mesh

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,8 @@ class Settings:
     slow_s: float = 5.0  #: a run that takes longer is not repeated
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer resolutions are not tried
+    by_processor: bool = False  #: judge by processor time, on one thread: for a machine that others use too
+    enough: float = 0.0  #: finer resolutions are not tried either once the worst probe errs by less
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Measurement:
     contender: str
     family: str
     resolution: float
-    seconds: float  #: median run time, imports left out
+    seconds: float  #: median run time, or processor time if that was asked for; imports left out
     steps: dict[str, float]  #: seconds by step of the median run
     spread: float  #: slowest over fastest run
     first_error: float  #: relative error of the first probe, the loaded one
@@ -53,7 +56,7 @@ def measure_scene(
     settings: Settings,
     report: Callable[[str], None] = lambda line: None,
 ) -> list[Measurement]:
-    """Every contender that covers the scene, coarse to fine until one loses patience."""
+    """Every contender that covers the scene, coarse to fine until it is accurate enough or too slow."""
     reference = read_reference(name)
     found = []
     for contender in contenders:
@@ -66,7 +69,7 @@ def measure_scene(
             measurement = measure(name, contender, resolution, reference, settings)
             found.append(measurement)
             report(describe(measurement))
-            if measurement.failure:
+            if measurement.failure or measurement.worst_error < settings.enough:
                 break
     return found
 
@@ -87,7 +90,7 @@ def measure(
         runs.append(run)
         if sum(run["seconds"].values()) > settings.slow_s:
             break
-    times = [sum(run["seconds"].values()) for run in runs]
+    times = [run["cpu_seconds"] if settings.by_processor else sum(run["seconds"].values()) for run in runs]
     middle = runs[int(np.argsort(times)[(len(times) - 1) // 2])]
     answers = {name: np.array(u) for name, u in middle["probes"].items()}
     differences = {name: answers[name] - u for name, u in reference.probes.items()}
@@ -117,16 +120,21 @@ def _run(scene: str, contender: str, resolution: float, settings: Settings) -> d
             "TRIPILLAR_CACHE": cache,
         }
         command = [sys.executable, "-m", "studies.bench.measure", contender, scene, repr(resolution)]
+        done = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
         try:
-            done = subprocess.run(
-                command, env=environment, capture_output=True, text=True, timeout=settings.patience_s, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return {"failure": f"over {settings.patience_s:g} s"}
+            said, complained = done.communicate(timeout=settings.patience_s)
+        except BaseException as stopped:
+            os.killpg(done.pid, signal.SIGKILL)  # with the programs that it started
+            done.communicate()
+            if isinstance(stopped, subprocess.TimeoutExpired):
+                return {"failure": f"over {settings.patience_s:g} s"}
+            raise
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        last = (complained.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         return {"failure": last[:200]}
-    found: dict = json.loads(done.stdout.splitlines()[-1])
+    found: dict = json.loads(said.splitlines()[-1])
     return found
 
 

@@ -190,3 +190,20 @@ def test_a_run_in_a_process_of_its_own():
     assert [one.failure for one in found] == [""]
     assert 0.2 < found[0].worst_error < 2.0  # a half-space is far softer than a 10 mm layer
     assert found[0].peak_mib > 10
+
+
+def test_what_is_accurate_enough_is_not_refined_further():
+    from studies.bench.ours import CONTENDERS
+
+    settings = Settings(runs=1, threads=1, enough=0.5, by_processor=True)
+    found = measure_scene("block-normal-0.49", BLOCK, CONTENDERS[:1], settings)
+    assert [one.resolution for one in found] == list(CONTENDERS[0].resolutions[:1])
+    assert found[0].worst_error < settings.enough
+    assert found[0].seconds > 0
+
+
+def test_a_run_that_takes_too_long_is_stopped():
+    from studies.bench.ours import CONTENDERS
+
+    found = measure_scene("block-normal-0.49", BLOCK, CONTENDERS[:1], Settings(runs=1, threads=1, patience_s=0.01))
+    assert [one.failure for one in found] == ["over 0.01 s"]  # nor is anything finer tried
