@@ -121,23 +121,15 @@ def test_cache_is_where_the_environment_says(tmp_path, monkeypatch):
     assert cache_folder().parts == ("out", "cache")
 
 
-@pytest.fixture
-def interruptible():
-    """Ctrl-C raises `KeyboardInterrupt`, also where the tests run in the background of a shell, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_waits_for_the_block_and_then_comes():
     """Ctrl-C inside the block lets it finish; afterwards it is raised, and the old handler is back."""
+    before = signal.getsignal(signal.SIGINT)
     finished = []
     with pytest.raises(KeyboardInterrupt), uninterrupted():  # noqa: PT012, both lines are the point
         signal.raise_signal(signal.SIGINT)
         finished.append(True)
     assert finished
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_no_interrupt_means_nothing_happens():
