@@ -13,8 +13,7 @@ from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
 from decoupler.resting import Resting
 from decoupler.ridge import best_ridge
-from decoupler.samples import distinct, load_numbers, over_loads, without_stuck
-from decoupler.uncertainty import LEAST_FREEDOM
+from decoupler.samples import distinct, load_numbers, without_stuck
 from geometry.files import digest
 from geometry.layout import PILLARS
 
@@ -90,9 +89,11 @@ def _nearer(decoupler: Decoupler, columns_ohm: np.ndarray, force_n: np.ndarray, 
     M = A.T @ A
     M.flat[:: len(M) + 1] += best_ridge(A, missing, len(load) / (load.max() + 1))
     solved = np.linalg.solve(M, A.T)  # (n_features, n_pairs)
-    leverage = np.einsum("ni,in->n", A, solved)
-    freedom = 1.0 - over_loads(leverage, load)  # pairs of one load are left out together
-    left_out = (missing - A @ (solved @ missing)) / np.maximum(freedom, LEAST_FREEDOM)[:, None]
+    errors = missing - A @ (solved @ missing)
+    left_out = np.empty_like(errors)
+    for one in np.split(np.argsort(load, kind="stable"), np.cumsum(np.bincount(load))[:-1]):
+        # exact for a given ridge, however near 1 the leverage is; pairs of one load are left out together
+        left_out[one] = np.linalg.solve(np.eye(len(one)) - A[one] @ solved[:, one], errors[one])
     if np.sum(left_out**2) >= np.sum(missing**2):
         return decoupler
     return replace(decoupler, output_weights=decoupler.output_weights + (solved @ missing).T)

@@ -53,7 +53,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     Notes
     -----
     Double differs by the order of sums, some 1e-15. Float rounds resistances and lengths to a relative 6e-8, and the
-    range of a length is a small share of it: 0.4e-6 to 2.4e-6 was measured on the paper's array. A response of worse
+    range of a length is a small share of it: up to 5.1e-6 was measured on the paper's array. A response of worse
     condition makes the feature `inverse` lose more; past 1e-4 float is refused.
     """
     if path.suffix not in USUAL:

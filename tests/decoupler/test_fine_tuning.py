@@ -59,6 +59,15 @@ def test_pairs_bring_the_error_down(feature):
         assert all_[name].rmse_n < own[name].rmse_n + 6.0  # newtons: what 0.1 % noise costs on this sensor
 
 
+def test_pairs_fewer_than_weights_do_not_spoil_the_output_layer():
+    """Any ten pairs can be met by an output layer of 19 inputs; it is taken only if it foretells pairs left out."""
+    network = NetworkConfig(hidden=18, net="plain", feature="resistance")
+    model, _ = train(TRAIN, "all", network, TrainingConfig(trainer="lm", max_iterations=20), response=RESPONSE)
+    nine, ten = (evaluate(fine_tune(model, selected(PAIRS, slice(n)), RESPONSE), TEST) for n in (9, 10))
+    for name in nine:
+        assert ten[name].rmse_n < 1.05 * nine[name].rmse_n  # one pair more moves calibrations a little
+
+
 def test_uncertainty_grows_with_few_pairs():
     model, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
     few, many = (fine_tune(model, selected(PAIRS, slice(n)), RESPONSE) for n in (2, 100))
