@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from fem.box_mesh import AxisTree, BoxMesh
-from fem.box_system import ORDER, BoxSystem, Condensed
+from fem.box_system import ORDER, BoxSystem, Condensed, Kind
 from fem.convergence import estimated_errors
 from fem.factors import FactorMemoryError, SolverError
 from fem.indicator import dual_weights
@@ -23,8 +23,9 @@ from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution
 from fem.structured import VTK_MIRRORED, VTK_PLACES
 from geometry.layout import FloatArray
 
-WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body
-MAX_FIRST = 60  #: first boxes, before any is split; where there would be more, they are wider
+WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
+MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
+LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
 MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
@@ -72,7 +73,7 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
     lean_x, lean_y, _ = (np.array(outline.top_mm) - outline.base_mm) / outline.height_mm
     lean = float(lean_x), float(lean_y)
     mesh = first_mesh(scene, plan, lean)
-    condensed: dict[tuple[int, ...], Condensed] = {}
+    condensed: dict[Kind, Condensed] = {}
     steps: list[str] = []
     history: list[tuple[float, FloatArray]] = []
     found: tuple[BoxSystem, FloatArray, float] | None = None
@@ -170,8 +171,9 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
         solids[0][0][axis] = place
     slack = scene.rounding_mm
     stops = [_apart([float(side[axis]) for solid in solids for side in solid], slack) for axis in range(3)]
-    widest = WIDEST * min(outline.height_mm, *outline.section_mm)
-    while np.prod(np.ceil((solids[0][1] - solids[0][0]) / widest)) > MAX_FIRST:
+    looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
+    widest = WIDEST * looser * min(outline.height_mm, *outline.section_mm)
+    while np.prod(np.ceil((solids[0][1] - solids[0][0]) / widest)) > MAX_FIRST / looser:
         widest *= 1.25
     lines = [
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)

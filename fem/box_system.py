@@ -6,7 +6,7 @@ meshes II", Numer. Math. 83 (1999)). Projected to one degree less, pressures at 
 and carried the probes off by 1 %.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from fem.kronecker import elastic_tensors, gauss_points, lobatto_points, shape_f
 from fem.mirrors import flipped_points, flipped_rectangle, images, parities, sign
 from fem.plan import Plan
 from fem.scene import Probe, Rectangle, Scene
+from geometry.design import Material
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at order 3 the same error takes three to five times the unknowns
@@ -56,13 +57,15 @@ def divergence_modes() -> FloatArray:
     return np.stack([np.einsum("ad,be,cf->abcdef", *each).reshape((ORDER - 1) ** 3, -1) for each in modes])
 
 
-def element_terms(volumetric: FloatArray, shear: FloatArray) -> tuple[list[tuple[int, int]], FloatArray]:
+@lru_cache(maxsize=16)
+def element_terms(material: Material, lean: tuple[float, float]) -> tuple[list[tuple[int, int]], FloatArray]:
     """Stiffness of boxes as a sum of fixed matrices: K = Σ s_kl M_kl, s_kl = (volume/8) (2/h_k) (2/h_l).
 
     Parameters
     ----------
-    volumetric, shear : array, shape (3, 3, 3, 3)
-        `fem.kronecker.elastic_tensors`.
+    material : Material
+    lean : tuple
+        Shift of the body along x and y per height.
 
     Returns
     -------
@@ -70,6 +73,7 @@ def element_terms(volumetric: FloatArray, shear: FloatArray) -> tuple[list[tuple
         Rows run over nodes, those on the surface first, then components.
     """
     n = (ORDER + 1) ** 3
+    volumetric, shear = elastic_tensors(material, lean)
     products, modes = _nodal_products(), divergence_modes()
     pairs, terms = [], []
     for k in range(3):
@@ -94,11 +98,14 @@ class Condensed(NamedTuple):
     inner: NDArray[np.float32]  #: (n_inner·3, N_SURFACE): displacements inside, from those of the surface
 
 
+Kind = tuple[float, ...]  #: size of a box relative to the body's height, and its region
+
+
 class BoxSystem:
     """The equations of a scene on a mesh of boxes, for displacements of one parity in each of the plan's mirrors.
 
     Unknowns are displacements of the independent nodes above the base: node, then component. Elements of an
-    earlier mesh are taken from `condensed`, by the intervals of their boxes, and new ones kept there.
+    earlier mesh are taken from `condensed`, by size and region, and new ones kept there.
     """
 
     def __init__(
@@ -107,7 +114,7 @@ class BoxSystem:
         plan: Plan,
         mesh: BoxMesh,
         lean: tuple[float, float],
-        condensed: dict[tuple[int, ...], Condensed],
+        condensed: dict[Kind, Condensed],
     ) -> None:
         self.scene, self.mirrors, self.mesh, self.lean = scene, plan.mirrors, mesh, lean
         (self.parity,) = parities(plan.mirrors)
@@ -117,8 +124,12 @@ class BoxSystem:
         self.region = np.zeros(len(mesh.boxes), dtype=np.int64)
         for number, (prism, _) in enumerate(plan.regions, start=1):
             self.region[prism.holds((self.low + self.high) / 2)] = number
-        self._boxes = [tuple(box) for box in mesh.boxes.tolist()]
-        self._terms = [element_terms(*elastic_tensors(material, lean)) for material in self.materials]
+        #: boxes of one size and rubber are alike; sizes that only rounding tells apart are one
+        self._kinds = [
+            (*size, region)
+            for size, region in zip((self.size / scene.height_mm).round(12).tolist(), self.region.tolist(), strict=True)
+        ]
+        self._terms = [element_terms(material, lean) for material in self.materials]
 
         nodes = mesh.nodes(ORDER)
         self._nodes = nodes
@@ -134,7 +145,7 @@ class BoxSystem:
             self.held |= first[:, mirror.axis, None] & np.array(odd)
         self._weights = [self._element_weights(number) for number in range(len(mesh.boxes))]
         self._condense(condensed)
-        self._condensed = [condensed[box] for box in self._boxes]
+        self._condensed = [condensed[kind] for kind in self._kinds]
         self.matrix = self._assembled()
 
     @property
@@ -171,11 +182,12 @@ class BoxSystem:
             K[mine] = (scale @ terms.reshape(len(pairs), -1)).reshape(-1, n, n)
         return K
 
-    def _condense(self, known: dict[tuple[int, ...], Condensed]) -> None:
-        """Bring what is known up to the mesh: its new boxes with their insides eliminated, and no others."""
-        for box in known.keys() - set(self._boxes):
-            del known[box]
-        new = np.array([e for e, box in enumerate(self._boxes) if box not in known], dtype=np.int64)
+    def _condense(self, known: dict[Kind, Condensed]) -> None:
+        """Bring what is known up to the mesh: its new kinds of boxes with their insides eliminated, and no others."""
+        for kind in known.keys() - set(self._kinds):
+            del known[kind]
+        first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
+        new = np.array(list(first.values()), dtype=np.int64)
         m = N_SURFACE
         for start in range(0, len(new), CHUNK):
             elements = new[start : start + CHUNK]
@@ -184,7 +196,7 @@ class BoxSystem:
             for element, own, inner in zip(elements, K, recovered, strict=True):
                 stiffness = own[:m, :m] - own[m:, :m].T @ inner
                 # seven digits of what only indicators, pictures and points inside need
-                known[self._boxes[element]] = Condensed(stiffness, -inner.astype(np.float32))
+                known[self._kinds[element]] = Condensed(stiffness, -inner.astype(np.float32))
 
     def _assembled(self) -> sp.bsr_matrix:
         """The stiffness matrix in blocks of 3 × 3; held components are 1 on the diagonal and 0 beside it."""

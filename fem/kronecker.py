@@ -47,8 +47,8 @@ def _constant(values: FloatArray) -> FloatArray:
 @cache
 def _to_legendre(order: int) -> tuple[FloatArray, FloatArray]:
     """Legendre coefficients of the Lagrange functions, and of their derivatives; columns are functions."""
-    coefficients = np.linalg.inv(legendre.legvander(lobatto_points(order), order))
-    return coefficients, legendre.legder(coefficients)
+    coefficients: FloatArray = np.asarray(np.linalg.inv(legendre.legvander(lobatto_points(order), order)), np.float64)
+    return coefficients, np.asarray(legendre.legder(coefficients), np.float64)
 
 
 def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
