@@ -16,12 +16,13 @@ from decoupler.baseline import LINEAR
 from decoupler.components import force_columns, pillar_columns, readable_columns
 from decoupler.crossval import in_parallel, selected
 from decoupler.damping import Point
+from decoupler.forward_model import ForwardModel
 from decoupler.gauss_newton import Samples
 from decoupler.levenberg_marquardt import train_lm
 from decoupler.network import Network
 from decoupler.scaling import Scaling
 from decoupler.settings import Net, NetworkConfig, Trainer, TrainingConfig
-from decoupler.training import train
+from decoupler.training import LIGHT, train
 from decoupler.varpro import RIDGE, train_varpro
 from fem.array_response import ResponseSettings, solve_response
 from fem.response import ArrayResponse
@@ -293,16 +294,32 @@ def other_response(pad_mm: float) -> Outcome:
 
 
 def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
-    """A joint net that starts from a response, on new samples, against a linear map with the same samples."""
+    """A joint net that starts from a response, on new samples, against a linear map with the same samples.
+
+    A tenth of what both are judged by is rest, as of what such a net is taught; where pillars are dead, knowing of rest
+    costs it a little under load.
+    """
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")
     data = samples(protocol="three-axis", dead_cols=dead_cols)
     model, _ = train(data, "all", network, TrainingConfig(), response=response)
-    new = samples(seed=2, protocol="three-axis", dead_cols=dead_cols)
+    new = _with_rest(samples(seed=2, protocol="three-axis", dead_cols=dead_cols))
     assert model.least_squares is not None
     found, linear = (each.forces(new.resistance_ohm) - new.force_n for each in (model, model.least_squares))
     size = new.force_n.std(axis=(0, 1, 2))
     error = float(np.sqrt(((found / size) ** 2).mean() / ((linear / size) ** 2).mean()))
-    return Outcome(error=error, allowed=1.0, against=f"{LINEAR}, new samples")
+    return Outcome(error=error, allowed=1.0, against=f"{LINEAR}, new samples and rest")
+
+
+def _with_rest(data: LabelledData) -> LabelledData:
+    """The same exact samples of a three-axis protocol, and a share of `LIGHT` of them at rest."""
+    n = round(LIGHT * len(data.force_n))
+    rest_ohm = ForwardModel.of(small_response(), component_named("all")).at_rest_ohm()
+    at_rest = np.broadcast_to(rest_ohm.reshape(data.resistance_ohm.shape[1:]), (n, *data.resistance_ohm.shape[1:]))
+    return replace(
+        data,
+        resistance_ohm=np.concatenate([data.resistance_ohm, at_rest]),
+        force_n=np.concatenate([data.force_n, np.zeros((n, *data.force_n.shape[1:]))]),
+    )
 
 
 def one_pair() -> Outcome:

@@ -10,6 +10,7 @@ from torch.func import functional_call, jacrev
 
 from dataset.labelled import COORDINATES, VARIABLES
 from decoupler.settings import NetworkConfig
+from decoupler.training import LIGHT
 from geometry.netcdf import write_netcdf
 from studies.bench.training import peers
 from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, VARPRO
@@ -46,7 +47,11 @@ def test_every_contender_lowers_the_error(one, problem):
     assert reason
     # the network handed back is the one whose error was recorded last
     errors = (decoupler.forces(DATA.resistance_ohm) - DATA.force_n[..., :1]).reshape(len(DATA.force_n), -1)
-    assert np.mean((errors / decoupler.output_scaling.half_range) ** 2) == pytest.approx(mse[-1], rel=1e-6)
+    found = np.mean((errors / decoupler.output_scaling.half_range) ** 2)
+    if one.name == KNOWN:  # what it recorded counts the light samples that it adds, too
+        assert found <= (1.0 + LIGHT) * mse[-1] * (1.0 + 1e-6)
+    else:
+        assert found == pytest.approx(mse[-1], rel=1e-6)
 
 
 def test_all_start_from_the_same_error(problem):
