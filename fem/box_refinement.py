@@ -26,6 +26,7 @@ from geometry.layout import FloatArray
 WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
 MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
+HAIR = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
 MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
@@ -159,6 +160,7 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
     for prism, _ in plan.regions:
         side = np.array([*prism.section_mm, 0.0]) / 2
         solids.append((prism.base_mm - side, np.array([*prism.base_mm[:2], prism.top_mm[2]]) + side))
+    n_solids = len(solids)
     for load in scene.loads:
         x0, y0, x1, y1 = load.rectangle
         solids.append(
@@ -170,6 +172,13 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
     for axis, place in mirrored.items():
         solids[0][0][axis] = place
     slack = scene.rounding_mm
+    lasting = [_apart([float(side[axis]) for solid in solids[:n_solids] for side in solid], slack) for axis in range(3)]
+    for one, two in solids[n_solids:]:
+        for axis, places in enumerate(lasting):
+            for side in (one, two):
+                nearest = min(places, key=lambda place, at=side[axis]: abs(place - at))  # type: ignore[misc]
+                if abs(nearest - side[axis]) <= HAIR * (two - one)[axis]:
+                    side[axis] = nearest
     stops = [_apart([float(side[axis]) for solid in solids for side in solid], slack) for axis in range(3)]
     looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
     widest = WIDEST * looser * min(outline.height_mm, *outline.section_mm)

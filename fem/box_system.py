@@ -2,8 +2,8 @@
 
 The volume change of every box is projected to polynomials of two degrees less, as mixed elements do: they stay stable
 for flat and slender boxes beside large ones, whatever ν (Schötzau, Schwab and Stenberg, "Mixed hp-FEM on anisotropic
-meshes II", Numer. Math. 83 (1999)). Projected to one degree less, pressures at singular edges grew with each splitting
-and carried the probes off by 1 %.
+meshes II", Numer. Math. 83 (1999)). Projected to one degree less, at ν = 0.4999 and beside boxes 10⁵ times as long as
+wide, pressures and the indicators by them grew with each splitting.
 """
 
 from functools import cache, lru_cache
@@ -325,8 +325,8 @@ class BoxSystem:
         Notes
         -----
         What the highest degree along an axis adds to u and to a dual, multiplied as strain energies are: degree ORDER
-        of the displacement by μ |∂u|², degree ORDER − 2 of the pressure by p²/μ. Without the pressure, marks miss
-        corners that carry 1 % of the answer at ν = 0.4999.
+        of the displacement by μ |∂u|², degree ORDER − 2 of the pressure by p²/μ. Without the pressure the estimate
+        at a loaded corner, ν = 0.4999, was 0.8 times the error, with it 1.3 times.
         """
         n = ORDER + 1
         nodes = lobatto_points(ORDER)
