@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from dataset import LabelledData, measured
+from dataset.measurement import reading_deviation
 from dataset.protocols import MOST_TOUCHED
 from decoupler.baseline import LeastSquares
 from decoupler.calibration import Calibration
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from fem.response import ArrayResponse
 
 LIGHT = 0.1  #: light samples that training adds where the response is known, a share of those given
+UNTOLD = 3e-3  #: of the readings' variance, what a response may leave and still be asked for light samples
 TOUCH = 0.05  #: of the largest force: a light touch
 
 
@@ -102,7 +104,7 @@ def train(
     untrained = _untrained(data, parts, network, columns, forces, response)
     known = network.feature == "inverse" and network.net == "skip"
     n_light = 0
-    if known:
+    if known and _foretells(untrained, columns, forces, data.noise, data.bits):
         light_ohm, light_n = _light(untrained, forces, data.noise, data.bits)
         n_light = len(light_n)
         columns, forces = np.concatenate([columns, light_ohm]), np.concatenate([forces, light_n])
@@ -182,6 +184,22 @@ def _untrained(
         dead=dead,
         least_squares=LeastSquares.fitted(data, component),
     )
+
+
+def _foretells(
+    untrained: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
+) -> bool:
+    """Whether response and calibration leave no more than noise and `UNTOLD` of the readings' variance unexplained.
+
+    What another sensor's response says of rest would be learnt as if it were measured.
+    """
+    assert untrained.inverse is not None
+    assert untrained.calibration is not None
+    left = columns_ohm - untrained.calibration.shown(untrained.inverse.forward.resistances(force_n))
+    by_noise = reading_deviation(columns_ohm, noise, bits) ** 2
+    readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
+    excess = (left**2 - by_noise)[:, readable].mean(axis=0)
+    return bool(excess.mean() <= UNTOLD * columns_ohm[:, readable].var(axis=0).mean())
 
 
 def _light(untrained: Decoupler, force_n: FloatArray, noise: float, bits: int | None) -> tuple[FloatArray, FloatArray]:
