@@ -16,8 +16,9 @@ from decoupler import (
     component_named,
     evaluate,
     pca_floor,
+    training,
 )
-from decoupler.components import force_columns
+from decoupler.components import force_columns, pillar_columns
 from decoupler.training import train
 from decoupler.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -198,3 +199,19 @@ def test_what_a_model_was_made_from_is_kept():
     assert decoupler.made_from["training"]["seed"] == 3
     assert decoupler.made_from["outcome"]["iterations"] == history.iterations
     assert decoupler.design == SENSOR
+
+
+def test_only_a_response_that_explains_the_readings_is_asked_about_rest():
+    """Another sensor's response would be learnt as if rest had been measured: it errs by more than without."""
+    own = response(SENSOR)
+    spread = 1.0 + 0.2 * np.random.default_rng(0).standard_normal(own.influence_mm_per_n.shape)
+    other = replace(own, influence_mm_per_n=own.influence_mm_per_n * spread)
+    config, network = TrainingConfig(), NetworkConfig(hidden=4, net="skip", feature="inverse")
+    columns, forces = pillar_columns(TRAIN.resistance_ohm, FX, None), force_columns(TRAIN.force_n, FX)
+    asked = {}
+    for name, given in {"own": own, "other": other}.items():
+        untrained = training._untrained(TRAIN, FX, network, columns, forces, given)
+        asked[name] = training._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
+        decoupler, _ = train(TRAIN, "fx", network, config, response=given)
+        assert decoupler.made_from["n_samples"] == len(TRAIN.force_n)
+    assert asked == {"own": True, "other": False}
