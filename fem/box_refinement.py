@@ -152,49 +152,26 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
 
     A box is split only where such a face or edge cuts it, so none of them runs through the body.
     """
-    outline = scene.outline
-    mirrored = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
-    shift = np.array([*lean, 0.0]) * outline.height_mm  # from the base, where lines are stated, to the top's loads
-    middle, half = np.array(outline.base_mm), np.array([*outline.section_mm, 0.0]) / 2
-    low, high = middle - half, middle + half + [0.0, 0.0, outline.height_mm]
-    solids = [(low, high)]
-    for prism, _ in plan.regions:
-        side = np.array([*prism.section_mm, 0.0]) / 2
-        solids.append((prism.base_mm - side, np.array([*prism.base_mm[:2], prism.top_mm[2]]) + side))
-    n_solids = len(solids)
-    for load in scene.loads:
-        x0, y0, x1, y1 = load.rectangle
-        solids.append(
-            (np.array([x0, y0, high[2]]) - shift * [1, 1, 0], np.array([x1, y1, high[2]]) - shift * [1, 1, 0])
-        )
-    for axis, place in mirrored.items():
-        for one, two in solids:
-            one[axis], two[axis] = np.sort(place + np.abs([one[axis] - place, two[axis] - place]))
-    for axis, place in mirrored.items():
-        solids[0][0][axis] = place
+    (low, high), *inner = _solids(scene, plan, lean)
     slack = scene.rounding_mm
-    lasting = [_apart([float(side[axis]) for solid in solids[:n_solids] for side in solid], slack) for axis in range(3)]
-    for one, two in solids[n_solids:]:
-        for axis, places in enumerate(lasting):
-            for side in (one, two):
-                nearest = min(places, key=lambda place, at=side[axis]: abs(place - at))  # type: ignore[misc]
-                if abs(nearest - side[axis]) <= HAIR * (two - one)[axis]:
-                    side[axis] = nearest
-    stops = [_apart([float(side[axis]) for solid in solids for side in solid], slack) for axis in range(3)]
+    stops = [
+        np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
+        for axis in range(3)
+    ]
     looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
-    widest = WIDEST * looser * min(outline.height_mm, *outline.section_mm)
-    while np.prod(np.ceil((solids[0][1] - solids[0][0]) / widest)) > MAX_FIRST / looser:
+    widest = WIDEST * looser * min(scene.height_mm, *scene.outline.section_mm)
+    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST / looser:
         widest *= 1.25
     lines = [
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
-        for start, end in zip(*solids[0], strict=True)
+        for start, end in zip(low, high, strict=True)
     ]
-    x, y, z = (AxisTree(line, np.array(own)) for line, own in zip(lines, stops, strict=True))
+    x, y, z = (AxisTree(line, own) for line, own in zip(lines, stops, strict=True))
     mesh = BoxMesh((x, y, z))
     while True:
         lowest, highest = mesh.corners
         marks = np.zeros(lowest.shape, dtype=bool)
-        for one, two in solids[1:]:
+        for one, two in inner:
             meets = (lowest <= two + slack) & (highest >= one - slack)
             for axis in range(3):
                 beside = np.delete(meets, axis, axis=1).all(axis=1)
@@ -203,6 +180,37 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
         if not marks.any():
             return mesh
         mesh.split(marks)
+
+
+def _solids(scene: Scene, plan: Plan, lean: tuple[float, float]) -> list[tuple[FloatArray, FloatArray]]:
+    """Lowest and highest corner of the body's solved part, of regions and, flat, of loads, where the base shows them.
+
+    What lies beyond a mirror plane is folded to this side. Loads' edges a hair from a face are moved to it.
+    """
+    height = scene.height_mm
+    shift = np.array([*lean, 0.0]) * height  # from the base, where lines are stated, to the top with its loads
+    solids = []
+    for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
+        half = np.array([*prism.section_mm, 0.0]) / 2
+        base = np.array(prism.base_mm)
+        solids.append((base - half, base + half + [0.0, 0.0, prism.height_mm]))
+    n_lasting = len(solids)
+    for x0, y0, x1, y1 in (load.rectangle for load in scene.loads):
+        solids.append((np.array([x0, y0, height]) - shift, np.array([x1, y1, height]) - shift))
+    for mirror in plan.mirrors:
+        axis, place = mirror.axis, mirror.position_mm
+        for one, two in solids:
+            one[axis], two[axis] = np.sort(place + np.abs([one[axis] - place, two[axis] - place]))
+        solids[0][0][axis] = place
+    for axis in range(3):
+        faces = np.array([side[axis] for solid in solids[:n_lasting] for side in solid])
+        for load in solids[n_lasting:]:
+            hair = HAIR * (load[1] - load[0])[axis]
+            for side in load:
+                nearest = faces[np.argmin(np.abs(faces - side[axis]))]
+                if abs(nearest - side[axis]) <= hair:
+                    side[axis] = nearest
+    return solids
 
 
 def _apart(places: list[float], slack: float) -> list[float]:
