@@ -1,4 +1,4 @@
-"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of fourth order, split where the probes need it.
+"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of order 4 or 3, split where needed.
 
 The first mesh has a line at every edge of body, regions and loads, and little else. Each solve tells which boxes the
 errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
@@ -11,10 +11,11 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from fem.box_mesh import AxisTree, BoxMesh
-from fem.box_system import ORDER, BoxSystem, Condensed, Kind
+from fem.box_system import BoxSystem, Condensed, Kind
 from fem.convergence import estimated_errors
 from fem.factors import FactorMemoryError, SolverError
 from fem.indicator import dual_weights
+from fem.kronecker import shape_functions
 from fem.linear_solver import checked_solve, factorized
 from fem.mirrors import flipped_points, images
 from fem.plan import Plan
@@ -23,6 +24,8 @@ from fem.solution import QUADRATIC_HEXAHEDRON, Field, Solution
 from fem.structured import VTK_MIRRORED, VTK_PLACES
 from geometry.layout import FloatArray
 
+ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
+LOOSE_ORDER, LOOSE = 3, 1e-2  #: the order from this tolerance on: half the time there
 WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
 MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
@@ -76,13 +79,14 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
     lean = float(lean_x), float(lean_y)
     mesh = first_mesh(scene, plan, lean)
     condensed: dict[Kind, Condensed] = {}
+    order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
     steps: list[str] = []
     history: list[tuple[float, FloatArray]] = []
     found: tuple[BoxSystem, FloatArray, float] | None = None
     estimate = np.inf
     while True:
         spent("mesh")
-        system = BoxSystem(scene, plan, mesh, lean, condensed)
+        system = BoxSystem(scene, plan, mesh, lean, condensed, order)
         forces, rows = system.loads(), system.probe_rows()
         spent("assemble")
         try:
@@ -108,7 +112,7 @@ def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
         worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=2).values())
         estimate = worst
         steps.append(
-            f"{len(mesh.boxes)} boxes of order {ORDER}: {system.n_unknowns} unknowns"
+            f"{len(mesh.boxes)} boxes of order {order}: {system.n_unknowns} unknowns"
             + (f", estimated error {worst:.1e}" if np.isfinite(worst) else "")
         )
         spent("solve")
@@ -224,10 +228,10 @@ def _apart(places: list[float], slack: float) -> list[float]:
 
 def _field(system: BoxSystem, u: FloatArray) -> Field:
     """Displacement of the whole body at the edge nodes of its boxes and midway between them."""
-    local = (VTK_PLACES[:20] * ORDER) // 2 @ np.array([(ORDER + 1) ** 2, ORDER + 1, 1])
     corner = system.low[:, None, :] + VTK_PLACES[None, :20] / 2 * system.size[:, None, :]
     corner[..., :2] += np.array(system.lean) * corner[..., 2:]
-    moved = np.stack([system.element_values(e, u[:, None])[local, :, 0] for e in range(len(system.size))])
+    at = np.stack([_functions_at(system.order, place) for place in VTK_PLACES[:20] - 1.0])
+    moved = np.stack([at @ system.element_values(e, u[:, None])[:, :, 0] for e in range(len(system.size))])
     points, displacements, cells = [], [], []
     count = len(system.size) * 20
     for number, (flipped, signs) in enumerate(images(system.mirrors, system.parity)):
@@ -245,3 +249,9 @@ def _field(system: BoxSystem, u: FloatArray) -> Field:
         region=np.tile(system.region, len(cells)),
         material=tuple(system.materials),
     )
+
+
+def _functions_at(order: int, place: FloatArray) -> FloatArray:
+    """An element's functions at a place of [−1, 1]³, shape ((order + 1)³,)."""
+    X, Y, Z = (shape_functions(order, place[d : d + 1])[0][0] for d in range(3))
+    return np.einsum("i,j,k->ijk", X, Y, Z).ravel()

@@ -1,4 +1,4 @@
-"""Elasticity on boxes of fourth order: each condensed to its surface, all assembled into one sparse matrix.
+"""Elasticity on boxes of one order: each condensed to its surface, all assembled into one sparse matrix.
 
 The volume change of every box is projected to polynomials of two degrees less, as mixed elements do: they stay stable
 for flat and slender boxes beside large ones, whatever ν (Schötzau, Schwab and Stenberg, "Mixed hp-FEM on anisotropic
@@ -22,24 +22,24 @@ from fem.scene import Probe, Rectangle, Scene
 from geometry.design import Material
 from geometry.layout import FloatArray
 
-ORDER = 4  #: of the functions along each axis; at order 3 the same error takes three to five times the unknowns
 CHUNK = 48  #: boxes condensed at once: some 60 MB
 DIVERGENCE_WEIGHT = 0.25  #: of pressures beside shear strains in the indicator of the error
 
 
-_LATTICE = np.indices((ORDER + 1,) * 3).reshape(3, -1)
-#: of an element's nodes in lexicographic order, those on its surface and those inside
-SURFACE, INNER = (np.flatnonzero(((_LATTICE % ORDER == 0).any(axis=0)) == side) for side in (True, False))
-N_SURFACE = 3 * len(SURFACE)  #: degrees of freedom on it
+@cache
+def node_places(order: int) -> tuple[IntArray, IntArray]:
+    """Of an element's nodes in lexicographic order, those on its surface and those inside."""
+    inside = (np.indices((order + 1,) * 3).reshape(3, -1) % order != 0).all(axis=0)
+    return np.flatnonzero(~inside), np.flatnonzero(inside)
 
 
 @cache
-def _nodal_products() -> FloatArray:
+def _nodal_products(order: int) -> FloatArray:
     """∫ φₐ⁽ᵏ⁾ φ_b⁽ˡ⁾ over the cube [−1, 1]³, differentiated along k and l, shape (3, 3, n, n)."""
-    x, weights = gauss_points(ORDER + 1)
-    functions = shape_functions(ORDER, x)
+    x, weights = gauss_points(order + 1)
+    functions = shape_functions(order, x)
     one = {(i, j): np.einsum("q,qa,qb->ab", weights, functions[i], functions[j]) for i in (0, 1) for j in (0, 1)}
-    n = (ORDER + 1) ** 3
+    n = (order + 1) ** 3
     products = np.empty((3, 3, n, n))
     for k, m in np.ndindex(3, 3):
         X, Y, Z = (one[int(k == d), int(m == d)] for d in range(3))
@@ -48,21 +48,25 @@ def _nodal_products() -> FloatArray:
 
 
 @cache
-def divergence_modes() -> FloatArray:
-    """Legendre coefficients of ∂φ/∂k up to degree ORDER − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
-    x, weights = gauss_points(ORDER + 1)
-    normal = legendre.legvander(x, ORDER - 2) * np.sqrt(np.arange(ORDER - 1) + 0.5)
-    one = [np.einsum("q,qm,qa->ma", weights, normal, values) for values in shape_functions(ORDER, x)]
+def divergence_modes(order: int) -> FloatArray:
+    """Legendre coefficients of ∂φ/∂k up to degree order − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
+    x, weights = gauss_points(order + 1)
+    normal = legendre.legvander(x, order - 2) * np.sqrt(np.arange(order - 1) + 0.5)
+    one = [np.einsum("q,qm,qa->ma", weights, normal, values) for values in shape_functions(order, x)]
     modes = [[one[int(k == d)] for d in range(3)] for k in range(3)]
-    return np.stack([np.einsum("ad,be,cf->abcdef", *each).reshape((ORDER - 1) ** 3, -1) for each in modes])
+    return np.stack([np.einsum("ad,be,cf->abcdef", *each).reshape((order - 1) ** 3, -1) for each in modes])
 
 
 @lru_cache(maxsize=16)
-def element_terms(material: Material, lean: tuple[float, float]) -> tuple[list[tuple[int, int]], FloatArray]:
+def element_terms(
+    order: int, material: Material, lean: tuple[float, float]
+) -> tuple[list[tuple[int, int]], FloatArray]:
     """Stiffness of boxes as a sum of fixed matrices: K = Σ s_kl M_kl, s_kl = (volume/8) (2/h_k) (2/h_l).
 
     Parameters
     ----------
+    order : int
+        Of the functions along each axis.
     material : Material
     lean : tuple
         Shift of the body along x and y per height.
@@ -72,9 +76,9 @@ def element_terms(material: Material, lean: tuple[float, float]) -> tuple[list[t
     list of (k, l) and array, shape (n_terms, 3n, 3n)
         Rows run over nodes, those on the surface first, then components.
     """
-    n = (ORDER + 1) ** 3
+    n = (order + 1) ** 3
     volumetric, shear = elastic_tensors(material, lean)
-    products, modes = _nodal_products(), divergence_modes()
+    products, modes = _nodal_products(order), divergence_modes(order)
     pairs, terms = [], []
     for k in range(3):
         for m in range(k, 3):
@@ -86,7 +90,7 @@ def element_terms(material: Material, lean: tuple[float, float]) -> tuple[list[t
                     M[:, a, :, b] += shear[a, row, b, column] * products[row, column]
             if M.any():
                 pairs.append((k, m))
-                by_place = np.concatenate([SURFACE, INNER])
+                by_place = np.concatenate(node_places(order))
                 terms.append(M[by_place][:, :, by_place].reshape(3 * n, 3 * n))
     return pairs, np.array(terms)
 
@@ -94,8 +98,8 @@ def element_terms(material: Material, lean: tuple[float, float]) -> tuple[list[t
 class Condensed(NamedTuple):
     """An element whose inside is eliminated."""
 
-    stiffness: FloatArray  #: on its surface, (N_SURFACE, N_SURFACE)
-    inner: NDArray[np.float32]  #: (n_inner·3, N_SURFACE): displacements inside, from those of the surface
+    stiffness: FloatArray  #: on its surface, (n_surface·3, the same)
+    inner: NDArray[np.float32]  #: (n_inner·3, n_surface·3): displacements inside, from those of the surface
 
 
 Kind = tuple[float, ...]  #: size of a box relative to the body's height, and its region
@@ -115,9 +119,12 @@ class BoxSystem:
         mesh: BoxMesh,
         lean: tuple[float, float],
         condensed: dict[Kind, Condensed],
+        order: int,
     ) -> None:
         self.scene, self.mirrors, self.mesh, self.lean = scene, plan.mirrors, mesh, lean
         (self.parity,) = parities(plan.mirrors)
+        self.order = order
+        self._surface, self._inside = node_places(order)
         self.materials = [scene.material, *(material for _, material in plan.regions)]
         self.low, self.high = mesh.corners
         self.size = self.high - self.low
@@ -129,9 +136,9 @@ class BoxSystem:
             (*size, region)
             for size, region in zip((self.size / scene.height_mm).round(12).tolist(), self.region.tolist(), strict=True)
         ]
-        self._terms = [element_terms(material, lean) for material in self.materials]
+        self._terms = [element_terms(order, material, lean) for material in self.materials]
 
-        nodes = mesh.nodes(ORDER)
+        nodes = mesh.nodes(order)
         self._nodes = nodes
         free = nodes.independent & (nodes.vertex[:, 2] != mesh.axes[2].first)
         self._number = np.where(free, np.cumsum(free) - 1, -1)
@@ -172,8 +179,8 @@ class BoxSystem:
         return rows[:, columns].toarray(), self._number[columns], None
 
     def _stiffness(self, elements: IntArray) -> FloatArray:
-        """Of whole elements, shape (n, 3·(ORDER + 1)³, the same), their surfaces first."""
-        n = 3 * (ORDER + 1) ** 3
+        """Of whole elements, shape (n, 3·(self.order + 1)³, the same), their surfaces first."""
+        n = 3 * (self.order + 1) ** 3
         K = np.empty((len(elements), n, n))
         for region, (pairs, terms) in enumerate(self._terms):
             mine = self.region[elements] == region
@@ -188,7 +195,7 @@ class BoxSystem:
             del known[kind]
         first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
         new = np.array(list(first.values()), dtype=np.int64)
-        m = N_SURFACE
+        m = 3 * len(self._surface)
         for start in range(0, len(new), CHUNK):
             elements = new[start : start + CHUNK]
             K = self._stiffness(elements)
@@ -209,7 +216,7 @@ class BoxSystem:
         del keys
         data = np.zeros((len(places), 3, 3))
         for condensed, (weights, numbers, kept), end in zip(self._condensed, self._weights, ends, strict=True):
-            K = condensed.stiffness.reshape(len(SURFACE), 3, -1, 3)
+            K = condensed.stiffness.reshape(len(self._surface), 3, -1, 3)
             if weights is None:
                 K = K[kept][:, :, kept]
             else:
@@ -254,14 +261,14 @@ class BoxSystem:
         return total
 
     def _integral(self, rectangle: FloatArray) -> FloatArray:
-        x, weights = gauss_points(ORDER // 2 + 1)
+        x, weights = gauss_points(self.order // 2 + 1)
         height = self.scene.height_mm
         low, high = self.low[:, :2], self.high[:, :2]
         shift = height * np.array(self.lean)
         start, end = np.maximum(low, rectangle[:2] - shift), np.minimum(high, rectangle[2:] - shift)
         at_top = self.high[:, 2] == self.mesh.axes[2].high[self.mesh.axes[2].last]
-        top = np.arange((ORDER + 1) ** 3).reshape((ORDER + 1,) * 3)[:, :, -1].ravel()
-        columns = np.searchsorted(SURFACE, top)
+        top = np.arange((self.order + 1) ** 3).reshape((self.order + 1,) * 3)[:, :, -1].ravel()
+        columns = np.searchsorted(self._surface, top)
         total = np.zeros(len(self._number))
         for element in np.flatnonzero(at_top & (end > start).all(axis=1)):
             along = []
@@ -269,7 +276,7 @@ class BoxSystem:
                 half = (end[element, d] - start[element, d]) / 2
                 places = start[element, d] + half * (x + 1)
                 within = (2 * places - low[element, d] - high[element, d]) / self.size[element, d]
-                along.append(half * (weights @ shape_functions(ORDER, within)[0]))
+                along.append(half * (weights @ shape_functions(self.order, within)[0]))
             total[self._nodes.of_elements[element, columns]] += np.multiply.outer(*along).ravel()
         return (self._nodes.constraint.T @ total)[self._free]
 
@@ -285,29 +292,29 @@ class BoxSystem:
         outside = np.maximum(self.low - point, point - self.high).max(axis=1)
         element = int(np.argmin(outside))
         within = 2 * (point - self.low[element]) / self.size[element] - 1
-        X, Y, Z = (shape_functions(ORDER, within[d : d + 1])[0][0] for d in range(3))
+        X, Y, Z = (shape_functions(self.order, within[d : d + 1])[0][0] for d in range(3))
         values = np.einsum("i,j,k->ijk", X, Y, Z).ravel()
-        recovered = self._condensed[element].inner.reshape(len(INNER), 3, len(SURFACE), 3)
+        recovered = self._condensed[element].inner.reshape(len(self._inside), 3, len(self._surface), 3)
         weights, numbers, kept = self._weights[element]
         for a in range(3):
-            functions = np.einsum("i,inb->nb", values[INNER], recovered[:, a])
-            functions[:, a] += values[SURFACE]
+            functions = np.einsum("i,inb->nb", values[self._inside], recovered[:, a])
+            functions[:, a] += values[self._surface]
             functions = functions[kept] if weights is None else weights.T @ functions
             row[a, numbers] += signs[a] * functions
 
     def element_values(self, element: int, u: FloatArray) -> FloatArray:
-        """Displacements at all nodes of an element, shape ((ORDER + 1)³, 3, k), of solutions u (n_unknowns, k)."""
+        """Displacements at all nodes of an element, shape ((self.order + 1)³, 3, k), of solutions u (n_unknowns, k)."""
         weights, numbers, kept = self._weights[element]
         free = u.reshape(self.n_nodes, 3, -1)[numbers]
         if weights is None:
-            on_surface = np.zeros((len(SURFACE), *free.shape[1:]))
+            on_surface = np.zeros((len(self._surface), *free.shape[1:]))
             on_surface[kept] = free
         else:
             on_surface = np.tensordot(weights, free, (1, 0))
-        values = np.empty(((ORDER + 1) ** 3, *free.shape[1:]))
-        values[SURFACE] = on_surface
-        recovered = self._condensed[element].inner @ on_surface.reshape(N_SURFACE, -1)
-        values[INNER] = recovered.reshape(len(INNER), 3, -1)
+        values = np.empty(((self.order + 1) ** 3, *free.shape[1:]))
+        values[self._surface] = on_surface
+        recovered = self._condensed[element].inner @ on_surface.reshape(3 * len(self._surface), -1)
+        values[self._inside] = recovered.reshape(len(self._inside), 3, -1)
         return values
 
     def indicators(self, u: FloatArray, duals: FloatArray, scales: FloatArray) -> FloatArray:
@@ -324,20 +331,20 @@ class BoxSystem:
 
         Notes
         -----
-        What the highest degree along an axis adds to u and to a dual, multiplied as strain energies are: degree ORDER
-        of the displacement by μ |∂u|², degree ORDER − 2 of the pressure by p²/μ. Without the pressure the estimate
+        What the highest degree along an axis adds to u and to a dual, multiplied as strain energies are: the order of
+        the displacement by μ |∂u|², two less of the pressure by p²/μ. Without the pressure the estimate
         at a loaded corner, ν = 0.4999, was 0.8 times the error, with it 1.3 times.
         """
-        n = ORDER + 1
-        nodes = lobatto_points(ORDER)
-        to_highest = np.linalg.inv(legendre.legvander(nodes, ORDER))[ORDER]
-        lumped = 2 / (ORDER * n * legendre.legval(nodes, np.eye(n)[ORDER]) ** 2)
+        n = self.order + 1
+        nodes = lobatto_points(self.order)
+        to_highest = np.linalg.inv(legendre.legvander(nodes, self.order))[self.order]
+        lumped = 2 / (self.order * n * legendre.legval(nodes, np.eye(n)[self.order]) ** 2)
         across = np.multiply.outer(lumped, lumped)
         slope = 1 + np.array([*self.lean, 0.0]) ** 2  # |∇ξ|² of the sheared coordinates
         lame = np.array([material.lame_mpa for material in self.materials])[self.region]
         pull = np.eye(3)
         pull[:2, 2] = -np.array(self.lean)
-        modes = divergence_modes()
+        modes = divergence_modes(self.order)
         degree = np.array(np.unravel_index(np.arange(modes.shape[1]), (n - 2,) * 3)).T
         toward = (degree == n - 3) / (degree == n - 3).sum(axis=1, keepdims=True).clip(1)
         both = np.column_stack([u, duals])
@@ -350,7 +357,9 @@ class BoxSystem:
             for d in range(3):
                 top = np.abs(np.tensordot(to_highest, lattice, (0, d)))
                 energy = np.einsum("jk,jka,jkam->m", across, top[..., 0], top[..., 1:])
-                found[element, d] = slope[d] * mu * (2 / size[d]) ** 2 * volume * ORDER * n * (energy / scales).sum()
+                found[element, d] = (
+                    slope[d] * mu * (2 / size[d]) ** 2 * volume * self.order * n * (energy / scales).sum()
+                )
             derived = np.einsum("ka,nac->knc", pull * (2 / size)[:, None], values)
             divergence = np.tensordot(modes, derived, ((0, 2), (0, 1)))
             products = np.abs(divergence[:, :1] * divergence[:, 1:]) @ (1 / scales)

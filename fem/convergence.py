@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from fem.solution import relative_errors
 from geometry.layout import FloatArray
 
-OF_TWO = 4.0  #: caution with two meshes, whose line no third confirms
+OF_TWO = 6.0  #: caution with two meshes, whose line no third confirms
 LEAST_MESHES = 4  #: before an estimate by indicators is believed
 RATE = 2.5  #: of quadratic elements on the first graded grids; it rises to 4 as they get finer
 FINE_RATE = 3.3  #: by which the next level is chosen
