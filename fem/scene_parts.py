@@ -45,7 +45,7 @@ def scene_parts(scene: Scene, stress: bool, progress: Callable[[str], None] = la
     progress("solve")
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
     plan = make_plan(coarse, field=True)
-    if plan.element == "Qp":  # whose few large elements say little between their nodes
+    if plan.element in ("Qp", "Q4"):  # whose few large elements say little between their nodes
         plan = make_plan(coarse, element="Q2", field=True)
     found = follow(plan, coarse, field=True).field
     assert found is not None  # it was asked for
