@@ -23,6 +23,7 @@ from studies.console import (
     STUDYING,
     DesignOption,
     JsonOption,
+    UnderHeadings,
     VerbosityOption,
     chosen,
     progress_bars,
@@ -40,7 +41,13 @@ if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
     from decoupler.metrics import ForceErrors
 
-app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False, help=__doc__)
+app = typer.Typer(
+    cls=UnderHeadings,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # which would take a unit in brackets, [s], for markup
+    context_settings={"max_content_width": 120},
+)
 
 Protocol = Literal[
     "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
@@ -49,14 +56,15 @@ Protocol = Literal[
 Component = Literal["fz", "fx", "fy", "all"]
 
 UnstatedOption = Annotated[
-    Path | None, typer.Option("--design", help="Design TOML where the data state none; default: the paper's sensor.")
+    Path | None,
+    typer.Option("--design", help="Design file (TOML) for data that state none; default: the paper's sensor."),
 ]
 FeatureOption = Annotated[
     Literal["auto", "inverse", "root", "resistance"],
-    typer.Option(help="Inputs: the known response's own inverse, √R or R; auto: the first if it explains the data."),
+    typer.Option(help="Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses."),
 ]
 GoalOption = Annotated[
-    float | None, typer.Option(help="Stop at this mean squared error, scaled; default: the trainer's own.")
+    float | None, typer.Option(help="Mean squared error, scaled, at which to stop; default: the trainer's own.")
 ]
 
 
@@ -66,12 +74,16 @@ def show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(help=__doc__)
+@app.callback()
 def root(
     version: Annotated[
         bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
-) -> None: ...
+) -> None:
+    """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
+
+    `tripillar COMMAND --help` explains a command. New here? Begin with `tripillar doctor`, then `tripillar design`.
+    """
 
 
 @app.command(rich_help_panel=SOLVING)
@@ -79,7 +91,7 @@ def design(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
     json_: JsonOption = False,
 ) -> None:
-    """Write the paper's sensor as a design TOML, every key with its default and meaning."""
+    """Write a design file: the paper's sensor, every number with its meaning."""
     if json_:
         show_json(asdict(SensorDesign()))
     if out is None and not json_:
@@ -95,7 +107,10 @@ def cad(
     design: DesignOption = None,
     json_: JsonOption = False,
 ) -> None:
-    """Draw pillars, unit, array, slab, matrix and casting mould; write them as STEP and STL."""
+    """Draw the sensor's solids and its casting mould as STEP and STL files.
+
+    The solids are pillars, unit, array, slab and matrix; the mould is what you cast the sensor in.
+    """
     sensor = chosen(design)
     from geometry.mould import write_cad
 
@@ -107,7 +122,10 @@ def cad(
 
 @app.command(rich_help_panel=SOLVING)
 def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: VerbosityOption = None) -> None:
-    """Mesh the sensor with tetrahedra and judge their shape; cached."""
+    """Mesh the whole array with tetrahedra and judge their shape.
+
+    The mesh is kept in the cache. No other command but run needs it.
+    """
     from studies.pipeline import meshed
 
     with progress_bars(verbosity) as bars:
@@ -121,16 +139,26 @@ def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: Verb
 
 @app.command(rich_help_panel=SOLVING)
 def solve(
-    scene: Annotated[Path, typer.Argument(help="Scene TOML: a body, its loads, its probes.")],
+    scene: Annotated[Path, typer.Argument(help="Scene file (TOML): a body, its loads, its probes.")],
     json_: JsonOption = False,
-    explain: Annotated[bool, typer.Option("--explain", help="Say what is computed, what is skipped, and why.")] = False,
-    tolerance: Annotated[float | None, typer.Option(help="Relative error of the probes; default: the scene's.")] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print what is computed, what is skipped, and why.")
+    ] = False,
+    tolerance: Annotated[
+        float | None, typer.Option(help="Relative error wanted of the probes; default: the scene's.")
+    ] = None,
     vtu: Annotated[Path | None, typer.Option(help="VTU file for the displacement of the whole body.")] = None,
-    no_skip: Annotated[list[str] | None, typer.Option(help="A saving to do without, by name; repeatable.")] = None,
-    element: Annotated[str | None, typer.Option(help="Qp, Q4, Q2, S2, TH, P2 or P1; default: the plan's.")] = None,
-    solver: Annotated[str | None, typer.Option(help="Linear solver; default: the plan's.")] = None,
+    no_skip: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Name of a saving to do without; can be repeated.")
+    ] = None,
+    element: Annotated[
+        str | None, typer.Option(help="Finite element: Qp, Q4, Q2, S2, TH, P2 or P1; default: the plan's.")
+    ] = None,
+    solver: Annotated[
+        str | None, typer.Option(help="Linear solver: pardiso, cholmod, superlu or multigrid; default: the plan's.")
+    ] = None,
 ) -> None:
-    """Solve any scene: a block, a pillar, a unit or an array under loads, to its tolerance."""
+    """Solve a scene: a block, pillar, unit or array under loads, to a tolerance."""
     require_suffix("--vtu", vtu, ".vtu")
     from fem.plan import make_plan
     from fem.scene_file import read_scene
@@ -168,16 +196,21 @@ def response(
     out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
     design: DesignOption = None,
     tolerance: Annotated[
-        float | None, typer.Option(help="Relative error wanted; default: 1e-3, 1e-2 with pillars of another rubber.")
+        float | None, typer.Option(help="Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.")
     ] = None,
     method: Annotated[
         Literal["cells", "whole", "layer", "halfspace"],
-        typer.Option(help="Copies of one condensed cell, one mesh of the array, or an approximate closed form."),
+        typer.Option(
+            help="Method: copies of one condensed cell, one mesh of the array, or an approximate closed form."
+        ),
     ] = "cells",
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Solve for the array's influence matrix: displacement of every upper electrode per newton on every pad."""
+    """Compute how far a newton on each pad moves each electrode.
+
+    This is the array's influence matrix. Data sets, networks and pictures are made from it.
+    """
     from fem.array_response import ResponseSettings
     from fem.response import write_response
     from studies.pipeline import respond
@@ -207,34 +240,45 @@ def response(
 
 @app.command(rich_help_panel=LEARNING)
 def dataset(
-    protocol: Annotated[Protocol, typer.Option(help="How pads are loaded.")],
-    samples: Annotated[int, typer.Option(help="Number of samples.")],
+    protocol: Annotated[
+        Protocol,
+        typer.Option(help="Loads: each pad its own, a few indenters, along one axis or all; light: 10 N at most."),
+    ],
+    samples: Annotated[int, typer.Option(help="Number of samples to make.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
-    seed: Annotated[int, typer.Option(help="Of loads and noise.")] = 0,
-    cap: Annotated[float, typer.Option(help="Largest pillar strain; samples past it are redrawn.")] = 0.3,
-    noise: Annotated[float, typer.Option(help="Relative standard deviation of a resistance.")] = 0.0,
-    bits: Annotated[int | None, typer.Option(help="Of the converter; default: exact.")] = None,
-    gain_spread: Annotated[float, typer.Option(help="Each pillar's factor is uniform in 1 ± this.")] = 0.0,
-    offset: Annotated[float, typer.Option(help="Standard deviation of each pillar's offset [Ω].")] = 0.0,
-    specimen: Annotated[int, typer.Option(help="Seed of factors and offsets: another specimen of the sensor.")] = 0,
-    dead_pillar: Annotated[list[str] | None, typer.Option(help="Broken pillar as row,col,pillar; repeatable.")] = None,
-    dead_row: Annotated[list[int] | None, typer.Option(help="Broken row wire: 2i U1, 2i+1 U2; repeatable.")] = None,
-    dead_col: Annotated[list[int] | None, typer.Option(help="Broken column wire: 2j L1, 2j+1 L2; repeatable.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the random loads and noise.")] = 0,
+    cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
+    bits: Annotated[int | None, typer.Option(help="Bits of the converter; default: exact readings.")] = None,
+    gain_spread: Annotated[
+        float, typer.Option(help="Spread of the pillars' gains: each is uniform in 1 ± this.")
+    ] = 0.0,
+    offset: Annotated[float, typer.Option(help="Standard deviation of the pillars' offsets [Ω].")] = 0.0,
+    specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
+    dead_pillar: Annotated[
+        list[str] | None, typer.Option(metavar="ROW,COL,PILLAR", help="Broken pillar, such as 0,3,z; can be repeated.")
+    ] = None,
+    dead_row: Annotated[
+        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken row wire; can be repeated.")
+    ] = None,
+    dead_col: Annotated[
+        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken column wire; can be repeated.")
+    ] = None,
     crossbar: Annotated[
         Literal["zero-potential", "grounded", "divider"] | None,
-        typer.Option(help="Read through a crossbar, as a board does; default: each pillar alone."),
+        typer.Option(help="Circuit to read the array through, as a board does; default: each pillar alone."),
     ] = None,
     sense_ohm: Annotated[
-        float | None, typer.Option(help="The crossbar's sense or feedback resistor [Ω]; default: suits 10 kΩ.")
+        float | None, typer.Option(help="Sense or feedback resistor of --crossbar [Ω]; default: one that suits 10 kΩ.")
     ] = None,
-    switch_ohm: Annotated[float | None, typer.Option(help="Its closed switches [Ω]; default: 25.")] = None,
-    line_ohm: Annotated[float | None, typer.Option(help="Its wires to the pillars [Ω]; default: 0.")] = None,
-    correct: Annotated[bool, typer.Option(help="Take its crosstalk out again, as a live sensor does.")] = True,
+    switch_ohm: Annotated[float | None, typer.Option(help="Closed switch of --crossbar [Ω]; default: 25.")] = None,
+    line_ohm: Annotated[float | None, typer.Option(help="Wire of --crossbar to a pillar [Ω]; default: 0.")] = None,
+    correct: Annotated[bool, typer.Option(help="Correct the crosstalk of --crossbar, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Simulate labelled samples: loads, displacements, lengths and resistances."""
+    """Simulate labelled samples: forces on the pads, and the resistances they give."""
     from dataset.imperfections import place_of
     from dataset.labelled import write_dataset
     from dataset.simulate import DatasetSettings, simulate
@@ -288,21 +332,26 @@ def dataset(
 
 @app.command(rich_help_panel=LEARNING)
 def train(
-    data: Annotated[Path, typer.Option(help="Dataset to train on.")],
+    data: Annotated[Path, typer.Option(help="Data set to train on.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
-    net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
-    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
-    trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
+    net: Annotated[
+        Literal["plain", "skip"], typer.Option(help="Network: the paper's, or with a linear skip.")
+    ] = "skip",
+    hidden: Annotated[int, typer.Option(help="Number of hidden nodes.")] = 17,
+    trainer: Annotated[
+        Literal["varpro", "lm", "momentum"],
+        typer.Option(help="Training: variable projection, Levenberg-Marquardt, or the paper's."),
+    ] = "varpro",
     feature: FeatureOption = "auto",
     goal: GoalOption = None,
-    iterations: Annotated[int, typer.Option(help="Stop after so many at the latest; 0: the trainer's own.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of the random start.")] = 0,
+    iterations: Annotated[int, typer.Option(help="Iterations at most; 0: the trainer's own number.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Train one network on a dataset and write it as a model file."""
+    """Train a network that turns resistances into forces; write a model file."""
     from dataset.labelled import read_labelled
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import write_model
@@ -343,14 +392,16 @@ def train(
 @app.command(rich_help_panel=LEARNING)
 def evaluate(
     model: Annotated[Path, typer.Option(help="Model file.")],
-    data: Annotated[Path, typer.Option(help="Dataset to test on.")],
-    limits: Annotated[
-        bool, typer.Option(help="Work out what the readings allow; solves the response if need be.")
-    ] = True,
+    data: Annotated[Path, typer.Option(help="Data set to test on.")],
+    limits: Annotated[bool, typer.Option(help="Also compute the least error that the readings allow.")] = True,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Errors of a model on a dataset (relative by eq. 17, RMSE, % of full scale) beside the limit and two baselines."""
+    """Show the errors of a model on a data set, beside what the readings allow.
+
+    Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
+    stand beside.
+    """
     from dataset.labelled import read_labelled
     from decoupler.assessment import assess
     from decoupler.model_file import read_model, require_same_sensor
@@ -377,20 +428,25 @@ def evaluate(
 
 @app.command(rich_help_panel=LEARNING)
 def crossval(
-    data: Annotated[Path, typer.Option(help="Dataset to split.")],
+    data: Annotated[Path, typer.Option(help="Data set to split.")],
     component: Annotated[Component, typer.Option(help="Forces to decouple.")],
-    folds: Annotated[int, typer.Option(help="Parts, each tested once; the paper uses 10.")] = 10,
-    net: Annotated[Literal["plain", "skip"], typer.Option(help="The paper's, or with a linear skip.")] = "skip",
-    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
-    trainer: Annotated[Literal["varpro", "lm", "momentum"], typer.Option(help="How to train.")] = "varpro",
+    folds: Annotated[int, typer.Option(help="Number of parts, each tested once; the paper uses 10.")] = 10,
+    net: Annotated[
+        Literal["plain", "skip"], typer.Option(help="Network: the paper's, or with a linear skip.")
+    ] = "skip",
+    hidden: Annotated[int, typer.Option(help="Number of hidden nodes.")] = 17,
+    trainer: Annotated[
+        Literal["varpro", "lm", "momentum"],
+        typer.Option(help="Training: variable projection, Levenberg-Marquardt, or the paper's."),
+    ] = "varpro",
     feature: FeatureOption = "auto",
     goal: GoalOption = None,
-    seed: Annotated[int, typer.Option(help="Of the split and the random start.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the split and the random start.")] = 0,
     design: UnstatedOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Cross-validate in k folds, in parallel: every sample is tested once, by a network that never saw it."""
+    """Cross-validate: test every sample once, by a network that never saw it."""
     from dataset.labelled import read_labelled
     from decoupler.crossval import cross_validate, summary
     from decoupler.settings import NetworkConfig, TrainingConfig
@@ -416,13 +472,17 @@ def crossval(
 @app.command("fine-tune", rich_help_panel=LEARNING)
 def fine_tune(
     model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
-    data: Annotated[Path, typer.Option(help="Measured resistances and forces of one sensor.")],
+    data: Annotated[Path, typer.Option(help="Data set of measured resistances and forces of one sensor.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
-    pairs: Annotated[int | None, typer.Option(help="Use the first so many; default: all.")] = None,
+    pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Fit a model to one real sensor by a few measured pairs: gain and offset of each pillar, then the output layer."""
+    """Fit a model to one real sensor by a few measured pairs.
+
+    A pair is the forces on the pads and the resistances measured under them. Gain and offset of each pillar are fitted
+    first, then the network's output layer.
+    """
     from dataset.labelled import read_labelled
     from decoupler.crossval import selected
     from decoupler.fine_tuning import fine_tune as fine_tuned
@@ -456,11 +516,12 @@ def export(
     model: Annotated[Path, typer.Option(help="Model file.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .onnx, or .h for a header in C.")],
     precision: Annotated[
-        Literal["float", "double"] | None, typer.Option(help="Of its numbers; default: double in .onnx, float in .h.")
+        Literal["float", "double"] | None,
+        typer.Option(help="Precision of the numbers; default: double in .onnx, float in .h."),
     ] = None,
     json_: JsonOption = False,
 ) -> None:
-    """Write a model for other programs: an ONNX graph, or a C header for a microcontroller."""
+    """Write a model for other programs: ONNX, or C for a microcontroller."""
     from decoupler.export import export_model
     from decoupler.model_file import read_model
 
@@ -478,11 +539,14 @@ def export(
 def run(
     design: DesignOption = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all files.")] = Path("out"),
-    until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage.")] = "table",
+    until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage to run.")] = "table",
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """The whole pipeline: design, CAD, mesh, response, datasets, networks, table; reuses what did not change."""
+    """Run the whole pipeline, from a design to a table of errors.
+
+    The stages are design, CAD, mesh, response, data sets, networks and table. What did not change is not made again.
+    """
     from studies.pipeline import files_of
     from studies.pipeline import run as run_pipeline
     from studies.report import comparison_table, show, stage_table

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
@@ -20,11 +21,26 @@ SOLVING, LEARNING, STUDYING, BOARD = (
     "From a design to its response", "From data to a model", "Studies, pictures, help", "A sensor on the table"
 )  # fmt: skip
 
-DesignOption = Annotated[Path | None, typer.Option("--design", help="Design TOML; default: the paper's sensor.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+DesignOption = Annotated[Path | None, typer.Option("--design", help="Design file (TOML); default: the paper's sensor.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on stdout.")]
 VerbosityOption = Annotated[
-    bool | None, typer.Option("--verbose/--quiet", "-v/-q", help="A line a step with its time / no progress at all.")
+    bool | None,
+    typer.Option("--verbose/--quiet", "-v/-q", help="Print a line for each step and its time, or no progress at all."),
 ]
+
+
+class UnderHeadings(TyperGroup):
+    """Lists commands under the headings above, each with the first line of its help."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        commands = [(name, self.commands[name]) for name in self.list_commands(ctx)]
+        for heading in (SOLVING, LEARNING, STUDYING, BOARD):
+            with formatter.section(heading):
+                formatter.write_dl(
+                    (name, (command.help or "").partition("\n")[0])
+                    for name, command in commands
+                    if getattr(command, "rich_help_panel", "") == heading
+                )
 
 
 def chosen(path: Path | None) -> SensorDesign:

@@ -13,7 +13,7 @@ from geometry.errors import TriPillarError
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
     """Run a function as a program of its own, `python -m studies...`, as `typer.run` does."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command()(function)
     run(app)
 

@@ -1,10 +1,14 @@
 """What every command has in common, and what a shell asks of the whole."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stdout
+from io import StringIO
+from unittest.mock import patch
 
 import psutil
 import pytest
@@ -18,6 +22,18 @@ COMMANDS = typer.main.get_command(app).commands
 
 def options(command):
     return {spelling: option for option in command.params for spelling in (*option.opts, *option.secondary_opts)}
+
+
+def printed_help(words, width):
+    """What --help prints in a terminal of so many columns."""
+    with redirect_stdout(StringIO()) as said, patch.dict(os.environ, COLUMNS=str(width)):
+        app([*words, "--help"], standalone_mode=False)
+    return said.getvalue()
+
+
+def unhyphenated(text):
+    """Words of a text however its lines are broken; a line may end at a word's own hyphen."""
+    return "".join(text.split())
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -38,7 +54,24 @@ def test_every_command_stands_under_a_heading_and_says_what_it_does(name):
     command = COMMANDS[name]
     assert command.rich_help_panel
     assert command.help[0].isupper()
-    assert command.help.rstrip().endswith((".", "."))
+    assert command.help.rstrip().endswith(".")
+    summary = command.help.partition("\n")[0]
+    assert summary.endswith(".")
+    assert re.search(rf"^  {name} +{re.escape(summary)}$", printed_help([], 120), re.MULTILINE)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_prints_every_word_as_written(name, width):
+    """A unit in brackets, such as [s], is no markup; an option's help begins with a noun or a verb, not with "Of"."""
+    text = printed_help([name], width)
+    assert all(len(line) <= width for line in text.splitlines() if "|" not in line)  # a list of choices is not broken
+    shown = unhyphenated(text)
+    for option in COMMANDS[name].params:
+        if option.help:
+            assert unhyphenated(option.help) in shown
+            assert option.help[0].isupper() or option.help.startswith("--")
+            assert option.help.split()[0] not in ("Of", "In", "For", "Its")
 
 
 def test_the_design_option_goes_with_every_command_that_needs_one():

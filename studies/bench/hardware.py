@@ -171,7 +171,7 @@ def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
 
 def bench(
     out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/hardware.json"),
-    seconds: Annotated[float, typer.Option(help="Of each live measurement.")] = 20.0,
+    seconds: Annotated[float, typer.Option(help="Time of each live measurement [s].")] = 20.0,
 ) -> None:
     """Crosstalk and its correction, recorded frames to forces, live scans to forces."""
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):

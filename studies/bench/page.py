@@ -39,8 +39,8 @@ STEP = """async () => {
 
 def measure(
     out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
-    width: Annotated[int, typer.Option(help="Of the browser's window [px].")] = 1280,
-    height: Annotated[int, typer.Option(help="Of the browser's window [px].")] = 800,
+    width: Annotated[int, typer.Option(help="Size of the browser's window [px].")] = 1280,
+    height: Annotated[int, typer.Option(help="Size of the browser's window [px].")] = 800,
 ) -> None:
     """Measure and print one JSON object."""
     load = os.getloadavg()[0]

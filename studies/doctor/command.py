@@ -13,11 +13,11 @@ commands = typer.Typer()
 
 @commands.command(rich_help_panel=STUDYING)
 def doctor(
-    compute: Annotated[bool, typer.Option(help="Compute what has a known answer, too: some five seconds.")] = True,
+    compute: Annotated[bool, typer.Option(help="Compute what has a known answer, too: about 5 s.")] = True,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Look at this machine: versions, solver, display, serial permission; compute answers that are known.
+    """Check this machine: versions, solver, display, serial ports, known answers.
 
     Ends with code 1 if something is wrong.
     """

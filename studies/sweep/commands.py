@@ -19,14 +19,18 @@ if TYPE_CHECKING:
 
 commands = typer.Typer()
 
-SweepArgument = Annotated[Path, typer.Argument(help="Sweep TOML: what is varied, and how.")]
+SweepArgument = Annotated[Path, typer.Argument(help="Sweep file (TOML): what is varied, and how.")]
 OutOption = Annotated[
     Path, typer.Option("--out", "-o", help="Folder for rows, tables and pictures, named after the sweep file.")
 ]
-WorkersOption = Annotated[int | None, typer.Option("--workers", help="Worker processes here; default: one a core.")]
-SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler to use instead.")]
-TrainOption = Annotated[bool, typer.Option("--train", help="Also train the joint decoupler of every design.")]
-RetryOption = Annotated[bool, typer.Option("--retry", help="Judge designs that failed before once more.")]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", help="Number of worker processes; default: one a core.")
+]
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler to use instead of processes here.")
+]
+TrainOption = Annotated[bool, typer.Option("--train", help="Train the network of every design, too.")]
+RetryOption = Annotated[bool, typer.Option("--retry", help="Try designs that failed before once more.")]
 
 
 @commands.command(rich_help_panel=STUDYING)
@@ -37,11 +41,14 @@ def sweep(
     scheduler: SchedulerOption = None,
     train: TrainOption = False,
     retry: RetryOption = False,
-    best: Annotated[int, typer.Option(help="Lines of the printed table.")] = 8,
+    best: Annotated[int, typer.Option(help="Number of designs in the printed table.")] = 8,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Judge many designs from their response: error, range, crosstalk, cost. Goes on where it was stopped."""
+    """Compare many designs by error, range, crosstalk and cost.
+
+    The same command again goes on where it was stopped.
+    """
     require_counts(workers=count, best=best)
     require_packages("dask", "distributed", "pyarrow", "matplotlib")
     from studies.report import show
@@ -89,13 +96,18 @@ def sweep(
 def optimize(
     file: SweepArgument,
     out: OutOption = Path("out"),
-    trials: Annotated[int | None, typer.Option(help="Designs to try in all; default: the file's samples.")] = None,
+    trials: Annotated[
+        int | None, typer.Option(help="Number of designs to try in all; default: samples of the file.")
+    ] = None,
     count: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Search for the design of least error within the file's bounds. Goes on where it was stopped."""
+    """Search for the design of least error within bounds.
+
+    The same command again goes on where it was stopped.
+    """
     require_counts(workers=count, trials=trials)
     require_packages("dask", "distributed", "optuna")
     from geometry.files import replacing

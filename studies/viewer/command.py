@@ -79,22 +79,27 @@ def _is_number(word: str) -> bool:
 def view(
     context: typer.Context,
     body: Annotated[
-        Path | None, typer.Argument(metavar="[SCENE|DESIGN]", help="TOML of either; default: the paper's sensor.")
+        Path | None,
+        typer.Argument(metavar="SCENE|DESIGN", help="Scene or design file (TOML); default: the paper's sensor."),
     ] = None,
     pressure: Annotated[
         list[float] | None,
-        typer.Option(metavar="MPA...", help="Largest pressure on the pads; several: side by side; default: 3."),
+        typer.Option(
+            metavar="MPA...", help="Largest pressure on the pads [MPa]; several are drawn side by side; default: 3."
+        ),
     ] = None,
     load: Annotated[
         Literal["indenter", "uniform"] | None,
-        typer.Option(help="A round indenter over the middle of the array, or all pads alike; default: indenter."),
+        typer.Option(help="Load: a round indenter over the middle of the array, or all pads alike; default: indenter."),
     ] = None,
     colour: Annotated[
         Literal["displacement", "vertical", "mises", "pressure"],
-        typer.Option("--colour", "--color", help="What colour shows."),
+        typer.Option("--colour", "--color", help="Quantity shown as colour."),
     ] = "displacement",
-    scale: Annotated[str, typer.Option(metavar="true|FACTOR|auto", help="Of the displacement as drawn.")] = "true",
-    camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Where it is seen from.")] = "iso",
+    scale: Annotated[
+        str, typer.Option(metavar="true|FACTOR|auto", help="Factor of the displacement as drawn.")
+    ] = "true",
+    camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Direction to look from.")] = "iso",
     save: Annotated[
         Path | None, typer.Option(help="File to write: .png, .html, .mp4 or .vtm; default: open a window.")
     ] = None,
@@ -108,7 +113,7 @@ def view(
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Show a sensor or a scene deformed: pillars in a translucent matrix, by displacement or stress."""
+    """Show a sensor or a scene deformed: in a window, a file or a web page."""
     if body is not None and design is not None:
         raise DesignError(f"{body} and --design {design} both say what to show: give one of them.")
     require_together(context, serve)

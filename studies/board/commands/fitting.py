@@ -32,12 +32,12 @@ def tare(
     calibration: CalibrationOption = None,
     switch_ohm: SwitchOption = None,
     line_ohm: LineOption = None,
-    seconds: Annotated[float, typer.Option(help="Average over so long.")] = 2.0,
+    seconds: Annotated[float, typer.Option(help="Time to average over [s].")] = 2.0,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
 ) -> None:
-    """Take what the sensor shows now, with nothing on it, for its state at rest."""
+    """Zero a sensor: take what it shows now, with nothing on it, as its rest."""
     import numpy as np
 
     from hardware.calibration import write_calibration
@@ -66,23 +66,29 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
     loads: Annotated[
         Path | None,
-        typer.Option(help="CSV: load,row,col,fx_n,fy_n,fz_n; with from_s,to_s to find them in a recording."),
+        typer.Option(help="CSV file: load,row,col,fx_n,fy_n,fz_n; in a recording with from_s,to_s, too."),
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Take switches and wires from this one; its gains and tare are made anew.")
+        Path | None,
+        typer.Option(help="Calibration file to take switches and wires from; gains and tare are made anew."),
     ] = None,
-    weights: Annotated[bool, typer.Option("--weights", help="Type weights in grams as you put them on.")] = False,
+    weights: Annotated[
+        bool, typer.Option("--weights", help="Ask for each weight, in grams, as you put it on.")
+    ] = False,
     design: DesignOption = None,
     switch_ohm: SwitchOption = None,
     line_ohm: LineOption = None,
-    noise: Annotated[float | None, typer.Option(help="Of a resistance, relative; default: as measured.")] = None,
-    seconds: Annotated[float, typer.Option(help="Average over so long under each load.")] = 1.0,
+    noise: Annotated[float | None, typer.Option(help="Relative noise of a resistance; default: as measured.")] = None,
+    seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Find gain and offset of every pillar from known loads, by least squares; one of them should be no load at all."""
+    """Find gain and offset of every pillar from known loads.
+
+    One of the loads should be none at all. The fit is by least squares.
+    """
     from hardware.calibration import read_calibration, write_calibration
     from studies.board.calibrating import calibrated, measured_in_recording, measured_live
     from studies.pipeline import respond

@@ -31,16 +31,21 @@ commands = typer.Typer()
 def record(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .nc, or .mcap for Foxglove and ROS.")],
-    model: Annotated[Path | None, typer.Option(help="Model the recording is meant for: its hash goes along.")] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Model file that the recording is meant for: its hash goes along.")
+    ] = None,
     calibration: CalibrationOption = None,
     seconds: SecondsOption = math.inf,
-    append: Annotated[bool, typer.Option("--append", help="Continue a recording of the same board.")] = False,
+    append: Annotated[bool, typer.Option("--append", help="Continue the recording --out, of the same board.")] = False,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Record raw counts; a killed recording loses less than a second. MCAP holds the forces of --model, too."""
+    """Record what a board sends; a killed recording loses less than a second.
+
+    The recording holds raw counts. An .mcap file holds the forces of --model, too.
+    """
     from decoupler.model_file import read_model
     from studies.board.keep import record_scans
     from studies.board.session import Session, board_on
@@ -70,19 +75,19 @@ def replay(
     recording: Annotated[Path, typer.Argument(help="Recording: NetCDF, MCAP, or the bytes that a board sent.")],
     model: ModelOption,
     calibration: Annotated[
-        Path | None, typer.Option(help="In place of the one that the recording holds, if any.")
+        Path | None, typer.Option(help="Calibration file to use instead of the one in the recording, if any.")
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="Show it as 'live' does, at so many times its pace; default: all at once.")
+        float | None, typer.Option(help="Times its own pace at which to show it, as 'live' does; default: all at once.")
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="File for the forces of every frame: .nc, or .mcap with the counts beside."),
     ] = None,
-    crosstalk: Annotated[bool, typer.Option(help="Take the crossbar's crosstalk out of the counts.")] = True,
+    crosstalk: Annotated[bool, typer.Option(help="Correct the crossbar's crosstalk.")] = True,
     json_: JsonOption = False,
 ) -> None:
-    """Turn recorded frames into forces with a trained model."""
+    """Turn a recording into forces, or watch it again."""
     from decoupler.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames

@@ -15,14 +15,21 @@ if TYPE_CHECKING:
 PortArgument = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, socket://host:port, or a recording.")]
 ModelOption = Annotated[Path, typer.Option("--model", help="Model file.")]
 CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="Of this sensor; default: as designed, switches of 25 Ω.")
+    Path | None,
+    typer.Option("--calibration", help="Calibration file of this sensor; default: as designed, switches of 25 Ω."),
 ]
-SecondsOption = Annotated[float, typer.Option("--seconds", help="Stop after so long; default: on Ctrl-C.")]
-BaudOption = Annotated[int, typer.Option("--baud", help="Bits a second.")]
-TimeoutOption = Annotated[float, typer.Option("--timeout", help="Wait so long for the board's answer [s].")]
-LinesOption = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout, for pipes.")]
-SwitchOption = Annotated[float | None, typer.Option("--switch-ohm", help="Of a closed switch [Ω]; default: 25.")]
-LineOption = Annotated[float | None, typer.Option("--line-ohm", help="Of a wire to the pillars [Ω]; default: 0.")]
+SecondsOption = Annotated[
+    float, typer.Option("--seconds", help="Seconds after which to stop; default: on Ctrl-C.", show_default=False)
+]
+BaudOption = Annotated[int, typer.Option("--baud", help="Speed of the serial port [bit/s].")]
+TimeoutOption = Annotated[float, typer.Option("--timeout", help="Time to wait for the board's answer [s].")]
+LinesOption = Annotated[bool, typer.Option("--json", help="Print one JSON object a line on stdout, for pipes.")]
+SwitchOption = Annotated[
+    float | None, typer.Option("--switch-ohm", help="Resistance of a closed switch [Ω]; default: 25.")
+]
+LineOption = Annotated[
+    float | None, typer.Option("--line-ohm", help="Resistance of a wire to the pillars [Ω]; default: 0.")
+]
 MOST_S = 3600.0  #: of any time that must end
 BAUD = 1_000_000  #: as in `hardware.ports`, which takes too long to load for a help text
 TIMEOUT_S = 4.0  #: as in `hardware.scanner`

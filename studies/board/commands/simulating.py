@@ -36,34 +36,41 @@ commands = typer.Typer()
 def simulate(
     board_: Annotated[
         Literal["auto", "atmega328p", "atmega2560", "python"],
-        typer.Option("--board", help="The firmware on a simulated chip, or the same frames from Python."),
+        typer.Option("--board", help="Board to be: the firmware on a simulated chip, or the same frames from Python."),
     ] = "auto",
-    link: Annotated[Path | None, typer.Option(help="Keep a link of this name on the port.")] = None,
-    scene: Annotated[Path | None, typer.Option(help="Scene TOML of an array, pressed again and again.")] = None,
+    link: Annotated[Path | None, typer.Option(help="Link of this name to the port, to be kept while it runs.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Scene file (TOML) of an array, pressed again and again.")] = None,
     pressure: Annotated[
-        float | None, typer.Option(help="Of the scripted press-and-slide, under its middle [MPa]; default: 3.")
+        float | None, typer.Option(help="Largest pressure of the scripted press and slide [MPa]; default: 3.")
     ] = None,
-    period: Annotated[float, typer.Option(help="Of the script or the scene [s].")] = 6.0,
+    period: Annotated[float, typer.Option(help="Period of the script or the scene [s].")] = 6.0,
     mode: Annotated[
-        Literal["zero-potential", "grounded", "divider"], typer.Option(help="How the crossbar is read.")
+        Literal["zero-potential", "grounded", "divider"], typer.Option(help="Circuit that reads the array.")
     ] = "zero-potential",
-    rate: Annotated[int, typer.Option(help="Scans a second.")] = 150,
-    sense_ohm: Annotated[int | None, typer.Option(help="Sense or feedback resistor [Ω]; default: suits 10 kΩ.")] = None,
+    rate: Annotated[int, typer.Option(help="Number of scans a second.")] = 150,
+    sense_ohm: Annotated[
+        int | None, typer.Option(help="Sense or feedback resistor [Ω]; default: one that suits 10 kΩ.")
+    ] = None,
     switch_ohm: SwitchOption = None,
     line_ohm: LineOption = None,
-    noise: Annotated[float, typer.Option(help="Of a reading, as a share of full scale.")] = 0.0,
-    bits: Annotated[int, typer.Option(help="Of the converter; chips have 10.")] = 10,
-    gain_spread: Annotated[float, typer.Option(help="Each pillar's factor is uniform in 1 ± this.")] = 0.0,
-    offset: Annotated[float, typer.Option(help="Standard deviation of each pillar's offset [Ω].")] = 0.0,
-    specimen: Annotated[int, typer.Option(help="Seed of factors and offsets.")] = 0,
-    serial: Annotated[int, typer.Option(help="The board's own number.")] = 0,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a reading, as a fraction of full scale.")] = 0.0,
+    bits: Annotated[int, typer.Option(help="Bits of the converter; chips have 10.")] = 10,
+    gain_spread: Annotated[
+        float, typer.Option(help="Spread of the pillars' gains: each is uniform in 1 ± this.")
+    ] = 0.0,
+    offset: Annotated[float, typer.Option(help="Standard deviation of the pillars' offsets [Ω].")] = 0.0,
+    specimen: Annotated[int, typer.Option(help="Seed of gains and offsets.")] = 0,
+    serial: Annotated[int, typer.Option(help="Serial number of the board.")] = 0,
     seconds: SecondsOption = math.inf,
-    truth: Annotated[Path | None, typer.Option(help="NetCDF file for one period of the forces that act.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="NetCDF file to write the true forces of one period to.")] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Be a board: the firmware on a simulated chip where simavr is installed, on a pseudo-terminal."""
+    """Simulate a board: a port that sends what a real one would.
+
+    Where simavr is installed, the very firmware runs on a simulated chip. The port is a pseudo-terminal.
+    """
     from dataset.imperfections import Imperfections
     from hardware.crossbar import SUITED_SENSE_OHM, scan_mode_named
     from hardware.frames import Info

@@ -43,7 +43,7 @@ def ports(json_: JsonOption = False) -> None:
 def info(
     port: PortArgument, baud: BaudOption = BAUD, timeout: TimeoutOption = TIMEOUT_S, json_: JsonOption = False
 ) -> None:
-    """Ask a board what it is."""
+    """Ask a board what it is: size, rate, circuit, firmware."""
     from studies.board.session import board_on
 
     require_positive(timeout=timeout)
@@ -63,12 +63,12 @@ def live(
     model: ModelOption,
     calibration: CalibrationOption = None,
     seconds: SecondsOption = math.inf,
-    rate: Annotated[int | None, typer.Option(help="Ask the board for so many scans a second.")] = None,
+    rate: Annotated[int | None, typer.Option(help="Number of scans a second to ask the board for.")] = None,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: LinesOption = False,
 ) -> None:
-    """Show the forces on the sensor as they come: heat map, shear, rate and losses."""
+    """Show the forces on a sensor as they come: heat map, shear, rate, losses."""
     from decoupler.model_file import read_model
     from studies.board.follow import print_lines, show_forces
     from studies.board.session import Session, board_on
@@ -87,17 +87,20 @@ def live(
 @commands.command(rich_help_panel=BOARD)
 def bench(
     port: PortArgument,
-    model: Annotated[Path | None, typer.Option(help="Model file; without one frames are only read.")] = None,
+    model: Annotated[Path | None, typer.Option(help="Model file; default: frames are only read.")] = None,
     calibration: CalibrationOption = None,
-    seconds: Annotated[float, typer.Option(help="Measure for so long.")] = 10.0,
+    seconds: Annotated[float, typer.Option(help="Time to measure for [s].")] = 10.0,
     rehearsal: Annotated[
-        bool, typer.Option(help="Work on the scan before shortly before the next, as 'live' does: caches stay warm.")
+        bool, typer.Option(help="Rehearse on the last scan shortly before the next, as 'live' does: caches stay warm.")
     ] = True,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: JsonOption = False,
 ) -> None:
-    """Measure a board's link: rate, losses, jitter, and how long a scan takes from its last byte to forces."""
+    """Measure a board's link: rate, losses, jitter, and latency.
+
+    Latency is the time from the last byte of a scan to its forces.
+    """
     from decoupler.model_file import read_model
     from studies.board.link import measured_link
     from studies.board.session import Session, board_on

@@ -11,22 +11,24 @@ from geometry.errors import DesignError
 LOOPBACK = "127.0.0.1"
 HTTP_PORT = 8080
 
-ServeOption = Annotated[bool, typer.Option("--serve", help="Serve a page with sliders, the array deforming live.")]
+ServeOption = Annotated[
+    bool, typer.Option("--serve", help="Serve a page with sliders, on which the array deforms live.")
+]
 HostOption = Annotated[
-    str | None, typer.Option(help=f"Of --serve: address to listen on; default: {LOOPBACK}, this machine alone.")
+    str | None, typer.Option(help=f"Address that --serve listens on; default: {LOOPBACK}, this machine alone.")
 ]
 HttpPortOption = Annotated[
-    int | None, typer.Option(help=f"Of --serve: the page's port, 0 for any free one; default: {HTTP_PORT}.")
+    int | None, typer.Option(help=f"Port of the page of --serve; 0: any free one; default: {HTTP_PORT}.")
 ]
 SensorOption = Annotated[
     str | None,
-    typer.Option("--port", help="Of --serve: a sensor that deforms the array: a port as 'live' has, or a recording."),
+    typer.Option("--port", help="Sensor to show on the page of --serve: a port as of 'live', or a recording."),
 ]
 PageModelOption = Annotated[
-    Path | None, typer.Option("--model", help="Of --serve: model that decouples; default: the response's inverse.")
+    Path | None, typer.Option("--model", help="Model file that reads the forces of --port, which needs one.")
 ]
 SensorCalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="Of --serve: of the sensor on --port.")
+    Path | None, typer.Option("--calibration", help="Calibration file of the sensor on --port.")
 ]
 
 
