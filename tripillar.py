@@ -128,8 +128,9 @@ def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: Verb
     """
     from studies.pipeline import meshed
 
+    sensor = chosen(design)
     with progress_bars(verbosity) as bars:
-        stage = meshed(chosen(design), bars)
+        stage = meshed(sensor, bars)
     if json_:
         show_json({"file": str(stage.files[0]), "reused": stage.reused, "seconds": stage.seconds, "note": stage.note})
     else:
@@ -215,9 +216,9 @@ def response(
     from fem.response import write_response
     from studies.pipeline import respond
 
-    settings = ResponseSettings(method=method, tolerance=tolerance)
+    settings, sensor = ResponseSettings(method=method, tolerance=tolerance), chosen(design)
     with progress_bars(verbosity) as bars:
-        stage, solved = respond(chosen(design), bars, settings)
+        stage, solved = respond(sensor, bars, settings)
     write_response(solved, out)
     if json_:
         figures = {
@@ -361,8 +362,8 @@ def train(
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
+    sensor = likely_design(labelled, design)
     with progress_bars(verbosity) as bars:
-        sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
         from decoupler.training import train as train_network
@@ -448,15 +449,16 @@ def crossval(
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
     from dataset.labelled import read_labelled
-    from decoupler.crossval import cross_validate, summary
+    from decoupler.crossval import cross_validate, split_folds, summary
     from decoupler.settings import NetworkConfig, TrainingConfig
     from studies.suited import likely_design, suited_network
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
     labelled = read_labelled(data)
+    split_folds(len(labelled.force_n), folds, seed)
+    sensor = likely_design(labelled, design)
     with progress_bars(verbosity) as bars:
-        sensor = likely_design(labelled, design)
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
         say(note)
         advance = bars.begin(f"{folds} folds", total=folds)
@@ -551,8 +553,9 @@ def run(
     from studies.pipeline import run as run_pipeline
     from studies.report import comparison_table, show, stage_table
 
+    sensor = chosen(design)
     with progress_bars(verbosity) as bars:
-        outcome = run_pipeline(chosen(design), out, bars, until_dataset=until == "dataset")
+        outcome = run_pipeline(sensor, out, bars, until_dataset=until == "dataset")
     if json_:
         show_json(outcome.as_plain())
     else:

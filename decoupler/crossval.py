@@ -41,6 +41,8 @@ def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
     >>> sorted(int(i) for part in split_folds(5, 2, seed=0) for i in part)
     [0, 1, 2, 3, 4]
     """
+    if n_samples < 4:
+        raise SampleError(f"{n_samples} samples are too few to cross-validate: at least 4 are needed, 2 a fold.")
     if not 2 <= folds <= n_samples // 2:
         raise SampleError(f"folds={folds} must be from 2 to {n_samples // 2}, half of the {n_samples} samples.")
     return np.array_split(np.random.default_rng(seed).permutation(n_samples), folds)

@@ -110,7 +110,8 @@ def read_model(path: Path) -> Decoupler:
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file: {_MEND}.") from None
     except (OSError, SafetensorError):
-        raise FileFormatError(f"{path}: truncated or no safetensors file: {_MEND}.") from None
+        reason = "a folder" if path.is_dir() else "truncated or no safetensors file"
+        raise FileFormatError(f"{path}: {reason}: {_MEND}.") from None
     try:
         decoupler = _assembled(json.loads(metadata[HEADER]), arrays)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:

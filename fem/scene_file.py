@@ -1,6 +1,5 @@
 """Scene files: TOML read into a `Scene`, unknown keys and nonsense refused in one line that names the place."""
 
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from fem.scene import Block, Body, Inclusion, Load, Pillar, Probe, Scene, SceneE
 from geometry.design import Material, SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
+from geometry.text_file import read_text, tables_of
 
 BODY_KEYS = {
     "block": ("size_mm",),
@@ -29,20 +29,12 @@ def read_scene(path: Path) -> Scene:
     SceneError
         If the file is missing, not TOML, or not a scene; the message begins with the path.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise SceneError(f"{path}: cannot be read as text: {error}.") from None
-    return scene_from_toml(text, str(path))
+    return scene_from_toml(read_text(path, "give a scene, such as one of scenes/", SceneError), str(path))
 
 
 def scene_from_toml(text: str, source: str = "the scene") -> Scene:
     """A scene from the text of a TOML file; errors as in `read_scene`."""
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, endless nesting
-        raise SceneError(f"{source}: not valid TOML: {error}") from None
-    return scene_from_dict(table, source)
+    return scene_from_dict(tables_of(text, source, SceneError), source)
 
 
 def scene_from_dict(table: dict[str, Any], source: str = "the scene") -> Scene:

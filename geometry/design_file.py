@@ -1,6 +1,5 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
-import tomllib
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.files import replacing
+from geometry.text_file import read_text, tables_of
 
 
 def design_to_toml(design: SensorDesign) -> str:
@@ -62,20 +62,12 @@ def _filled(kind: Any, table: dict[str, Any], where: str) -> Any:
 
 def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
     """A design from the text of a TOML file; errors as in `design_from_dict`."""
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, endless nesting
-        raise DesignError(f"{source}: not valid TOML: {error}") from None
-    return design_from_dict(table, source)
+    return design_from_dict(tables_of(text, source, DesignError), source)
 
 
 def read_design(path: Path) -> SensorDesign:
     """Read a design file; `DesignError` if it is missing, not TOML or not a design."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DesignError(f"{path}: cannot be read as text: {error}; write one with 'tripillar design'.") from None
-    return design_from_toml(text, str(path))
+    return design_from_toml(read_text(path, "write one with 'tripillar design'", DesignError), str(path))
 
 
 def write_design(design: SensorDesign, path: Path) -> None:

@@ -18,6 +18,7 @@ from geometry.errors import FileFormatError
 from geometry.files import replacing
 from geometry.layout import PILLARS, FloatArray
 from geometry.seal import opened_json, sealed_json
+from geometry.text_file import read_text
 from hardware.crossbar import Crossbar
 from hardware.frames import Info
 
@@ -189,11 +190,7 @@ class SensorCalibration:
 
 def read_calibration(path: Path) -> SensorCalibration:
     """Read a calibration file; `SensorCalibration.from_json` says what is refused."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise FileFormatError(f"{path}: {reason}: give a file made by 'tripillar calibrate'.") from None
+    text = read_text(path, "give a file made by 'tripillar calibrate'", FileFormatError)
     return SensorCalibration.from_json(text, source=str(path))
 
 

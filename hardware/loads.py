@@ -9,6 +9,7 @@ import numpy as np
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
+from geometry.text_file import why_unreadable
 
 COLUMNS = ("load", "row", "col", "fx_n", "fy_n", "fz_n")  #: of the table; `fx_n` and `fy_n` may be left out
 TIMES = ("from_s", "to_s")  #: optional: when the load was on, since the recording's first scan
@@ -61,7 +62,7 @@ def read_loads(path: Path, rows: int, cols: int) -> list[KnownLoad]:
         with Path(path).open(newline="", encoding="utf-8-sig") as opened:
             lines = list(csv.DictReader(opened, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path}: {getattr(error, 'strerror', None) or error}: give a CSV table.") from None
+        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     wanted = {"load", "row", "col", "fz_n"}
     if not lines or not wanted <= lines[0].keys():
         raise FileFormatError(

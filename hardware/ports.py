@@ -72,7 +72,7 @@ def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
     Raises
     ------
     PortError
-        If there is no such port, it is in use, it may not be opened, is none, or the kind of URL is unknown.
+        If there is no such port, it is in use, it may not be opened, is none, or there is no such kind.
     """
     options = {"baudrate": baud, "timeout": timeout_s, "write_timeout": _WRITE_TIMEOUT_S, "exclusive": True}
     try:
@@ -130,12 +130,14 @@ def _cause(fault: Exception, url: str) -> str:
     if code == errno.ENOENT:
         there = ", ".join(port.device for port in list_ports()) or "none"
         return f"no such port; there are: {there}. Plug the board in, or name another."
+    if code == errno.EISDIR:
+        return "a folder, not a port: name a device as /dev/ttyUSB0."
     if code in (errno.EAGAIN, errno.EBUSY):
         return "in use by another program: close that one first."
     if code in (errno.EACCES, errno.EPERM):
         return "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew."
     if "not known" in str(fault) and "://" in url:
-        return "unknown kind of URL: give a device as /dev/ttyUSB0, or socket://HOST:PORT."
+        return f"there are no ports of the kind {url.partition('://')[0]}://; name a device as /dev/ttyUSB0, or socket://HOST:PORT."
     if url.lower().startswith("socket://"):
         return f"no connection ({fault}): give socket://HOST:PORT of a running server."
     return f"no serial port ({fault}): name a device as /dev/ttyUSB0."

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 import typer
 
 from geometry.errors import TriPillarError
+from studies.mistyped import in_one_line
 
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
@@ -45,7 +46,7 @@ def _run(app: Any) -> NoReturn:
     try:
         sys.exit(app(standalone_mode=False))
     except typer.exceptions.TyperException as error:
-        message = error.format_message()
+        message = in_one_line(error)
     except (TriPillarError, OSError) as error:
         message = str(error)
     except MemoryError:

@@ -16,7 +16,8 @@ from studies.progress import Bars
 
 def likely_design(data: LabelledData, path: Path | None) -> SensorDesign | None:
     """The design that the data state, else that of a file or the paper's if its array fits; None if it does not."""
-    design = data.design or (SensorDesign() if path is None else read_design(path))
+    given = SensorDesign() if path is None else read_design(path)  # read in any case: a wrong file is refused
+    design = data.design or given
     return design if data.force_n.shape[1:3] == (design.array.rows, design.array.cols) else None
 
 

@@ -55,8 +55,10 @@ def a_response(path: Path):
     return read_response
 
 
-def a_dataset(path: Path):
-    settings = DatasetSettings(protocol="contact", samples=4, seed=3, noise=0.001, bits=16, dead_pillars=((0, 1, "z"),))
+def a_dataset(path: Path, samples: int = 4):
+    settings = DatasetSettings(
+        protocol="contact", samples=samples, seed=3, noise=0.001, bits=16, dead_pillars=((0, 1, "z"),)
+    )
     write_dataset(simulate(made_up_response(SMALL), settings), path)
     return read_labelled
 

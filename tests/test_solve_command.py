@@ -113,8 +113,8 @@ def test_a_bad_scene_is_one_line_and_nothing_written(run, tmp_path, text, says):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["nowhere.toml"], "nowhere.toml: cannot be read as text"),
-        (["."], ".: cannot be read as text"),
+        (["nowhere.toml"], "nowhere.toml: no such file"),
+        (["."], ".: a folder, not a file"),
         (["pillar.toml", "--tolerance", "0"], "tolerance=0 must be a number above 0"),
         (["pillar.toml", "--tolerance", "nan"], "tolerance=nan must be a number above 0"),
         (["pillar.toml", "--no-skip", "lunch"], "unknown saving 'lunch'; known are zero-load"),

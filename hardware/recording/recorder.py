@@ -73,7 +73,7 @@ class FrameRecorder(ABC):
         self._is_open = False
         exists = self.path.exists()
         if exists and not append:
-            raise FileFormatError(f"{path}: the file exists: give another name, or continue it with append.")
+            raise FileFormatError(f"{path}: the file exists: give another name, or continue it by --append.")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with uninterrupted():

@@ -1,7 +1,6 @@
 """Sweep files: TOML read into a `Sweep`, unknown keys and nonsense refused in one line that names the place."""
 
 import math
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from itertools import chain
@@ -13,6 +12,7 @@ from fem.array_response import ResponseSettings
 from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
+from geometry.text_file import read_text, tables_of
 from studies.sweep.merits import FIGURES
 from studies.sweep.variables import Variable
 
@@ -111,13 +111,8 @@ class Sweep:
 
 def read_sweep(path: Path) -> Sweep:
     """Read a sweep file; `DesignError` if it is missing, not TOML or no sweep. The message begins with the path."""
-    try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DesignError(f"{path}: cannot be read as text: {error}.") from None
-    except (ValueError, RecursionError) as error:
-        raise DesignError(f"{path}: not valid TOML: {error}") from None
-    return sweep_from_dict(table, str(path))
+    text = read_text(path, "give a sweep file, such as examples/sweep.toml", DesignError)
+    return sweep_from_dict(tables_of(text, path, DesignError), str(path))
 
 
 def sweep_from_dict(table: dict[str, Any], source: str = "the sweep") -> Sweep:

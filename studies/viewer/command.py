@@ -182,8 +182,12 @@ def require_together(context: typer.Context, serve: bool) -> None:
     given = [name for name, source in sources.items() if source is not None and source.name != "DEFAULT"]
     if given:
         options = ", ".join("--" + name.replace("_", "-") for name in given)
-        why = "the page of --serve has controls of its own" if serve else "only the page of --serve heeds them"
-        raise DesignError(f"{why}: leave {options} out.")
+        why = (
+            "the page of --serve has controls of its own: leave"
+            if serve
+            else "add --serve, whose page these are for, or leave"
+        )
+        raise DesignError(f"{why} {options} out.")
 
 
 def show_page(options: PageOptions, path: Path | None, verbosity: bool | None, as_json: bool) -> None:

@@ -1,6 +1,5 @@
 """What is looked at: a design under pressures, or a scene under its own loads."""
 
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,12 +9,13 @@ from fem.array_field import array_field
 from fem.deformed import Parts, sensor_parts
 from fem.pad_loads import PAD_LOADS
 from fem.scene import Scene
-from fem.scene_file import scene_from_toml
+from fem.scene_file import scene_from_dict
 from fem.scene_parts import scene_parts
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_toml
+from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
+from geometry.text_file import read_text, tables_of
 
 AUTO = 0.2  #: of the body's height, which the largest displacement takes where its scale is chosen
 ROUND = (1.0, 2.0, 5.0)
@@ -23,18 +23,8 @@ ROUND = (1.0, 2.0, 5.0)
 
 def read_body(path: Path) -> SensorDesign | Scene:
     """A scene if the file has a table [body], else a design; errors as those of their readers."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DesignError(f"{path}: cannot be read as text: {error}; give a scene or a design TOML.") from None
-    return scene_from_toml(text, str(path)) if _has_body(text) else design_from_toml(text, str(path))
-
-
-def _has_body(text: str) -> bool:
-    try:
-        return "body" in tomllib.loads(text)
-    except (ValueError, RecursionError):
-        return False  # the reader of designs says where it is not TOML
+    tables = tables_of(read_text(path, "give a scene or a design", DesignError), path, DesignError)
+    return scene_from_dict(tables, str(path)) if "body" in tables else design_from_dict(tables, str(path))
 
 
 def panels_of(

@@ -131,7 +131,7 @@ def test_a_scene_without_probes_is_refused():
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SceneError, match=r"nowhere\.toml: cannot be read as text"):
+    with pytest.raises(SceneError, match=r"nowhere\.toml: no such file"):
         read_scene(tmp_path / "nowhere.toml")
 
 

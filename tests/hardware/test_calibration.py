@@ -126,7 +126,7 @@ def test_other_texts_are_refused(text):
 
 
 def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"nowhere.json: No such file"):
+    with pytest.raises(FileFormatError, match=r"nowhere.json: no such file"):
         read_calibration(tmp_path / "nowhere.json")
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match="not a text file"):

@@ -108,8 +108,8 @@ def test_no_permission_names_the_group(monkeypatch):
     ("url", "message"),
     [
         ("/dev/null", "no serial port"),
-        (os.sep, "no serial port"),
-        ("carrier://pigeon", "unknown kind of URL"),
+        (os.sep, "a folder, not a port"),
+        ("carrier://pigeon", "there are no ports of the kind carrier://"),
         ("socket://nowhere", "no host and port number"),
     ],
 )

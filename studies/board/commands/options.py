@@ -46,8 +46,11 @@ def electronics_of(known: "Electronics | None", switch_ohm: float | None, line_o
 def require_positive(**values: float) -> None:
     """Refuse times that are not above 0; only `seconds` may have no end."""
     for name, value in values.items():
-        if not 0 < value <= (math.inf if name == "seconds" else MOST_S):
-            raise DesignError(f"--{name} {value:g} must be above 0 and at most {MOST_S:g} s.")
+        most = math.inf if name == "seconds" else MOST_S
+        if not 0 < value <= most:
+            raise DesignError(
+                f"--{name} {value:g} must be above 0{f' and at most {most:g}' if most < math.inf else ''} s."
+            )
 
 
 def require_other(out: Path | None, *read: Path | None) -> None:

@@ -87,17 +87,18 @@ def simulate(
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)
     script = PressAndSlide(peak_mpa=3.0 if pressure is None else pressure, seconds=period)
-    with progress_bars(verbosity) as bars:
-        if scene is not None:
-            from fem.scene_file import read_scene
+    if scene is not None:
+        from fem.scene_file import read_scene
 
-            if design is not None or pressure is not None:
-                raise DesignError("a scene has its own design and loads: leave --design and --pressure out.")
-            motion = scene_motion(read_scene(scene), period)
-        else:
-            from studies.pipeline import respond
+        if design is not None or pressure is not None:
+            raise DesignError("a scene has its own design and loads: leave --design and --pressure out.")
+        motion = scene_motion(read_scene(scene), period)
+    else:
+        from studies.pipeline import respond
 
-            motion = press_and_slide(respond(chosen(design), bars)[1], script)
+        pressed = chosen(design)
+        with progress_bars(verbosity) as bars:
+            motion = press_and_slide(respond(pressed, bars)[1], script)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
     kind, why = suited_kind(told) if board_ == "auto" else (board_, "")

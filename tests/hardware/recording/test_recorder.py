@@ -136,7 +136,7 @@ def test_append_makes_a_file_that_is_not_there(path):
 def test_a_file_that_exists_is_not_overwritten(path):
     record(path)
     before = path.read_bytes()
-    with pytest.raises(FileFormatError, match=r"exists: give another name, or continue it with append\.$"):
+    with pytest.raises(FileFormatError, match=r"exists: give another name, or continue it by --append\.$"):
         recorder_for(path, INFO)
     assert path.read_bytes() == before
 

@@ -91,7 +91,7 @@ def test_the_best_design_is_found_within_bounds_and_the_search_resumes(house):
 
 def test_what_makes_no_sense_is_refused_before_any_work(house):
     assert "--workers 0 must be at least 1" in house.refusal("sweep", "pads.toml", "--workers", "0")
-    assert "none.toml: cannot be read" in house.refusal("sweep", "none.toml")
+    assert "none.toml: no such file" in house.refusal("sweep", "none.toml")
     (house.folder / "odd.toml").write_text("[[vary]]\nkey = 'pitch'\n")
     assert "odd.toml: [[vary]] 1: unknown key 'pitch'" in house.refusal("optimize", "odd.toml")
 

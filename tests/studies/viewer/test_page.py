@@ -229,7 +229,7 @@ def test_a_recording_deforms_the_array(house, motion, browser):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--host", "0.0.0.0"], "only the page of --serve heeds them: leave --host out"),
+        (["--host", "0.0.0.0"], "add --serve, whose page these are for, or leave --host out"),
         (["--serve", "--save", "a.png"], "controls of its own: leave --save out"),
         (["--serve", "--port", "board"], "--port needs --model"),
         (["--serve", "--calibration", "own.json"], "--calibration is of a sensor"),
