@@ -63,6 +63,7 @@ test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
 
 docs: $(READY)  ## docs/ as pages with the API, out/docs/site/index.html; with a search: mkdocs serve
+	$(BIN)/python docs/site-parts/command_reference.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(abspath $(OUT))/docs/site
 
 check: $(READY)  ## what CI runs: style, types, tests

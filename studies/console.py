@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from studies.progress import Bars
 
 #: headings under which --help lists the commands
-SOLVING, LEARNING, STUDYING, BOARD = (
+HEADINGS = SOLVING, LEARNING, STUDYING, BOARD = (
     "From a design to its response", "From data to a model", "Studies, pictures, help", "A sensor on the table"
 )  # fmt: skip
 
@@ -34,7 +34,7 @@ class UnderHeadings(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         commands = [(name, self.commands[name]) for name in self.list_commands(ctx)]
-        for heading in (SOLVING, LEARNING, STUDYING, BOARD):
+        for heading in HEADINGS:
             with formatter.section(heading):
                 formatter.write_dl(
                     (name, (command.help or "").partition("\n")[0])

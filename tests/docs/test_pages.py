@@ -1,6 +1,7 @@
 """Pages of the documentation say what is so: commands and options exist, tables are those of the code."""
 
 import re
+import runpy
 
 import click
 import pytest
@@ -15,7 +16,7 @@ from tripillar import app
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = typer.main.get_command(app)
-NO_COMMANDS = {"recording"}  #: `tripillar recording` is what a recording's attribute `format` says
+NO_COMMANDS = {"recording", "COMMAND"}  #: `tripillar recording` is what a recording's attribute `format` says
 
 
 def commands_named(text: str) -> list[str]:
@@ -39,6 +40,14 @@ def test_commands_and_options_exist(page):
         known = {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
         given = {word.partition("=")[0] for word in words if re.fullmatch(r"--?[a-z][a-z-]*(=.*)?", word)}
         assert given <= known | {"--help"}, line
+
+
+def test_the_reference_of_commands_is_what_they_say():
+    """`make docs` writes it; it is there without, and the same."""
+    made = runpy.run_path(str(ROOT / "docs" / "site-parts" / "command_reference.py"))
+    shown = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert shown == made["reference"](COMMANDS), "run docs/site-parts/command_reference.py"
+    assert re.findall(r"^### (.*)$", shown, re.MULTILINE) == list(COMMANDS.commands)
 
 
 def test_the_design_file_shown_is_the_one_written():
