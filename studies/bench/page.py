@@ -20,11 +20,12 @@ from studies.viewer.page.browser import page_in_chromium
 WARM_UP, STEPS = 4, 30
 #: moves the slider once; gives the times [ms] until numbers and picture are new, and what the server says
 STEP = """async () => {
-  const thumb = document.querySelector('#pressure .v-slider-thumb'), numbers = document.querySelector('#strain');
+  const thumb = document.querySelector('#pressure input'), numbers = document.querySelector('#strain');
   const pictures = () => [...document.querySelectorAll('.middle img')];
   const shown = () => pictures().map(picture => picture.src).join();
   const oldNumbers = numbers.textContent, oldPictures = shown(), start = performance.now();
-  thumb.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true}));
+  thumb.stepUp();
+  thumb.dispatchEvent(new Event('input', {bubbles: true}));
   let toNumbers = 0, toPicture = 0;
   while (!(toNumbers && toPicture) && performance.now() - start < 5000) {
     await new Promise(resolve => requestAnimationFrame(resolve));

@@ -20,7 +20,7 @@ def draw(out: Path) -> None:
         page.click("#by-indenter")
         page.click("#pad-14")
         for slider, steps in {"peak": 20, "drag": 40, "drag_angle": 6}.items():
-            page.focus(f"#{slider} .v-slider-thumb")
+            page.focus(f"#{slider} input")
             for _ in range(steps):
                 page.keyboard.press("ArrowRight")
         page.mouse.click(640, 760)  # takes the focus off the slider

@@ -88,7 +88,7 @@ def test_every_command_of_the_readme_runs(tmp_path, pages_cache, monkeypatch):
                 board = "tripillar simulate --design sensor.toml --period 600 --link board &"
                 terminal.type(Command(board, ["… on board; Ctrl-C ends it"]))
             if "--serve" in line:  # until the shell ends it
-                terminal.type(Command(f"{line} --http-port 0 &", ["http://127.0.0.1:…/"]))
+                terminal.type(Command(f"{line} --http-port 0 &", ["http://127.0.0.1:…/?token=…"]))
                 continue
             run(as_typed(line))
             if line == FIRST:

@@ -1,19 +1,23 @@
 """A sensor that drives the page: the newest scan of a board, or of a recording played at its own pace."""
 
+import asyncio
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from decoupler.decoupler import Decoupler
+from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from hardware.live import Forces
 from hardware.scanner import Scanner
 from studies.board.session import Session, board_on
 from studies.viewer.page.sensing import with_all_axes
 
+POLL_S = 0.05  #: between two looks at a sensor
 RATE_OVER_S = 1.0  #: that the scans' rate is taken over
 
 
@@ -83,3 +87,36 @@ class SensorFeed:
             self._times.popleft()
         saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
         return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}"
+
+
+class SensorWatch:
+    """One sensor for all who look at the page: what it said last, and who is to be told.
+
+    Parameters
+    ----------
+    feed : SensorFeed
+        Open.
+    """
+
+    def __init__(self, feed: SensorFeed) -> None:
+        self.feed = feed
+        self.scan: SensorScan | None = None
+        self.trouble = self.link = ""
+        self.ended = False
+        self.listeners: set[Callable[[], None]] = set()
+
+    async def run(self) -> None:
+        """Ask the sensor again and again, until cancelled."""
+        while True:
+            before = self.trouble, self.link, self.ended
+            try:
+                scan = self.feed.newest()
+                self.trouble = "" if scan is not None else self.trouble
+            except TriPillarError as error:  # of one scan; the next may be sound
+                scan, self.trouble = None, str(error)
+            self.scan = scan or self.scan
+            self.link, self.ended = self.feed.status, self.feed.ended
+            if scan is not None or before != (self.trouble, self.link, self.ended):
+                for tell in list(self.listeners):
+                    tell()
+            await asyncio.sleep(POLL_S)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from decoupler.decoupler import Decoupler
     from studies.progress import Bars
 
-NEEDED = ("trame", "trame_pyvista", "trame_rca", "trame_vuetify")
+NEEDED = ("aiohttp",)
 
 
 def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", as_json: bool = False) -> None:
@@ -36,17 +36,19 @@ def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", a
     from decoupler.model_file import read_model
     from fem.array_field import array_field
     from studies.pipeline import respond
-    from studies.viewer.page.feed import SensorFeed
+    from studies.viewer.page.feed import SensorFeed, SensorWatch
+    from studies.viewer.page.page import Subject
     from studies.viewer.page.sensing import ForceSource, InverseForces, NetForces, SensorModel
     from studies.viewer.page.serving import serve
+    from studies.viewer.page.superposition import Superposition
 
     model = None if options.model is None else read_model(options.model)
     if model is not None:
         design = _design_for(model, str(options.model), design)
     with ExitStack() as stack:
-        feed = None
+        watch = None
         if options.port is not None and model is not None:
-            feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
+            watch = SensorWatch(stack.enter_context(SensorFeed(options.port, model, options.calibration)))
         with bars:
             _, response = respond(design or SensorDesign(), bars)
             advance = bars.begin("page", total=2)
@@ -54,13 +56,14 @@ def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", a
             advance(1, "decoupler")
             source: ForceSource
             source = InverseForces(response) if model is None else NetForces(model, f"the model {options.model}")
+            subject = Subject(loads=Superposition(field), sensor=SensorModel(response), source=source, watch=watch)
             advance(1, "")
 
         def tell(url: str) -> None:
             print(json.dumps({"url": url}) if as_json else url, flush=True)
             say("" if as_json else "Ctrl-C ends it")
 
-        serve(field, SensorModel(response), source, feed, options.host, options.http_port, tell)
+        serve(subject, options.host, options.http_port, tell)
 
 
 def _design_for(model: "Decoupler", name: str, given: SensorDesign | None) -> SensorDesign:

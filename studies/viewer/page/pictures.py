@@ -2,32 +2,27 @@
 
 While something moves a picture is given less time than once all is still; what can be drawn and encoded in that time
 decides how many pixels it has, and the browser scales it to its place. So software without a graphics card keeps up, at
-a coarser picture, and a card draws every pixel, or more, which smooths edges. It takes the place of trame-rca's
-scheduler and window, which draw all pictures alike.
+a coarser picture, and a card draws every pixel, or more, which smooths edges.
 """
 
 import asyncio
-import json
+import io
 import math
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import pyvista as pv
-from trame_rca.encoders import RcaImageEncoder
+from PIL import Image
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
-from vtkmodules.vtkWebCore import vtkRemoteInteractionAdapter
 
-IGNORED = ("StartInteractionEvent", "EndInteractionEvent", "KeyDown", "KeyPress", "KeyUp")  #: of what trame-rca sends
 STILL_AFTER_S = 0.3  #: without a change
 LEAST_PIXELS = 120_000
+MOST_PIXELS = 9_000_000  #: a screen of 3840 × 2160
 MOST_ZOOM = 2.0  #: pixels drawn for one of the screen's, along each side; more smooth nothing further
 
-Push = Callable[[bytes, dict[str, Any]], None]
+Send = Callable[[bytes], Awaitable[None]]
 
 
 @dataclass
@@ -40,7 +35,7 @@ class Grade:
 
     def zoom(self, wide: int, high: int) -> float:
         """Pixels to draw for one of a place's, along each side."""
-        pixels = max(self.seconds * self.pixels_per_s, LEAST_PIXELS)
+        pixels = min(max(self.seconds * self.pixels_per_s, LEAST_PIXELS), MOST_PIXELS)
         return min(math.sqrt(pixels / (wide * high)), MOST_ZOOM)
 
     def learn(self, pixels: int, seconds: float) -> None:
@@ -49,22 +44,18 @@ class Grade:
 
 
 class Pictures:
-    """The plotter's window, as trame-rca's protocols of a window and of a scheduler want it.
+    """Pictures of one browser.
 
     Parameters
     ----------
     plotter : pyvista.Plotter
-        Its camera is what mouse events turn.
+        What they show.
     on_resize : callable
         Called once the window has another size.
     """
 
-    target_fps = 60.0  #: not heeded: the time for a picture is
-
     def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
         self._window = plotter.render_window
-        self._interactor = plotter.iren.interactor
-        self._interactor.EnableRenderOff()
         self._window.ShowWindowOff()
         self._reader = vtkWindowToImageFilter()
         self._reader.SetInput(self._window)
@@ -75,84 +66,56 @@ class Pictures:
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
         self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92)
         self._is_wanted = asyncio.Event()
-        self._encoders = ThreadPoolExecutor(1, "pictures")
-        self._push: Push = lambda content, meta: None
         self.draw_ms = 0.0  #: the last moving picture took, encoding included
 
-    async def run(self) -> None:
-        """Draw whatever is wanted, until cancelled."""
-        try:
-            while True:
-                await self._is_wanted.wait()
-                await asyncio.sleep(0.001)  # numbers go first
-                self._is_wanted.clear()
-                await self._draw(self._moving)
-                try:
-                    await asyncio.wait_for(self._is_wanted.wait(), STILL_AFTER_S)
-                except TimeoutError:
-                    await self._draw(self._still)
-        finally:
-            self._encoders.shutdown()
+    async def run(self, send: Send) -> None:
+        """Draw and send whatever is wanted, until cancelled; what is sent slowly is drawn less often."""
+        while True:
+            await self._is_wanted.wait()
+            await asyncio.sleep(0.001)  # numbers go first
+            self._is_wanted.clear()
+            await send(await self._drawn(self._moving))
+            try:
+                await asyncio.wait_for(self._is_wanted.wait(), STILL_AFTER_S)
+            except TimeoutError:
+                await send(await self._drawn(self._still))
 
-    async def _draw(self, grade: Grade) -> None:
+    def resize(self, wide: int, high: int) -> None:
+        """Draw for a place of this size [pixels of the screen]."""
+        self._size = (wide, high)
+        self._window.SetSize(wide, high)
+        self._on_resize()
+        self.schedule_render()
+
+    def schedule_render(self) -> None:
+        """Draw soon."""
+        self._is_wanted.set()
+
+    async def _drawn(self, grade: Grade) -> bytes:
+        """A picture as JPEG."""
         start = time.perf_counter()
         image = self._rendered(grade.zoom(*self._size))
-        rows, cols, _ = image.shape
-        encode = RcaImageEncoder.JPEG.encode
-        loop = asyncio.get_running_loop()
-        content, meta, _ = await loop.run_in_executor(self._encoders, encode, image, cols, rows, grade.quality)
+        content = await asyncio.to_thread(_jpeg, image, grade.quality)
         seconds = time.perf_counter() - start
-        grade.learn(rows * cols, seconds)
+        grade.learn(image.width * image.height, seconds)
         if grade is self._moving:
             self.draw_ms = 1e3 * seconds
-        self._push(content, meta)
+        return content
 
-    def _rendered(self, zoom: float) -> np.ndarray:
-        """A picture, (rows, cols, 3), upper row first; the window's size is afterwards as before."""
+    def _rendered(self, zoom: float) -> Image.Image:
+        """A picture of so many pixels for one of the place's, along each side."""
         wide, high = self._size
         self._window.SetSize(max(1, round(zoom * wide)), max(1, round(zoom * high)))
         self._window.Render()
         self._reader.Modified()
         self._reader.Update()
-        image = self._reader.GetOutput()
-        cols, rows, _ = image.GetDimensions()
-        self._window.SetSize(wide, high)  # mouse events are in the screen's pixels
-        pixels = vtk_to_numpy(image.GetPointData().GetScalars()).reshape(rows, cols, -1)
-        return np.ascontiguousarray(pixels[::-1])[..., :3]
+        drawn = self._reader.GetOutput()
+        cols, rows, _ = drawn.GetDimensions()
+        pixels = vtk_to_numpy(drawn.GetPointData().GetScalars())
+        return Image.frombytes("RGBX", (cols, rows), pixels, "raw", "RGBX", 0, -1)  # VTK's lowest row is the first
 
-    # what trame-rca asks of a window
 
-    @property
-    def img_cols_rows(self) -> tuple[np.ndarray, int, int]:
-        image = self._rendered(1.0)
-        return image, image.shape[1], image.shape[0]
-
-    def process_resize_event(self, width: int, height: int) -> None:
-        self._size = (width, height)
-        self._interactor.UpdateSize(width, height)
-        self._on_resize()
-
-    def process_interaction_event(self, event: dict[str, Any]) -> None:
-        """Hand VTK what the mouse does. Keys are for the page's controls; VTK would take a w for wire frames."""
-        if event["type"] not in IGNORED:
-            vtkRemoteInteractionAdapter.ProcessEvent(self._interactor, json.dumps(event))
-            self.schedule_render()
-
-    # and of a scheduler
-
-    @property
-    def rca(self) -> "Pictures":
-        return self
-
-    def set_push_callback(self, callback: Push) -> None:
-        self._push = callback
-
-    def schedule_render(self) -> None:
-        self._is_wanted.set()
-
-    def reset(self) -> None:
-        """A browser has come: it has no picture yet."""
-        self.schedule_render()
-
-    async def close(self) -> None:
-        """Nothing to do: whoever runs `run` cancels it."""
+def _jpeg(image: Image.Image, quality: int) -> bytes:
+    written = io.BytesIO()
+    image.save(written, "JPEG", quality=quality)
+    return written.getvalue()

@@ -6,11 +6,12 @@ from typing import Literal
 import numpy as np
 import pyvista as pv
 
-from fem.array_field import ArrayField, FieldState, Observer
+from fem.array_field import FieldState, Observer
 from fem.deformed import Part, Surface, pillar_surface
 from fem.figures import QUANTITIES, Colour, colour_limits, draw_off_screen, place
 from fem.solution import QUADRILATERAL
 from geometry.layout import PILLARS, FloatArray, unit_centres
+from studies.viewer.page.camera import Gestures
 from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_face, top_face, upright_edge
 from studies.viewer.page.superposition import Superposition
 
@@ -83,9 +84,10 @@ def of_units(state: FieldState, units: IntArray) -> FieldState:
 class ArrayScene:
     """A plotter with the array in it; draws nothing by itself."""
 
-    def __init__(self, field: ArrayField) -> None:
+    def __init__(self, loads: Superposition) -> None:
         draw_off_screen()
-        self._field, self._loads = field, Superposition(field)
+        field = loads.field
+        self._field, self._loads = field, loads
         design = field.design
         rows, cols = design.array.rows, design.array.cols
         everyone = np.arange(design.n_units)
@@ -108,7 +110,6 @@ class ArrayScene:
         self._mark = pv.lines_from_points(self._outline(0), close=True)
         self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
         self._fill()
-        self.plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)  # z stays upright
 
     def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
         """Bring the scene to a load.
@@ -159,6 +160,7 @@ class ArrayScene:
         place(self.plotter.camera, corners, VIEW, (0.0, 0.0, 1.0), wide / high)
         self.plotter.reset_camera_clipping_range()
         self._start = self.plotter.camera.position
+        self.gestures = Gestures(self.plotter.camera)
 
     def fit(self) -> None:
         """Fill a window of another size, unless the camera has been moved."""

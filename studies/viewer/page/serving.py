@@ -2,99 +2,161 @@
 
 import asyncio
 import signal
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
-from trame.app import get_server
+from aiohttp import WSCloseCode, web
 
-from fem.array_field import ArrayField
-from studies.viewer.page.address import page_url
-from studies.viewer.page.feed import SensorFeed
-from studies.viewer.page.layout import lay_out
-from studies.viewer.page.page import Page
-from studies.viewer.page.sensing import ForceSource, SensorModel
+from studies.viewer.page.address import listening_on, page_url
+from studies.viewer.page.guard import Guard, add_headers
+from studies.viewer.page.page import Page, Subject
+from studies.viewer.page.session import Session
+
+FILES = {
+    "/": "page.html",
+    "/page.css": "page.css",
+    "/page.js": "page.js",
+    "/picture.js": "picture.js",
+}  #: all that there is
+MOST_BROWSERS = 8  #: at once; each has a scene of its own, 40 MB
+MOST_CONNECTIONS = 64  #: at once, of any kind
+MOST_BYTES = 2**16  #: of a message; the state of 500 pads takes 20 kB
+PATIENCE_S = 10.0  #: for a request and its answer
+HEARTBEAT_S = 20.0  #: between two signs of life of a browser
 
 
-def serve(
-    field: ArrayField,
-    sensor: SensorModel,
-    source: ForceSource,
-    feed: SensorFeed | None,
-    host: str,
-    port: int,
-    on_ready: Callable[[str], None],
-) -> None:
+def serve(subject: Subject, host: str, port: int, on_ready: Callable[[str], None]) -> None:
     """Serve the page until Ctrl-C or a termination.
 
     Parameters
     ----------
-    field, sensor, source, feed
-        As `Page` takes them.
+    subject : Subject
+        What the page shows.
     host, port : str, int
         Where to listen; port 0 is any free one.
     on_ready : callable
-        Told the page's address once browsers can come.
+        Told the page's address, with its token, once browsers can come.
 
     Raises
     ------
     OSError
         If that port cannot be listened on; `require_free` says so earlier.
     """
-    asyncio.run(_serve(field, sensor, source, feed, host, port, on_ready))
+    asyncio.run(_serve(subject, host, port, on_ready))
 
 
-async def _serve(
-    field: ArrayField,
-    sensor: SensorModel,
-    source: ForceSource,
-    feed: SensorFeed | None,
-    host: str,
-    port: int,
-    on_ready: Callable[[str], None],
-) -> None:
-    server = get_server("tripillar", client_type="vue3")
-    page = Page(server.state, field, sensor, source, feed)
-    lay_out(server, page, field.design, source.name)
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    loop.set_exception_handler(_unless_browser_left)
+async def _serve(subject: Subject, host: str, port: int, on_ready: Callable[[str], None]) -> None:
+    ended, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    server.controller.on_server_ready.add(lambda **_: on_ready(page_url(host, server.port)))
-    with _own_command_line():
-        listening = server.start(
-            port=port, host=host, timeout=0, open_browser=False, show_connection_info=False, exec_mode="task"
-        )
-    working, ending = asyncio.create_task(page.run()), asyncio.create_task(ended.wait())
-    await asyncio.wait([listening, working, ending], return_when=asyncio.FIRST_COMPLETED)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
-    for task in (working, ending):
-        task.cancel()
-    if not listening.done():
-        await server.stop()
-    await listening
-    with suppress(asyncio.CancelledError):
-        await working
-
-
-def _unless_browser_left(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Tell of what fails in the background, but not of what was on its way to a browser that has gone."""
-    if not isinstance(context.get("exception"), ConnectionResetError):
-        loop.default_exception_handler(context)
-
-
-@contextmanager
-def _own_command_line() -> Iterator[None]:
-    """Hide our options from trame, which reads the command line by itself and would take --port for its own.
-
-    Its own option for us: pictures are compressed already.
-    """
-    given = sys.argv
-    sys.argv = [*given[:1], "--no-ws-compress", "--nosignalhandlers"]
+    server = Server(subject, host)
+    working: list[asyncio.Task[Any]] = [asyncio.create_task(ended.wait())]
+    if subject.watch is not None:
+        working.append(asyncio.create_task(subject.watch.run()))
     try:
-        yield
+        on_ready(await server.start(host, port))
+        await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        sys.argv = given
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
+        await server.stop()
+        for task in working:
+            task.cancel()
+        with suppress(asyncio.CancelledError):
+            await asyncio.gather(*working)
+
+
+class Server:
+    """Serves the page on one port, with bounds on all that a stranger can ask for.
+
+    Parameters
+    ----------
+    subject : Subject
+        What the page shows.
+    host : str
+        As the user gave it.
+    """
+
+    def __init__(self, subject: Subject, host: str) -> None:
+        self._subject, self._guard = subject, Guard(host)
+        self._sockets: dict[web.WebSocketResponse, object] = {}  # and the connection that each is on
+
+    async def start(self, host: str, port: int) -> str:
+        """Listen; the page's address, with the token."""
+        guard = self._guard
+
+        @web.middleware
+        async def admitted(request: web.Request, handler: Callable[[web.Request], object]) -> web.StreamResponse:
+            return await guard.admit(request, handler)  # type: ignore[arg-type]
+
+        app = web.Application(middlewares=[admitted], client_max_size=MOST_BYTES)
+        app.on_response_prepare.append(add_headers)
+        app.add_routes([web.get(path, self._file) for path in FILES])
+        app.add_routes([web.get("/socket", self._socket)])
+        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=PATIENCE_S, shutdown_timeout=1.0)
+        await self._runner.setup()
+        self._http = self._runner.server
+        assert self._http is not None
+        http = self._http
+
+        def connected() -> asyncio.BaseProtocol:
+            return http() if len(http.connections) < MOST_CONNECTIONS else Busy()
+
+        opened = listening_on(host, port)
+        self._listening = await asyncio.get_running_loop().create_server(connected, sock=opened)
+        self._sweeping = asyncio.create_task(self._sweep())
+        return page_url(host, opened.getsockname()[1], guard.token)
+
+    async def stop(self) -> None:
+        """Say goodbye to all browsers."""
+        if hasattr(self, "_listening"):
+            self._sweeping.cancel()
+            self._listening.close()
+            goodbyes = [socket.close(code=WSCloseCode.GOING_AWAY) for socket in self._sockets]
+            await asyncio.gather(*goodbyes, return_exceptions=True)
+            await self._runner.cleanup()
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        return web.FileResponse(Path(__file__).with_name(FILES[request.path]))
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=HEARTBEAT_S, compress=False, timeout=1.0)
+        await socket.prepare(request)
+        if len(self._sockets) >= MOST_BROWSERS:
+            said = f"{MOST_BROWSERS} browsers look already: close one of them, and reload."
+            await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=said.encode())
+            return socket
+        self._sockets[socket] = request.protocol
+        page = None
+        try:
+            page = Page(self._subject)
+            await Session(page, socket).run()
+        finally:
+            del self._sockets[socket]
+            if page is not None:
+                page.close()
+        return socket
+
+    async def _sweep(self) -> None:
+        """End connections that neither ask nor take their answer."""
+        since: WeakKeyDictionary[object, float] = WeakKeyDictionary()
+        assert self._http is not None
+        while True:
+            await asyncio.sleep(1.0)
+            browsers, now = set(self._sockets.values()), time.monotonic()
+            for connection in self._http.connections:
+                if connection in browsers:
+                    since.pop(connection, None)
+                elif now - since.setdefault(connection, now) > PATIENCE_S and connection.transport is not None:
+                    connection.transport.abort()
+
+
+class Busy(asyncio.Protocol):
+    """Takes no further connection."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.abort()  # type: ignore[attr-defined]

@@ -22,7 +22,7 @@ def field():
 
 @pytest.fixture(scope="module")
 def scene(field):
-    scene = ArrayScene(field)
+    scene = ArrayScene(Superposition(field))
     yield scene
     scene.plotter.close()
 

@@ -1,0 +1,133 @@
+"""One browser at the page: what it says is checked, and what follows is sent to it."""
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from studies.viewer.page.controls import ControlError, mapping, numbers_of
+from studies.viewer.page.page import Page
+
+MOST_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
+MOST_PIXELS_A_SIDE = 4096
+TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
+
+
+class Session:
+    """A page and the web socket of the browser that shows it.
+
+    Messages are JSON objects of one name. From the browser: "set" {control: value}, "do" one of `calls`, "turn"
+    [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in pixels, and
+    "restore", a state. To it: "facts", "show" with what has changed, and "refused" with the reason. Pictures are the
+    binary messages.
+    """
+
+    def __init__(self, page: Page, socket: web.WebSocketResponse) -> None:
+        self._page, self._socket = page, socket
+        self._shown: dict[str, Any] = {}  # as the browser has it
+        self.calls: dict[str, Callable[[], None]] = {
+            "reset": page.reset,
+            "home": page.look_from_the_start,
+            "again": page.play_again,
+        }
+        self._takers: dict[str, Callable[[Any], None]] = {
+            "set": self._set,
+            "do": self._do,
+            "turn": lambda said: page.scene.gestures.turn(*numbers_of("turn", said, 2, -TURN_DEG, TURN_DEG)),
+            "nearer": lambda said: page.scene.gestures.approach(*numbers_of("nearer", [said], 1, *NEARER)),
+            "move": lambda said: page.scene.gestures.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
+            "size": self._resize,
+            "restore": page.restore,
+        }
+
+    async def run(self) -> None:
+        """Until the browser leaves."""
+        await self._send({"facts": self._page.facts()})
+        working = [
+            asyncio.create_task(self._tell()),
+            asyncio.create_task(self._page.pictures.run(self._socket.send_bytes)),
+        ]
+        listening = asyncio.create_task(self._listen())
+        try:
+            await asyncio.wait([*working, listening], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (*working, listening):
+                task.cancel()
+            ended = await asyncio.gather(*working, listening, return_exceptions=True)
+        for error in ended:
+            if isinstance(error, Exception) and not isinstance(error, ConnectionResetError):  # it left meanwhile
+                raise error
+
+    async def _listen(self) -> None:
+        began, count = time.monotonic(), 0
+        async for message in self._socket:
+            try:
+                if message.type is not WSMsgType.TEXT:
+                    raise ControlError("messages are text.")
+                self._take(message.data)
+            except ControlError as error:
+                await self._send({"refused": str(error)})
+            count += 1
+            left_s = began + count / MOST_A_SECOND - time.monotonic()
+            if left_s < -1.0:
+                began, count = time.monotonic(), 0
+            await asyncio.sleep(max(left_s, 0.0))
+
+    def _take(self, text: str) -> None:
+        """Do what a message says.
+
+        Raises
+        ------
+        ControlError
+            If it is none of those that `Session` names, or says what cannot be.
+        """
+        try:
+            said = json.loads(text)
+        except (ValueError, RecursionError):
+            raise ControlError("a message is no JSON.") from None
+        for name, value in mapping("a message", said).items():
+            if name not in self._takers:
+                raise ControlError(f"there is no message {name!r:.40}.")
+            self._takers[name](value)
+            if name in ("turn", "nearer", "move"):
+                self._page.pictures.schedule_render()
+
+    def _set(self, said: Any) -> None:
+        self._page.set(said)
+        self._shown.setdefault("controls", {}).update(said)
+
+    def _do(self, said: Any) -> None:
+        if not isinstance(said, str) or said not in self.calls:
+            raise ControlError(f"do={said!r:.40} is none of {', '.join(self.calls)}.")
+        self.calls[said]()
+
+    def _resize(self, said: Any) -> None:
+        wide, high = numbers_of("size", said, 2, 1.0, MOST_PIXELS_A_SIDE)
+        self._page.pictures.resize(round(wide), round(high))
+
+    async def _tell(self) -> None:
+        """Send what has changed whenever something has."""
+        while True:
+            await self._page.is_changed.wait()
+            self._page.is_changed.clear()
+            shown = self._page.update()
+            shown["controls"] = self._page.controls
+            changed = news(self._shown, shown)
+            changed["controls"] = news(self._shown.get("controls", {}), shown["controls"])
+            self._shown |= shown | {"controls": dict(shown["controls"])}
+            await self._send({"show": changed})
+
+    async def _send(self, message: Mapping[str, Any]) -> None:
+        await self._socket.send_str(json.dumps(message, allow_nan=False))
+
+
+def news(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """What of the new is not in the old.
+
+    >>> news({"a": 1, "b": 2}, {"a": 1, "b": 3})
+    {'b': 3}
+    """
+    return {name: value for name, value in new.items() if name not in old or old[name] != value}
