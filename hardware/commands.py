@@ -6,7 +6,7 @@ The same three states as in firmware/commands.c; the tests run one table of case
 from enum import Enum, auto
 from typing import Literal
 
-Command = Literal["info"] | int  #: a question, or the rate that was asked for [Hz]; 65535 stands for more
+Command = Literal["info", "errors"] | int  #: a question, or the rate that was asked for [Hz]; 65535 stands for more
 _MOST_HZ = 65535
 
 
@@ -34,9 +34,9 @@ class Commands:
         return [command for command in taken if command is not None]
 
     def _take(self, byte: int) -> Command | None:
-        if byte == ord("?"):  # always heard, even where a host went away in the middle of a command
+        if byte in b"?!":  # always heard, even where a host went away in the middle of a command
             self._state = _State.BETWEEN
-            return "info"
+            return "info" if byte == ord("?") else "errors"
         if byte == ord("\n"):
             is_number = self._state is _State.NUMBER
             self._state = _State.BETWEEN

@@ -1,8 +1,8 @@
 """The frames between board and host: bytes to values and back. Pure: no port, no file, no clock.
 
 `docs/frames.md` is the specification, for firmware and host alike. A board sends data frames (`Frame`) and,
-when asked by ``?``, an INFO frame (`Info`). Both are packed little-endian, closed by a CRC, made free of zero
-bytes by COBS, and ended by one zero byte.
+when asked by ``?`` or ``!``, an INFO frame (`Info`) or an ERRORS frame (`Errors`). All are packed little-endian, closed
+by a CRC, made free of zero bytes by COBS, and ended by one zero byte.
 """
 
 import binascii
@@ -21,11 +21,13 @@ from geometry.errors import TriPillarError
 PROTOCOL = 1  #: version of docs/frames.md that this code follows
 
 _DELIMITER = b"\0"
-_FRAME_TYPE, _INFO_TYPE = b"DI"
+_FRAME_TYPE, _INFO_TYPE, _ERRORS_TYPE = b"DIE"
 _FRAME_HEADER = struct.Struct("<BBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
 _INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their order
+_ERRORS = struct.Struct("<BBBB")  # likewise
 _CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
+MAX_OVERRUNS = _BYTE  #: that a board counts: this many or more
 _MAX_COUNT = _SHORT
 _MOST_DRIFT = 0.01  # of a ceramic resonator, with room to spare
 _MOST_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
@@ -54,7 +56,7 @@ class Frame:
     counts: NDArray[np.uint16]  #: (n,), in the order of `geometry.wiring.crossings`; read-only
     saturated: bool = False  #: the board saw a count of 0 or of full scale
     scan_mode: ScanMode = ScanMode.DIVIDER
-    overruns: int = 0  #: scans skipped because the one before was not done, modulo 2⁸
+    overruns: int = 0  #: scans skipped because the one before was not done, at most `MAX_OVERRUNS`
 
     def __post_init__(self) -> None:
         _require_whole(self, sequence=(0, _SHORT), device_us=(0, _WORD), bits=(8, 16), overruns=(0, _BYTE))
@@ -111,6 +113,18 @@ class Info:
         return 3 * self.rows * self.cols
 
 
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """What went wrong on a board since its start; 255 stands for more."""
+
+    reset_cause: int = 0  #: why it started: bit 0 power, 1 reset, 2 brown-out, 3 watchdog; 0: it does not know
+    bad_bytes: int = 0  #: that the host sent and the board received damaged
+    losses: int = 0  #: how often the board received less than the host sent
+
+    def __post_init__(self) -> None:
+        _require_whole(self, reset_cause=(0, 15), bad_bytes=(0, _BYTE), losses=(0, _BYTE))
+
+
 def _require_whole(values: Any, **bounds: tuple[int, int]) -> None:
     for name, (low, high) in bounds.items():
         value = getattr(values, name)
@@ -118,7 +132,7 @@ def _require_whole(values: Any, **bounds: tuple[int, int]) -> None:
             raise FrameError(f"{name}={value!r} must be a whole number from {low} to {high}.")
 
 
-def encode(frame: Frame | Info) -> bytes:
+def encode(frame: Frame | Info | Errors) -> bytes:
     """Bytes of one frame on the wire, delimiter included: 232 for 108 counts, 25 for an INFO frame.
 
     >>> len(encode(Frame(sequence=0, device_us=0, bits=10, counts=np.full(108, 512)))), len(encode(Info()))
@@ -129,6 +143,8 @@ def encode(frame: Frame | Info) -> bytes:
             _INFO_TYPE, frame.protocol, frame.rows, frame.cols, frame.bits, frame.scan_mode,
             bytes(frame.firmware), frame.rate_hz, frame.serial, frame.sense_ohm, frame.vref_mv,
         )  # fmt: skip
+    elif isinstance(frame, Errors):
+        packed = _ERRORS.pack(_ERRORS_TYPE, frame.reset_cause, frame.bad_bytes, frame.losses)
     else:
         header = _FRAME_HEADER.pack(
             _FRAME_TYPE, frame.flags, frame.sequence, frame.device_us,
@@ -147,7 +163,7 @@ def _crc(packed: bytes) -> int:
     return binascii.crc_hqx(packed, 0xFFFF)
 
 
-def _decode(chunk: bytes) -> Frame | Info | str:
+def _decode(chunk: bytes) -> Frame | Info | Errors | str:
     """The frame between two delimiters, or the field of `Statistics` that says what is wrong with it."""
     try:
         body = cobs.decode(chunk)
@@ -161,6 +177,8 @@ def _decode(chunk: bytes) -> Frame | Info | str:
             return _unpack_frame(packed)
         if packed[:1] == b"I":
             return _unpack_info(packed)
+        if packed[:1] == b"E":
+            return _unpack_errors(packed)
     except (struct.error, ValueError):  # a length or a value that no frame has
         pass
     return "bad_form"
@@ -197,6 +215,11 @@ def _unpack_info(packed: bytes) -> Info:
         sense_ohm=sense_ohm,
         vref_mv=vref_mv,
     )
+
+
+def _unpack_errors(packed: bytes) -> Errors:
+    _, reset_cause, bad_bytes, losses = _ERRORS.unpack(packed)
+    return Errors(reset_cause=reset_cause, bad_bytes=bad_bytes, losses=losses)
 
 
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
@@ -269,10 +292,10 @@ class FrameDecoder:
         """Bytes received since the last delimiter: a frame that is not complete."""
         return len(self._pending)
 
-    def feed(self, data: bytes) -> list[Frame | Info]:
+    def feed(self, data: bytes) -> list[Frame | Info | Errors]:
         """The frames that `data` completes, in the order of their arrival."""
         *ends, rest = data.split(_DELIMITER)
-        frames = []
+        frames: list[Frame | Info | Errors] = []
         for end in ends:
             chunk = bytes(self._pending) + end
             self._pending.clear()
@@ -283,7 +306,7 @@ class FrameDecoder:
         self._pending += rest[:room]
         return frames
 
-    def _take(self, chunk: bytes) -> Frame | Info | None:
+    def _take(self, chunk: bytes) -> Frame | Info | Errors | None:
         frame = _decode(chunk) if len(chunk) <= _MAX_CHUNK else "bad_form"
         if isinstance(frame, str):
             self._counted[frame] += self._has_met_delimiter
@@ -291,7 +314,7 @@ class FrameDecoder:
         if isinstance(frame, Frame):
             self._follow(frame)
             self._counted["ok"] += 1
-        else:
+        elif isinstance(frame, Info):
             self._counted["info"] += 1
         return frame
 

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from hardware.clock import DeviceClock
-from hardware.frames import Frame, FrameDecoder, Info, Statistics, missing_between
+from hardware.frames import Errors, Frame, FrameDecoder, Info, Statistics, missing_between
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -55,6 +55,7 @@ class Reception:
     def __init__(self) -> None:
         self.info: Info | None = None  #: of the board; its rate is the latest
         self.n_infos = 0  #: INFO frames of the board
+        self.errors: Errors | None = None  #: the last ERRORS frame
         self.n_bytes = 0  #: received
         self.n_frames = 0  #: valid data frames received, delivered or not
         self.asks = True  #: the board is to be asked for INFO
@@ -99,6 +100,9 @@ class Reception:
         for received in self._decoder.feed(data):
             if isinstance(received, Info):
                 self._identify(received)
+                continue
+            if isinstance(received, Errors):
+                self.errors = received
                 continue
             self.n_frames += 1
             self._follow(received, received_s)

@@ -14,12 +14,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from geometry.errors import TriPillarError
-from hardware.frames import Info
+from hardware.frames import Errors, Info
 from hardware.ports import BAUD, PortError, close, open_port, read_available, write
 from hardware.reception import Reception, ReceptionStatistics, Scan
 
 _READ_TIMEOUT_S = 0.1  # bounds how long closing takes
 _ASK_EVERY_S = 0.25
+_ERRORS_WAIT_S = 0.5  # for an answer that firmware before 1.1 does not give
 _LISTEN_S = 0.5  # before the first question: a boot loader may be at the other end, which is to hear nothing odd
 _RETRY_EVERY_S = 0.1
 _RATES_HZ = (1, 1000)  # that a board may be asked for
@@ -202,6 +203,14 @@ class Scanner:
         if not self._wait_for(lambda: self._reception.n_infos > before, self._timeout_s):
             raise ScannerError(f"{self._name}: no answer to {command!r} within {self._timeout_s:g} s: is it connected?")
         return self.info
+
+    def errors(self) -> Errors | None:
+        """Ask the board what went wrong since its start; None where its firmware does not tell."""
+        with self._changed:
+            self._reception.errors = None
+            self._commands.append(b"!")
+        self._wait_for(lambda: self._reception.errors is not None, _ERRORS_WAIT_S)
+        return self._reception.errors
 
     def set_rate(self, rate_hz: int) -> Info:
         """Have the board scan `rate_hz` times a second, also after it was reset or plugged in again.

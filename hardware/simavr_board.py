@@ -103,6 +103,8 @@ class SimavrBoard:
         As fast as possible, rather than in real time. The board then waits for its reader, so nothing is lost.
     seconds : float, optional
         Stop after so much of the board's time [s].
+    damage : int, optional
+        Every so manieth byte to the board arrives with a wrong stop bit.
     program : Path
         What ``make -C hardware/firmware simulator`` built.
 
@@ -125,12 +127,14 @@ class SimavrBoard:
         link: Path | None = None,
         fast: bool = False,
         seconds: float | None = None,
+        damage: int | None = None,
         program: Path = PROGRAM,
     ) -> None:
         self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
         self._command += ["--link", str(link)] if link else []
         self._command += ["--seconds", str(seconds)] if seconds else []
         self._command += ["--fast"] if fast else []
+        self._command += ["--damage", str(damage)] if damage else []
         self._process: subprocess.Popen[str] | None = None
         self._statistics: dict[str, Any] | None = None
         self.port = ""  #: the serial port's path, once started
@@ -160,12 +164,17 @@ class SimavrBoard:
         """Press the board's reset button: the sequence and its clock start again."""
         self._running().send_signal(signal.SIGUSR1)
 
+    def hang(self) -> None:
+        """Take the interrupt away that starts scans, as a disturbed register would: nothing is sent any more."""
+        self._running().send_signal(signal.SIGUSR2)
+
     def stop(self) -> dict[str, Any]:
         """Stop the board, if it did not stop by itself, and give its statistics.
 
         ``seconds`` and ``cycles`` of the board's time, ``bytes_sent`` and ``bytes_dropped`` for want of a reader,
-        ``bytes_received``, ``conversions``, ``bad_addresses`` (conversions of no populated crossing),
-        ``min_settle_us`` (least time from a new address to the sample) and ``max_lag_ms`` behind real time.
+        ``bytes_received``, ``bytes_overrun`` of these that it lost, ``conversions``, ``bad_addresses`` (conversions of
+        no populated crossing), ``min_settle_us`` (least time from a new address to the sample) and ``max_lag_ms``
+        behind real time.
         """
         if self._statistics is None:
             process = self._running()

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hardware.commands import Commands
-from hardware.frames import Frame, FrameError, Info, encode
+from hardware.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
 from hardware.ports import PortError
 
 Counts = Callable[[float], NDArray[Any]]
@@ -165,14 +165,17 @@ class VirtualBoard:
             self._obey(os.read(ready[0], 4096))
 
     def _obey(self, received: bytes) -> None:
-        """Set the rate where one is asked for that can be held; answer each command with INFO."""
+        """Set the rate where one is asked for that can be held; answer each command."""
         for command in self._commands.heard(received):
+            if command == "errors":
+                self._answer(Errors())
+                continue
             if command != "info" and command in _RATES_HZ:
                 self._info = replace(self._info, rate_hz=command)  # holds from the scan after the one already due
-            self._send_info()
+            self._answer(self._info)
 
-    def _send_info(self) -> None:
-        self._send(self._garbage[0] if self._garbage else encode(self._info))
+    def _answer(self, frame: Info | Errors) -> None:
+        self._send(self._garbage[0] if self._garbage else encode(frame))
 
     def _scan(self, now_s: float) -> None:
         period_s = 1 / self._info.rate_hz
@@ -200,7 +203,7 @@ class VirtualBoard:
             counts=counts,
             saturated=bool((counts % (2**info.bits - 1) == 0).any()),  # 0 or full scale
             scan_mode=info.scan_mode,
-            overruns=self._overruns % 2**8,
+            overruns=min(self._overruns, MAX_OVERRUNS),
         )
 
     def _send(self, wire: bytes) -> None:

@@ -9,9 +9,9 @@ static void add_digit(commands_t *commands, uint8_t digit)
 
 command_t commands_take(commands_t *commands, uint8_t byte)
 {
-    if (byte == '?') {  // always heard, even where a host went away in the middle of a command
+    if (byte == '?' || byte == '!') {  // always heard, even where a host went away in the middle of a command
         commands->state = BETWEEN;
-        return COMMAND_INFO;
+        return byte == '?' ? COMMAND_INFO : COMMAND_ERRORS;
     }
     if (byte == '\n') {
         uint8_t is_whole = commands->state == NUMBER && commands->digits > 0;

@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-typedef enum { COMMAND_NONE, COMMAND_INFO, COMMAND_RATE } command_t;
+typedef enum { COMMAND_NONE, COMMAND_INFO, COMMAND_RATE, COMMAND_ERRORS } command_t;
 
 typedef struct {
     enum { BETWEEN, NUMBER, MALFORMED } state;

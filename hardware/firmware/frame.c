@@ -106,3 +106,12 @@ uint16_t frame_info(uint8_t *wire, const frame_info_t *info)
     put_u16(&writer, info->vref_mv);
     return end(&writer, wire);
 }
+
+uint16_t frame_errors(uint8_t *wire, const frame_errors_t *errors)
+{
+    writer_t writer = begin(wire, 'E');
+    put_u8(&writer, errors->reset_cause);
+    put_u8(&writer, errors->bad_bytes);
+    put_u8(&writer, errors->losses);
+    return end(&writer, wire);
+}

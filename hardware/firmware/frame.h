@@ -10,6 +10,7 @@
 #define FRAME_WIRE_SIZE(packed) ((packed) + ((packed) + 253) / 254 + 1)
 #define FRAME_DATA_WIRE_SIZE(count) FRAME_WIRE_SIZE(12 + 2 * (count) + 2)
 #define FRAME_INFO_WIRE_SIZE FRAME_WIRE_SIZE(23)
+#define FRAME_ERRORS_WIRE_SIZE FRAME_WIRE_SIZE(6)
 
 typedef struct {
     uint8_t flags;
@@ -28,6 +29,10 @@ typedef struct {
     uint16_t vref_mv;
 } frame_info_t;
 
+typedef struct {
+    uint8_t reset_cause, bad_bytes, losses;
+} frame_errors_t;
+
 // CRC-16/IBM-3740 after one more byte; it starts at 0xFFFF.
 uint16_t frame_crc(uint16_t crc, uint8_t byte);
 
@@ -35,5 +40,6 @@ uint16_t frame_crc(uint16_t crc, uint8_t byte);
 // up to that many blocks less. A size has 16 bits: at most 32000 counts.
 uint16_t frame_data(uint8_t *wire, const frame_header_t *header, const uint16_t *counts);
 uint16_t frame_info(uint8_t *wire, const frame_info_t *info);
+uint16_t frame_errors(uint8_t *wire, const frame_errors_t *errors);
 
 #endif

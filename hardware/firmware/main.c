@@ -15,6 +15,7 @@
 #include "scan.h"
 #include "settings.h"
 #include "uart.h"
+#include "watchdog.h"
 
 // Two frames as they go over the wire: one is sent while the next is encoded.
 static uint8_t wires[2][FRAME_DATA_WIRE_SIZE(CROSSINGS)];
@@ -22,8 +23,10 @@ _Static_assert(sizeof wires[0] >= FRAME_INFO_WIRE_SIZE, "the smallest array's fr
 static uint8_t free_wire;   // which of the two is not being sent
 static uint16_t n_encoded;  // bytes in it; 0: it is free
 
+#define HEARD_AT_ONCE 16  // bytes
+
 static uint16_t rate_hz = RATE;
-static uint8_t infos_owed;
+static uint8_t infos_owed, errors_owed;
 
 static void encode_scan(const scan_t *scan)
 {
@@ -37,6 +40,7 @@ static void encode_scan(const scan_t *scan)
         .overruns = scan->overruns,
     };
     n_encoded = frame_data(wires[free_wire], &header, scan->counts);
+    watchdog_feed();  // timer, converter, serial port and this loop have all done their part since the scan before
 }
 
 static void encode_info(void)
@@ -55,10 +59,27 @@ static void encode_info(void)
     n_encoded = frame_info(wires[free_wire], &info);
 }
 
+static void encode_errors(void)
+{
+    frame_errors_t errors = {
+        .reset_cause = watchdog_reset_cause(),
+        .bad_bytes = uart_bad_bytes(),
+        .losses = uart_losses(),
+    };
+    n_encoded = frame_errors(wires[free_wire], &errors);
+}
+
+static void owe(uint8_t *answers)
+{
+    if (*answers < 255)
+        ++*answers;
+}
+
+// Only so many bytes at a time: a host that never stops talking does not keep the board from sending.
 static void listen(void)
 {
     static commands_t commands;
-    while (uart_has_received()) {
+    for (uint8_t n = 0; n < HEARD_AT_ONCE && uart_has_received(); n++) {
         command_t command = commands_take(&commands, uart_take());
         if (command == COMMAND_NONE)
             continue;
@@ -66,24 +87,27 @@ static void listen(void)
             rate_hz = commands.rate_hz;
             scan_set_rate(rate_hz);
         }
-        if (infos_owed < 255)
-            infos_owed++;
+        owe(command == COMMAND_ERRORS ? &errors_owed : &infos_owed);
     }
 }
 
-// Encode the next frame, if there is one. Data and INFO take turns where both wait, so that neither starves.
+// Encode the next frame, if there is one. Data and answers take turns where both wait, so that neither starves.
 static void encode_next(void)
 {
-    static uint8_t is_infos_turn;
+    static uint8_t is_answers_turn;
     const scan_t *scan = scan_finished();
-    if (infos_owed && (is_infos_turn || !scan)) {
-        encode_info();
-        infos_owed--;
-        is_infos_turn = 0;
-    } else if (scan) {
+    if (scan && !(is_answers_turn && (infos_owed || errors_owed))) {
         encode_scan(scan);
         scan_release();
-        is_infos_turn = 1;
+        is_answers_turn = 1;
+    } else if (errors_owed) {
+        encode_errors();
+        errors_owed--;
+        is_answers_turn = 0;
+    } else if (infos_owed) {
+        encode_info();
+        infos_owed--;
+        is_answers_turn = 0;
     }
 }
 
@@ -96,7 +120,7 @@ static void send_encoded(void)
 
 static uint8_t has_work(void)
 {
-    return uart_has_received() || (n_encoded ? !uart_is_sending() : infos_owed || scan_finished());
+    return uart_has_received() || (n_encoded ? !uart_is_sending() : infos_owed || errors_owed || scan_finished());
 }
 
 // Sleep until the next interrupt, unless there is something to do already.
@@ -114,6 +138,7 @@ static void rest(void)
 
 int main(void)
 {
+    watchdog_start();
     set_sleep_mode(SLEEP_MODE_IDLE);
     uart_init();
     scan_init(rate_hz);

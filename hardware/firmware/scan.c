@@ -113,7 +113,8 @@ ISR(TIMER1_COMPA_vect)
     uint32_t now_us = due_us;
     schedule_next();
     if (is_scanning || is_finished[filling]) {
-        overruns++;
+        if (overruns < 255)
+            overruns++;
         return;
     }
     ADCSRA = ADC_RUN;  // crossing 0 has been addressed since the last scan ended

@@ -10,7 +10,7 @@
 typedef struct {
     uint32_t device_us;  // when it was due [us], modulo 2^32
     bool is_saturated;   // some count is 0 or full scale
-    uint8_t overruns;    // scans skipped until it began, modulo 2^8
+    uint8_t overruns;    // scans skipped until it began, at most 255
     uint16_t counts[CROSSINGS];
 } scan_t;
 

@@ -30,7 +30,7 @@
 #endif
 
 #define BITS 10  // of the ATmega's converter
-#define FIRMWARE {1, 0, 0}
+#define FIRMWARE {1, 1, 0}
 #define CROSSINGS (3 * (ROWS) * (COLS))
 
 // The converter, free running: 13 of its clocks a conversion, F_CPU / 64 = 250 kHz. The data sheet gives full

@@ -48,7 +48,7 @@ def parse_recording(stream: bytes, source: str = "recording") -> Recording:
         for received in decoder.feed(stream[start : start + _STEP]):
             if isinstance(received, Info):
                 infos.append(received)
-            else:
+            elif isinstance(received, Frame):
                 frames.append(received)
     _require_complete(stream, frames, infos, source)
     _require_consistent(frames, infos, source)

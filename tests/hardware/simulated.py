@@ -8,10 +8,10 @@ import numpy as np
 import serial
 
 from geometry.wiring import crossings
-from hardware.frames import FrameDecoder, Info, ScanMode
+from hardware.frames import Errors, FrameDecoder, Info, ScanMode
 from hardware.simavr_board import FIRMWARE
 
-INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 0, 0), sense_ohm=4700)
+INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)
 DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
 PATIENCE_S = 30  # of real time, until a test calls a board silent
@@ -27,7 +27,7 @@ class Listener:
 
     def __init__(self, port):
         self.port, self.decoder = port, FrameDecoder()
-        self.frames, self.infos = [], []
+        self.frames, self.infos, self.errors = [], [], []
 
     def take(self, enough):
         """Listen until `enough` holds of self."""
@@ -35,7 +35,7 @@ class Listener:
         while not enough(self):
             assert time.monotonic() < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
             for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
-                (self.infos if isinstance(received, Info) else self.frames).append(received)
+                {Info: self.infos, Errors: self.errors}.get(type(received), self.frames).append(received)
         return self
 
     def take_frames(self, n):
@@ -49,6 +49,12 @@ class Listener:
         n_before = len(self.infos)
         self.port.write(command)
         return self.take(lambda self: len(self.infos) > n_before).infos[-1]
+
+    def ask_errors(self):
+        """What the board says went wrong."""
+        n_before = len(self.errors)
+        self.port.write(b"!")
+        return self.take(lambda self: len(self.errors) > n_before).errors[-1]
 
 
 @contextmanager

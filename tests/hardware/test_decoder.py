@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.frames import Frame, FrameDecoder, Info, ScanMode, Statistics, encode
+from hardware.frames import Errors, Frame, FrameDecoder, Info, ScanMode, Statistics, encode
 
 fuzzed = settings(max_examples=300, derandomize=True, deadline=None)
 U8, U16, U32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
@@ -46,6 +46,10 @@ def infos(draw):
         sense_ohm=draw(st.integers(1, 2**32 - 1)),
         vref_mv=draw(st.integers(1, 65535)),
     )
+
+
+def errors():
+    return st.builds(Errors, reset_cause=st.integers(0, 15), bad_bytes=U8, losses=U8)
 
 
 def wires_of(n_frames, n_counts=108, first=0):

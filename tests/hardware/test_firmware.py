@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware.commands import Commands
-from hardware.frames import Frame, Info, encode
+from hardware.frames import Errors, Frame, Info, encode
 from hardware.simavr_board import FIRMWARE
-from tests.hardware.test_decoder import frames, infos
+from tests.hardware.test_decoder import errors, frames, infos
 from tests.hardware.test_frames import FRAME_VECTORS, INFO_VECTORS
 
 fuzzed = settings(max_examples=300, derandomize=True, deadline=None)
@@ -47,6 +47,10 @@ class InfoFields(ctypes.Structure):
     )
 
 
+class ErrorFields(ctypes.Structure):
+    _fields_ = tuple((name, c_uint8) for name in ("reset_cause", "bad_bytes", "losses"))
+
+
 class CCommands(ctypes.Structure):
     _fields_ = (("state", ctypes.c_int), ("digits", c_uint8), ("rate_hz", c_uint16))
 
@@ -61,7 +65,8 @@ def library(tmp_path_factory):
     flags = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-shared", "-fPIC"]
     subprocess.run([compiler, *flags, "-o", path, *sources], check=True)
     library = ctypes.CDLL(str(path))
-    library.frame_crc.restype = library.frame_data.restype = library.frame_info.restype = c_uint16
+    for function in (library.frame_crc, library.frame_data, library.frame_info, library.frame_errors):
+        function.restype = c_uint16
     return library
 
 
@@ -80,6 +85,9 @@ def wire_of(library, frame):
         names = ("rows", "cols", "bits", "scan_mode", "rate_hz", "serial", "sense_ohm", "vref_mv")
         fields = InfoFields(firmware=frame.firmware, **{name: getattr(frame, name) for name in names})
         return written(library.frame_info, 23, ctypes.byref(fields))
+    if isinstance(frame, Errors):
+        fields = ErrorFields(frame.reset_cause, frame.bad_bytes, frame.losses)
+        return written(library.frame_errors, 6, ctypes.byref(fields))
     names = ("flags", "sequence", "device_us", "bits", "overruns")
     header = Header(count=frame.counts.size, **{name: getattr(frame, name) for name in names})
     counts = (c_uint16 * frame.counts.size)(*frame.counts.tolist())
@@ -111,7 +119,7 @@ def test_crc_check_value_of_the_page(library):
 
 
 @fuzzed
-@given(frame=frames() | infos())
+@given(frame=frames() | infos() | errors())
 def test_firmware_and_host_write_the_same_bytes(library, frame):
     assert wire_of(library, frame) == encode(frame)
 
@@ -126,7 +134,7 @@ def test_blocks_of_254_bytes(library, n, count):
 
 @pytest.fixture(scope="module", params=["firmware", "virtual board"])
 def heard(request):
-    """What a board makes of bytes: 'info', or the rate of an R command; the one in C and the one in Python."""
+    """What a board makes of bytes: a question, or the rate of an R command; the one in C and the one in Python."""
     if request.param == "virtual board":
         return lambda sent: Commands().heard(sent)
     library = request.getfixturevalue("library")
@@ -135,7 +143,7 @@ def heard(request):
         commands, heard = CCommands(), []
         for byte in sent:
             command = library.commands_take(ctypes.byref(commands), c_uint8(byte))
-            heard += {0: [], 1: ["info"], 2: [commands.rate_hz]}[command]
+            heard += {0: [], 1: ["info"], 2: [commands.rate_hz], 3: ["errors"]}[command]
         return heard
 
     return heard_in_c
@@ -146,6 +154,8 @@ def heard(request):
     [
         (b"?", ["info"]),
         (b"??", ["info", "info"]),
+        (b"!?R5!0\n", ["errors", "info", "errors"]),
+        (b"R1\xff00\nR5\xff\nR6\n", [6]),  # what stands for a byte that was damaged or lost
         (b"R150\n", [150]),
         (b"R007\nR100\n?", [7, 100, "info"]),
         (b"R0\n", [0]),
@@ -169,4 +179,5 @@ def test_commands(heard, sent, expected):
 @given(sent=st.binary(max_size=200) | st.text("?R19\n", max_size=50).map(str.encode))
 def test_a_question_is_always_heard(heard, sent):
     assert heard(sent).count("info") == sent.count(b"?")
+    assert heard(sent).count("errors") == sent.count(b"!")
     assert heard(sent + b"\nR42\n")[-1] == 42

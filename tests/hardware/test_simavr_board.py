@@ -87,6 +87,7 @@ def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):
         ([*good, "--table", tmp_path / "other"], "does not start with TPTB"),
         ([*good, "--table", tmp_path / "later"], "table version 2, this program reads 1"),
         ([*good, "--seconds", "-1"], "--seconds is '-1', expected a number above 0"),
+        ([*good, "--damage", "0"], "--damage is '0', expected a whole number above 0"),
         ([*good, "--quick"], "unknown option '--quick'"),
         ([*good, "--link", tmp_path / "no" / "link"], "link: No such file or directory"),
     ]
@@ -106,7 +107,7 @@ def test_output_is_two_lines_of_json(built, tmp_path):
     assert json.loads(start).keys() == {"port", "link", "mcu"}
     assert json.loads(start)["link"] == str(tmp_path / 'a "link"')
     assert json.loads(end).keys() == {
-        *("seconds", "cycles", "bytes_sent", "bytes_dropped", "bytes_received", "conversions"),
+        *("seconds", "cycles", "bytes_sent", "bytes_dropped", "bytes_received", "bytes_overrun", "conversions"),
         *("min_settle_us", "bad_addresses", "max_lag_ms"),
     }
 
@@ -118,7 +119,7 @@ def test_the_example_of_the_page_runs(built, tmp_path, monkeypatch, capsys):
     (tmp_path / "out" / "firmware").symlink_to(built)
     monkeypatch.chdir(tmp_path)
     exec(example, {})
-    assert "firmware=(1, 0, 0)" in capsys.readouterr().out
+    assert "firmware=(1, 1, 0)" in capsys.readouterr().out
 
 
 def test_missing_tools_are_named_with_their_packages(monkeypatch, tmp_path):

@@ -22,14 +22,22 @@
 #define FREQUENCY 16000000
 #define TICK (FREQUENCY / 1000)  // cycles between two looks at the clock and the port
 
+// registers in data memory, the same in both MCUs
+#define MCUSR 0x54
+#define EXTERNAL_RESET (1 << 1)
+#define TIMSK1 0x6F
+
 static volatile int is_stopped;
 static volatile int is_reset_pressed;
+static volatile int is_to_hang;
 static bool is_tick;
 
 static void on_signal(int number)
 {
     if (number == SIGUSR1)
         is_reset_pressed = 1;
+    else if (number == SIGUSR2)
+        is_to_hang = 1;
     else
         is_stopped = 1;
 }
@@ -40,6 +48,7 @@ static void catch_signals(void)
     sigaction(SIGINT, &action, NULL);
     sigaction(SIGTERM, &action, NULL);
     sigaction(SIGUSR1, &action, NULL);
+    sigaction(SIGUSR2, &action, NULL);
     signal(SIGPIPE, SIG_IGN);
 }
 
@@ -104,9 +113,9 @@ static avr_cycle_count_t on_tick(avr_t *avr, avr_cycle_count_t when, void *unuse
     return when + TICK;
 }
 
-static void reset(avr_t *avr)
+// Called by avr_reset, the button's or the watchdog's, which forgets all timers.
+static void on_reset(avr_t *avr)
 {
-    avr_reset(avr);  // forgets all timers
     crossbar_reset(avr);
     uart_reset();
     avr_cycle_timer_register(avr, TICK, on_tick, NULL);
@@ -150,7 +159,12 @@ static double run(avr_t *avr, const options_t *options)
             max_lag = fmax(max_lag, keep_pace(start + board_seconds));
         if (is_reset_pressed) {
             is_reset_pressed = 0;
-            reset(avr);
+            avr_reset(avr);
+            avr->data[MCUSR] = EXTERNAL_RESET;
+        }
+        if (is_to_hang) {
+            is_to_hang = 0;
+            avr->data[TIMSK1] = 0;
         }
     }
     uart_flush(options->fast, &is_stopped);
@@ -189,8 +203,9 @@ static void report_end(const avr_t *avr, double max_lag)
     const crossbar_statistics_t *crossbar = crossbar_statistics();
     const uart_statistics_t *uart = uart_statistics();
     printf("{\"seconds\": %.6f, \"cycles\": %llu", (double)avr->cycle / FREQUENCY, (unsigned long long)avr->cycle);
-    printf(", \"bytes_sent\": %llu, \"bytes_dropped\": %llu, \"bytes_received\": %llu", (unsigned long long)uart->sent,
-           (unsigned long long)uart->dropped, (unsigned long long)uart->received);
+    printf(", \"bytes_sent\": %llu, \"bytes_dropped\": %llu, \"bytes_received\": %llu, \"bytes_overrun\": %llu",
+           (unsigned long long)uart->sent, (unsigned long long)uart->dropped, (unsigned long long)uart->received,
+           (unsigned long long)uart->overrun);
     printf(", \"conversions\": %llu, \"min_settle_us\": ", (unsigned long long)crossbar->conversions);
     if (crossbar->conversions > 0)
         printf("%.2f", (double)crossbar->min_settle * 1e6 / FREQUENCY);
@@ -210,9 +225,10 @@ int main(int argc, char **argv)
     table_t table = table_open(options.table);
     avr_t *avr = board_with(options.mcu, options.elf);
     crossbar_connect(avr, options.mcu, &table);
-    uart_connect(avr);
+    uart_connect(avr, options.damage);
     port_open(options.link);
-    reset(avr);
+    avr->reset = on_reset;
+    on_reset(avr);
     report_start(&options);
     double max_lag = run(avr, &options);
     if (options.fast)

@@ -9,14 +9,16 @@
 
 static const char USAGE[] =
     "usage: simavr-board --elf FILE --mcu atmega328p|atmega2560 --table FILE [--link PATH] [--seconds S] [--fast]\n"
-    "                   [--with-parent]\n"
+    "                   [--with-parent] [--damage N]\n"
     "\n"
     "Runs the firmware in FILE on a simulated board. Its serial port is a pseudo terminal, named on the first\n"
     "line of output and, if asked for, linked to from PATH; the readings of its converter come from the table.\n"
     "  --seconds S  stop after S seconds of the board's time\n"
     "  --fast       as fast as possible instead of in real time; waits for a reader, so that nothing is lost\n"
     "  --with-parent  stop when the program that started this one is gone, however it ended\n"
-    "SIGINT or SIGTERM stops it and prints statistics, SIGUSR1 presses the board's reset button.\n";
+    "  --damage N   every Nth byte to the board arrives with a wrong stop bit\n"
+    "SIGINT or SIGTERM stops it and prints statistics, SIGUSR1 presses the board's reset button, SIGUSR2 takes the\n"
+    "interrupt away that starts scans: a board that hangs.\n";
 
 void fail(const char *format, ...)
 {
@@ -38,6 +40,15 @@ static double seconds_from(const char *text)
     return seconds;
 }
 
+static unsigned long number_from(const char *text)
+{
+    char *end;
+    unsigned long number = strtoul(text, &end, 10);
+    if (*text < '1' || *text > '9' || *end)
+        fail("--damage is '%s', expected a whole number above 0.", text);
+    return number;
+}
+
 options_t options_parse(int argc, char **argv)
 {
     static const struct option LONG[] = {
@@ -45,7 +56,7 @@ options_t options_parse(int argc, char **argv)
         {"table", required_argument, NULL, 't'},   {"link", required_argument, NULL, 'l'},
         {"seconds", required_argument, NULL, 's'}, {"fast", no_argument, NULL, 'f'},
         {"help", no_argument, NULL, 'h'},          {"with-parent", no_argument, NULL, 'p'},
-        {NULL, 0, NULL, 0},
+        {"damage", required_argument, NULL, 'd'},  {NULL, 0, NULL, 0},
     };
     options_t options = {0};
     opterr = 0;
@@ -58,6 +69,7 @@ options_t options_parse(int argc, char **argv)
         case 's': options.seconds = seconds_from(optarg); break;
         case 'f': options.fast = true; break;
         case 'p': options.with_parent = true; break;
+        case 'd': options.damage = number_from(optarg); break;
         case 'h': fputs(USAGE, stdout); exit(0);
         case ':': fail("%s needs a value: see --help.", argv[optind - 1]);
         default: fail("unknown option '%s': see --help.", argv[optind - 1]);

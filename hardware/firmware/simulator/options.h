@@ -13,6 +13,7 @@ typedef struct {
     double seconds;    // of device time; 0: until stopped
     bool fast;
     bool with_parent;
+    unsigned long damage;  // every so manieth byte to the board has a wrong stop bit; 0: none
 } options_t;
 
 options_t options_parse(int argc, char **argv);

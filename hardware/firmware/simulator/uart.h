@@ -9,9 +9,11 @@
 
 typedef struct {
     uint64_t sent, dropped, received;  // bytes, seen from the board
+    uint64_t overrun;                  // of those received: lost, since the board did not read in time
 } uart_statistics_t;
 
-void uart_connect(avr_t *avr);
+// Every so manieth byte from the host arrives with a wrong stop bit; 0: none.
+void uart_connect(avr_t *avr, unsigned long damage);
 
 // To be told after each avr_reset: what was on its way to the board is lost.
 void uart_reset(void);

@@ -48,13 +48,17 @@ def info(
 
     require_positive(timeout=timeout)
     with board_on(port, baud=baud, timeout=timeout) as (scanner, _):
-        told = scanner.info
-    plain = asdict(told) | {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
+        told, errors = scanner.info, scanner.errors()
+    plain = (
+        asdict(told)
+        | ({} if errors is None else asdict(errors))
+        | {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
+    )
     if json_:
         show_json(plain)
     else:
         for name, value in plain.items():
-            print(f"{name:10} {value}")
+            print(f"{name:11} {value}")
 
 
 @commands.command(rich_help_panel=BOARD)

@@ -253,7 +253,7 @@ def test_a_board_that_no_chip_can_be_is_pythons(house):
 @pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
 def test_the_firmware_is_simulated_where_it_can_be(house):
     with simulating(house) as port:
-        assert house.result("info", port)["firmware"] == "1.0.0"
+        assert house.result("info", port)["firmware"] == "1.1.0"
         assert house.result("bench", port, *WHOLE_SECOND)["statistics"]["lost"] == 0
 
 

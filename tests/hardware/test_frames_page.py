@@ -1,0 +1,171 @@
+"""docs/frames.md is enough: a reader made from its words alone, sharing no code with the product, reads every board."""
+
+import time
+
+import numpy as np
+import pytest
+import serial
+
+from hardware import Crossbar, Frame, FrameDecoder, Info, VirtualBoard, encode
+from hardware.frames import Errors, ScanMode
+from tests.hardware.simulated import DISTINCT, INFO
+from tests.hardware.test_frames import VECTORS
+
+FIELDS = {
+    "D": "type:1 flags:1 sequence:2 device_us:4 count:2 bits:1 overruns:1",
+    "I": "type:1 protocol:1 rows:1 cols:1 bits:1 scan_mode:1 major:1 minor:1 patch:1 rate_hz:2 serial:4 sense_ohm:4 "
+    "vref_mv:2",
+    "E": "type:1 reset_cause:1 bad_bytes:1 losses:1",
+}
+
+
+class Reader:
+    """Frames as dictionaries of their fields; what it does not take is counted as refused."""
+
+    def __init__(self):
+        self.frames, self.refused, self.lost, self.repeated, self.restarts = [], 0, 0, 0, 0
+        self.chunk, self.last_data = b"", None
+
+    def feed(self, wire):
+        for byte in wire:
+            if byte:
+                self.chunk += bytes([byte])
+            elif self.chunk:
+                self.take(self.chunk)
+                self.chunk = b""
+
+    def take(self, chunk):
+        packed = self.unstuffed(chunk)
+        if packed is None or len(packed) < 3 or crc(packed[:-2]) != packed[-2] + 256 * packed[-1]:
+            self.refused += 1
+            return
+        kind, fields, at = chr(packed[0]), {}, 0
+        for name, size in (field.split(":") for field in FIELDS.get(kind, "").split()):
+            fields[name] = sum(byte << 8 * k for k, byte in enumerate(packed[at : at + int(size)]))
+            at += int(size)
+        rest = packed[at:-2]
+        if not fields or len(rest) != 2 * fields.get("count", 0):
+            self.refused += 1
+            return
+        if kind == "D":
+            fields["counts"] = [rest[k] + 256 * rest[k + 1] for k in range(0, len(rest), 2)]
+            if self.last_data and packed == self.last_data[0]:
+                self.repeated += 1
+                return
+            if self.last_data:
+                before = self.last_data[1]
+                missing = (fields["sequence"] - before["sequence"] - 1) % 2**16
+                is_back = missing >= 2**15 or (fields["device_us"] - before["device_us"]) % 2**32 >= 2**31
+                self.restarts += is_back
+                self.lost += 0 if is_back else missing
+            self.last_data = packed, fields
+        self.frames.append(fields)
+
+    @staticmethod
+    def unstuffed(chunk):
+        packed = b""
+        while chunk:
+            code, chunk = chunk[0], chunk[1:]
+            if len(chunk) < code - 1:
+                return None
+            packed, chunk = packed + chunk[: code - 1], chunk[code - 1 :]
+            if chunk and code < 255:
+                packed += b"\0"
+        return packed
+
+
+def crc(packed):
+    value = 0xFFFF
+    for byte in packed:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ 0x11021) if value & 0x8000 else value << 1
+    return value
+
+
+def test_it_reads_the_vectors_of_the_page():
+    reader = Reader()
+    reader.feed(b"".join(bytes.fromhex(vector["wire"]) for vector in VECTORS))
+    assert reader.refused == 0
+    for read, vector in zip(reader.frames, VECTORS, strict=True):
+        fields = vector["fields"]
+        assert {name: read[name] for name in fields.keys() & read.keys()} == {n: fields[n] for n in fields if n in read}
+        assert {"firmware", "crc"} >= fields.keys() - read.keys()
+
+
+def test_it_reads_the_firmware(board):
+    """A chip's bytes: each crossing's count in the order of the page, INFO and ERRORS between data frames."""
+    reader = Reader()
+    with board(fast=True) as running, serial.Serial(running.port, 1_000_000, timeout=0.05) as port:
+        port.write(b"?!")
+        while len(reader.frames) < 50:
+            reader.feed(port.read(232))
+    data = [frame for frame in reader.frames if chr(frame["type"]) == "D"]
+    wires = [(row, column) for row in range(12) for column in range(12) if not (row % 2 and column % 2)]
+    assert all(frame["counts"] == [DISTINCT[0, row, column] for row, column in wires] for frame in data)
+    assert reader.lost == reader.repeated == reader.restarts == 0
+    [info] = [frame for frame in reader.frames if chr(frame["type"]) == "I"]
+    assert {name: info[name] for name in ("rows", "cols", "rate_hz", "sense_ohm", "vref_mv", "scan_mode")} == {
+        "rows": 6, "cols": 6, "rate_hz": 150, "sense_ohm": 4700, "vref_mv": 5000, "scan_mode": INFO.scan_mode
+    }  # fmt: skip
+    assert [frame["reset_cause"] for frame in reader.frames if chr(frame["type"]) == "E"] == [1]
+
+
+def test_it_reads_the_board_in_python():
+    reader = Reader()
+    with (
+        VirtualBoard(np.arange(1, 109), Info(rate_hz=200)) as running,
+        serial.Serial(running.port, timeout=0.05) as port,
+    ):
+        port.write(b"R150\n!")
+        end = time.monotonic() + 5
+        while len(reader.frames) < 10 and time.monotonic() < end:
+            reader.feed(port.read(232))
+    kinds = [chr(frame["type"]) for frame in reader.frames]
+    assert (kinds.count("I"), kinds.count("E"), kinds.count("D")) == (1, 1, len(kinds) - 2)
+    assert next(frame for frame in reader.frames if chr(frame["type"]) == "I")["rate_hz"] == 150
+
+
+def test_both_endings_of_cobs_are_one_frame():
+    """After the count's zero byte come 254 bytes that are not: a full block, which an empty one may follow."""
+    for device_us in range(0x01010101, 0x01010101 + 1000):
+        frame = Frame(sequence=257, device_us=device_us, bits=10, counts=np.full(125, 257), overruns=1, saturated=True)
+        wire = encode(frame)
+        if 0 not in wire[:-1] and wire[10] == 255:
+            break
+    assert len(wire) == 10 + 255 + 1
+    for ending in (wire, wire[:-1] + b"\x01\0"):
+        reader = Reader()
+        reader.feed(ending)
+        assert reader.frames[0]["counts"] == [257] * 125
+        [decoded] = FrameDecoder().feed(ending)
+        assert decoded.device_us == device_us
+
+
+def test_a_repetition_is_left_out_and_a_restart_at_the_same_number_is_not():
+    reader = Reader()
+    first, again = (
+        encode(Frame(sequence=5, device_us=device_us, bits=10, counts=np.arange(3))) for device_us in (40_000, 50)
+    )
+    reader.feed(first + first + first + again)
+    assert (reader.repeated, reader.restarts, reader.lost, len(reader.frames)) == (2, 1, 0, 2)
+
+
+def test_errors_survive_the_codec():
+    errors = Errors(reset_cause=8, bad_bytes=255, losses=3)
+    assert FrameDecoder().feed(encode(errors)) == [errors]
+
+
+@pytest.mark.parametrize("mode", list(ScanMode))
+def test_the_readings_of_one_pillar_are_those_of_the_page(mode):
+    """The page's formulas with r_s, r_l and A, beside the host's circuit in which the other pillars are broken."""
+    pillar, r_s, r_l, sense, gain = 8e3, 70.0, 5.0, 4.7e3, 2e3
+    crossbar = Crossbar(
+        rows=1, cols=1, scan_mode=mode, sense_ohm=sense, switch_ohm=r_s, line_ohm=r_l, amplifier_gain=gain, bits=None
+    )
+    alone = crossbar.readings(np.array([[[[pillar, 1e12, 1e12]]]]))[0, 0]
+    if mode == ScanMode.ZERO_POTENTIAL:
+        said = gain / (1 + gain) * sense / (pillar + r_s + 2 * r_l + sense / (1 + gain))
+    else:
+        said = sense / (pillar + sense + 2 * (r_s + r_l))
+    assert alone == pytest.approx(said, rel=1e-6)
