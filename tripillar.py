@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from geometry.design import SensorDesign
+from geometry.design import Array, SensorDesign
 from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError
 from studies.board.commands import board
@@ -89,15 +89,18 @@ def root(
 @app.command(rich_help_panel=SOLVING)
 def design(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
+    rows: Annotated[int, typer.Option(help="Number of units along y.")] = Array.rows,
+    cols: Annotated[int, typer.Option(help="Number of units along x.")] = Array.cols,
     json_: JsonOption = False,
 ) -> None:
     """Write a design file: the paper's sensor, every number with its meaning."""
+    sensor = SensorDesign(array=Array(rows=rows, cols=cols))
     if json_:
-        show_json(asdict(SensorDesign()))
+        show_json(asdict(sensor))
     if out is None and not json_:
-        print(design_to_toml(SensorDesign()), end="")
+        print(design_to_toml(sensor), end="")
     if out is not None:
-        write_design(SensorDesign(), out)
+        write_design(sensor, out)
         wrote([out])
 
 

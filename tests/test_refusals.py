@@ -155,7 +155,7 @@ calibrate text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be ab
 simulate --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
 simulate --rate 0 -> rate_hz=0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
-simulate --pressure 1000 -> must be above 0 and at most 10; the paper uses 1 to 5
+simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
 simulate --period 0 -> --period 0 must be above 0 and at most 3600 s
 simulate --sense-ohm 0 -> sense_ohm=0 must be a whole number from 1
 simulate --switch-ohm -1 -> switch_ohm=-1 must be from 0

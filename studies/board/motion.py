@@ -37,14 +37,14 @@ class Motion:
 class PressAndSlide:
     """A round indenter comes down on one corner of the array, slides to the opposite one, and lifts."""
 
-    peak_mpa: float = 3.0  #: pressure under its middle
+    peak_mpa: float = 3.0  #: pressure under its middle; 0: the sensor rests
     friction: float = 0.2  #: shear over pressure while it slides
     width_mm: float = 15.0  #: standard deviation of its bell
     seconds: float = 6.0  #: of one period: a sixth each at rest, coming down and lifting, half of it sliding
 
     def __post_init__(self) -> None:
-        if not 0 < self.peak_mpa <= 10:
-            raise DesignError(f"peak_mpa={self.peak_mpa:g} must be above 0 and at most 10; the paper uses 1 to 5.")
+        if not 0 <= self.peak_mpa <= 10:
+            raise DesignError(f"peak_mpa={self.peak_mpa:g} must be from 0, at rest, to 10; the paper uses 1 to 5.")
         if not 0 <= self.friction <= 1:
             raise DesignError(f"friction={self.friction:g} must be from 0 to 1.")
         if not 0.1 <= self.seconds <= 600:

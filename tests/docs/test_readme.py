@@ -1,6 +1,5 @@
 """The README: its commands run, its map is that of the tree, its make targets exist."""
 
-import io
 import re
 import shlex
 import shutil
@@ -9,29 +8,22 @@ import sys
 
 import pytest
 
-from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands
-from tests.house import SMALL
+from tests.docs.terminal import ROOT, Command, Terminal, indented_commands
 from tripillar import main
 
 README = ROOT / "README.md"
-TYPED = indented_commands(README, "tripillar", "make")
-IN_TUTORIAL = {command.line for command in console_commands(ROOT / "docs" / "tutorial.md")}
+TYPED = indented_commands(README, "tripillar", "make", "kill")
 
 #: commands that are too long for a test as they stand, or need a board or what they would set up: where each is tested
 ELSEWHERE = {
     "make train": "tests/test_tripillar.py::test_the_pipeline_beats_the_paper_and_the_marks",
     "make test": "",  # runs this
+    "make setup": "",  # what all tests need
     "make -C hardware/firmware SCAN_MODE=2 SENSE_OHM=4700": (
         "tests/hardware/test_firmware_run.py::test_a_board_reads_every_crossing_on_time"
     ),
     "make -C hardware/firmware flash BOARD=atmega328p PORT=/dev/ttyACM0": (
         "tests/hardware/test_firmware_flash.py::test_what_is_flashed_is_what_was_built"
-    ),
-    "tripillar sweep examples/sweep.toml": (
-        "tests/studies/sweep/test_sweep_commands.py::test_a_killed_sweep_goes_on_and_computes_only_what_is_missing"
-    ),
-    "tripillar optimize examples/optimize.toml": (
-        "tests/studies/sweep/test_sweep_commands.py::test_the_best_design_is_found_within_bounds_and_the_search_resumes"
     ),
     "make docs": "tests/docs/test_site.py::test_the_pages_are_built_without_a_warning",
     "make paper": (
@@ -44,61 +36,35 @@ ELSEWHERE = {
     "make check": "",  # what CI runs
     "make format": "",
 }
-FIRST = "tripillar design --out sensor.toml"  #: which the others need
-#: what is typed in place of the README's words: a sensor of two units, a simulated board, seconds instead of for ever
-INSTEAD = {
-    "PORT": "board",
-    "calibrate board": "calibrate board --design sensor.toml --seconds 0.2",
-    "tare board": "tare board --seconds 0.2",
-    "live board": "live board --seconds 1",
-    "record board": "record board --seconds 1",
-    "bench board": "bench board --seconds 1",
-    "crossval --data data.nc": "crossval --data other.nc",
-    "--folds 10": "--folds 2",
-}
-ANSWERS = {"calibrate": "0 0 0\n0 1 0\n\n"}  #: weights: none, for the simulated board rests
+#: the one command typed otherwise, for time: of a sensor of two units instead of 36, all the others do the same
+FIRST, FIRST_TYPED = "tripillar design --out sensor.toml", "tripillar design --rows 1 --cols 2 --out sensor.toml"
+MADE = {
+    "sensor.toml", "cad", "response.nc", "train.nc", "test.nc", "measured.nc", "model.safetensors", "own.safetensors",
+    "model.onnx", "deformed.png", "own.json", "press.nc", "forces.nc",
+}  # fmt: skip
 
 
-def as_typed(line: str) -> str:
-    for words, others in INSTEAD.items():
-        line = re.sub(rf"(?<!\S){re.escape(words)}(?!\S)", others, line)
-    return line
+def test_the_commands_of_the_readme_run_as_typed(tmp_path, pages_cache, monkeypatch):
+    """In their order, in an empty folder, but for what is elsewhere.
 
-
-def test_every_command_of_the_readme_runs(tmp_path, pages_cache, monkeypatch):
-    """In their order, in one folder, for a sensor of two units; but for those that the tutorial types as well.
-
-    In this process, which has loaded by then what each command would load anew; the tutorial's are real ones.
+    In this process, which has loaded by then what each would load anew (the tutorial's are real ones); in a shell what
+    is left running there.
     """
-    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "empty"
     monkeypatch.setenv("TRIPILLAR_CACHE", str(pages_cache))
-    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
-
-    def run(line: str) -> None:
-        answers = next((text for word, text in ANSWERS.items() if f" {word} " in line), "")
-        monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
-        monkeypatch.setattr(sys, "argv", shlex.split(line))
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code, line
-
-    with Terminal(tmp_path, pages_cache) as terminal:
-        for line in (line for line in TYPED if line not in ELSEWHERE and line not in IN_TUTORIAL - {FIRST}):
-            if line.startswith("tripillar ports"):  # from here on there is a board; it rests for a hundred seconds
-                board = "tripillar simulate --design sensor.toml --period 600 --link board &"
-                terminal.type(Command(board, ["… on board; Ctrl-C ends it"]))
-            if "--serve" in line:  # until the shell ends it
-                terminal.type(Command(f"{line} --http-port 0 &", ["http://127.0.0.1:…/?token=…"]))
-                continue
-            run(as_typed(line))
-            if line == FIRST:
-                (tmp_path / "sensor.toml").write_text(SMALL)
-            if line.startswith("tripillar dataset"):
-                few = line.replace("--samples 5000", "--samples 50")
-                for name, seed in (("other.nc", 2), ("measured.nc", 3)):
-                    run(few.replace("--seed 1", f"--seed {seed}").replace("data.nc", name))
-    made = {"response.nc", "data.nc", "model.safetensors", "model.onnx", "own.safetensors", "own.json", "press.nc"}
-    assert made <= {path.name for path in tmp_path.iterdir()}
+    with Terminal(folder, pages_cache) as terminal:
+        monkeypatch.chdir(folder)
+        for line in (line for line in TYPED if line not in ELSEWHERE):
+            if line.endswith("&"):
+                terminal.type(Command(line, ["… Ctrl-C ends it"]))
+            elif line.startswith("kill"):
+                terminal.type(Command(line))
+            else:
+                monkeypatch.setattr(sys, "argv", shlex.split(FIRST_TYPED if line == FIRST else line))
+                with pytest.raises(SystemExit) as ended:
+                    main()
+                assert not ended.value.code, line
+    assert {path.name for path in folder.iterdir() if not path.name.startswith(".")} == MADE
 
 
 def test_every_other_command_is_tested_somewhere():

@@ -41,7 +41,8 @@ def simulate(
     link: Annotated[Path | None, typer.Option(help="Link of this name to the port, to be kept while it runs.")] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene file (TOML) of an array, pressed again and again.")] = None,
     pressure: Annotated[
-        float | None, typer.Option(help="Largest pressure of the scripted press and slide [MPa]; default: 3.")
+        float | None,
+        typer.Option(help="Largest pressure of the scripted press and slide [MPa]; 0: at rest; default: 3."),
     ] = None,
     period: Annotated[float, typer.Option(help="Period of the script or the scene [s].")] = 6.0,
     mode: Annotated[
