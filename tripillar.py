@@ -63,6 +63,9 @@ FeatureOption = Annotated[
     Literal["auto", "inverse", "root", "resistance"],
     typer.Option(help="Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses."),
 ]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Go on although the data look wrong; a model remembers why they did.")
+]
 GoalOption = Annotated[
     float | None, typer.Option(help="Mean squared error, scaled, at which to stop; default: the trainer's own.")
 ]
@@ -352,30 +355,38 @@ def train(
     iterations: Annotated[int, typer.Option(help="Iterations at most; 0: the trainer's own number.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the random start.")] = 0,
     design: UnstatedOption = None,
+    force: ForceOption = False,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
     from dataset.labelled import read_labelled
+    from decoupler.components import component_named
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import write_model
+    from decoupler.plausibility import doubt, nothing_to_learn
     from decoupler.settings import NetworkConfig, TrainingConfig
-    from studies.suited import likely_design, suited_network
+    from studies.doubts import heed, joint_model, mention
+    from studies.suited import judging_response, likely_design, suited_network
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled = read_labelled(data)
+    labelled, parts = read_labelled(data), component_named(component)
     sensor = likely_design(labelled, design)
+    forced = heed(data, nothing_to_learn(labelled, parts), force)
     with progress_bars(verbosity) as bars:
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
+        judge = joint_model(judging_response(labelled, design, sensor, network, solved, bars))
+        forced |= heed(data, None if forced else doubt(labelled, parts, judge), force)
         say(note)
+        mention(data, labelled, parts, judge)
         from decoupler.training import train as train_network
 
         advance = bars.begin(f"train {component}", total=training.max_iterations)
         model, history = train_network(
             labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved
         )
-    write_model(model, out)
+    write_model(replace(model, made_from=model.made_from | forced), out)
     figures = {
         "feature": network.feature,
         "iterations": history.iterations,
@@ -409,6 +420,7 @@ def evaluate(
     from dataset.labelled import read_labelled
     from decoupler.assessment import assess
     from decoupler.model_file import read_model, require_same_sensor
+    from studies.doubts import warn_of_test
     from studies.suited import known_response
 
     decoupler, labelled = read_model(model), read_labelled(data)
@@ -418,6 +430,7 @@ def evaluate(
             print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
     with progress_bars(verbosity) as bars:
         solved = known_response(labelled.design or decoupler.design, bars) if limits else None
+        warn_of_test(model, decoupler, data, labelled, solved)
         assessed = assess(decoupler, labelled, solved)
     if json_:
         from decoupler.assessment import as_plain
@@ -447,23 +460,31 @@ def crossval(
     goal: GoalOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the split and the random start.")] = 0,
     design: UnstatedOption = None,
+    force: ForceOption = False,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
     from dataset.labelled import read_labelled
+    from decoupler.components import component_named
     from decoupler.crossval import cross_validate, split_folds, summary
+    from decoupler.plausibility import doubt, nothing_to_learn
     from decoupler.settings import NetworkConfig, TrainingConfig
-    from studies.suited import likely_design, suited_network
+    from studies.doubts import heed, joint_model, mention
+    from studies.suited import judging_response, likely_design, suited_network
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled = read_labelled(data)
+    labelled, parts = read_labelled(data), component_named(component)
     split_folds(len(labelled.force_n), folds, seed)
     sensor = likely_design(labelled, design)
+    forced = heed(data, nothing_to_learn(labelled, parts), force)
     with progress_bars(verbosity) as bars:
         network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
+        judge = joint_model(judging_response(labelled, design, sensor, network, solved, bars))
+        heed(data, None if forced else doubt(labelled, parts, judge), force)
         say(note)
+        mention(data, labelled, parts, judge)
         advance = bars.begin(f"{folds} folds", total=folds)
         tested = cross_validate(labelled, component, network, training, folds, solved, lambda _: advance(1, ""))
     if json_:
@@ -480,6 +501,7 @@ def fine_tune(
     data: Annotated[Path, typer.Option(help="Data set of measured resistances and forces of one sensor.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
     pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
+    force: ForceOption = False,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
@@ -493,18 +515,25 @@ def fine_tune(
     from decoupler.fine_tuning import fine_tune as fine_tuned
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import read_model, require_same_sensor, write_model
+    from decoupler.plausibility import doubt
+    from studies.doubts import heed, joint_model, mention
     from studies.suited import known_response
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
     decoupler, measured = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, measured, model, data)
+    if pairs is not None and pairs > len(measured.force_n):
+        raise DesignError(f"--pairs {pairs} must be at most {len(measured.force_n)}: {data} holds no more.")
     measured = selected(measured, slice(pairs))
     with progress_bars(verbosity) as bars:
         known = measured.design or decoupler.design
         solved = None if decoupler.inverse is not None else known_response(known, bars)
+    judge = joint_model(solved) if decoupler.inverse is None else decoupler.inverse.forward
+    forced = heed(data, doubt(measured, decoupler.component, judge), force)
+    mention(data, measured, decoupler.component, joint_model(solved))
     tuned = fine_tuned(decoupler, measured, solved)
-    write_model(tuned, out)
+    write_model(replace(tuned, made_from=tuned.made_from | forced), out)
     before, after = (errors_on(one, measured) for one in (decoupler, tuned))
     if json_:
         show_json({"pairs": len(measured.force_n), "before": plain(before), "after": plain(after)})

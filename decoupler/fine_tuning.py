@@ -61,12 +61,13 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
     calibration = Calibration.fitted(columns, forward.resistances(forces), pairs.noise)
     resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), pairs.bits)
     tuned = replace(decoupler, calibration=calibration, resting=resting)
-    if len(forces) >= LEAST_PAIRS:
-        tuned = _nearer(tuned, columns, forces, load_numbers(pairs.force_n))
+    load = load_numbers(pairs.force_n)
+    if len(forces) >= LEAST_PAIRS and load.any():  # readings of one load alone cannot judge each other
+        tuned = _nearer(tuned, columns, forces, load)
     if tuned.uncertainty is not None:
         noise = pairs.noise * np.sqrt(1.0 + 2.0 / len(forces))  # gain and offset are only as good as the pairs
         tuned = replace(tuned, uncertainty=tuned.uncertainty.widened(tuned, columns, forces, noise, pairs.bits))
-    story = {"fine_tuned_on": given.content_hash, "pairs": len(forces)}
+    story = {"fine_tuned_on": given.content_hash, "pairs": len(given.force_n)}
     recipe = digest(decoupler.made_from.get("recipe"), given.content_hash, pairs.noise)
     return replace(tuned, made_from=decoupler.made_from | story | {"recipe": recipe})
 

@@ -26,6 +26,20 @@ def known_response(design: SensorDesign | None, bars: Bars) -> ArrayResponse | N
     return None if design is None else respond(design, bars)[1]
 
 
+def judging_response(
+    data: LabelledData,
+    path: Path | None,
+    design: SensorDesign | None,
+    network: NetworkConfig,
+    solved: ArrayResponse | None,
+    bars: Bars,
+) -> ArrayResponse | None:
+    """The response that data are judged by: of the design that they or a file state, or one that explains them."""
+    if solved is None and (data.design is not None or path is not None):
+        return known_response(design, bars)
+    return solved if data.design is not None or path is not None or network.feature == "inverse" else None
+
+
 def suited_network(
     data: LabelledData, design: SensorDesign | None, component: str, hidden: int, net: Net, feature: str, bars: Bars
 ) -> tuple[NetworkConfig, ArrayResponse | None, str]:

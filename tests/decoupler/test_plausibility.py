@@ -1,0 +1,116 @@
+"""Files that go wrong in the usual ways are noticed and named; honest ones, however poor, are not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import Imperfections
+from decoupler.components import COMPONENTS, component_named
+from decoupler.forward_model import ForwardModel
+from decoupler.plausibility import disturbance, doubt, nothing_to_learn
+from decoupler.samples import selected
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+ALL = component_named("all")
+SENSOR = sensor(3, 3)
+JOINT = ForwardModel.of(response(SENSOR), ALL)
+SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, noise=1e-3, bits=12)
+
+
+def read(data, specimen=SPECIMEN, seed=0):
+    """What a specimen shows of exact readings."""
+    generator = np.random.default_rng([seed, 1])
+    ohm = specimen.apply(data.resistance_ohm, generator)
+    dead = specimen.dead_mask(3, 3)
+    return replace(
+        data, resistance_ohm=ohm, noise=specimen.noise, bits=specimen.bits, dead=dead if dead.any() else None
+    )
+
+
+def lighter(data, times):
+    """The same sensor under a fraction of its loads."""
+    force_n = times * data.force_n
+    ohm = JOINT.resistances(force_n.reshape(len(force_n), -1)).reshape(data.resistance_ohm.shape)
+    return replace(data, force_n=force_n, resistance_ohm=ohm)
+
+
+PAIRS = read(labelled(SENSOR, "xyz", n_samples=30, seed=1))
+
+
+@pytest.mark.parametrize("times", [1.0, 0.1, 0.01], ids=["full loads", "a tenth", "a hundredth"])
+@pytest.mark.parametrize("axes", ["z", "x", "xyz"])
+def test_honest_samples_are_never_doubted(axes, times):
+    """Exact or noisy, read by a converter or not, of a poor specimen with dead pillars, one of them or many."""
+    component = ALL if len(axes) > 1 else component_named(f"f{axes}")
+    exact = lighter(labelled(SENSOR, axes, n_samples=600, seed=2), times)
+    own = ForwardModel.of(response(SENSOR), component)
+    dead = {"dead_pillars": ((0, 2, "z"),), "dead_rows": (3,)}
+    for noise, bits in ((0.0, None), (0.0, 12), (1e-3, 12), (1e-2, None)):
+        for more in ({}, {"gain_spread": 0.1, "offset_ohm": 100.0}, {"gain_spread": 0.1, **dead}):
+            data = read(exact, Imperfections(noise=noise, bits=bits, **more))
+            for n in (1, 3, 10, 600):
+                for forward in (JOINT, own, None):
+                    assert doubt(selected(data, slice(n)), component, forward) is None, (noise, bits, more, n)
+            assert disturbance(data, component, JOINT) is None
+
+
+def turned(*, force=lambda F: F, ohm=lambda R: R):
+    return replace(PAIRS, force_n=force(PAIRS.force_n), resistance_ohm=ohm(PAIRS.resistance_ohm))
+
+
+OTHERS = read(labelled(SENSOR, "xyz", n_samples=30, seed=9))
+SHUFFLED = np.random.default_rng(0).permutation(30)
+WRONG = {
+    "kΩ": (turned(ohm=lambda R: R / 1000), r"0\.00\d+ times the design's: give them in Ω"),
+    "mΩ": (turned(ohm=lambda R: R * 1000), r"times the design's: give them in Ω"),
+    "kN": (turned(force=lambda F: F / 1000), "seem to be in kN: multiply"),
+    "mN": (turned(force=lambda F: F * 1000), "seem to be in mN: divide"),
+    "signs": (turned(force=lambda F: -F), "all forces seem to have the other sign"),
+    "sign of z": (turned(force=lambda F: F * [1, 1, -1]), "Fz seems to have the other sign"),
+    "sign of y": (turned(force=lambda F: F * [1, -1, 1]), "Fy seems to have the other sign"),
+    "axes": (turned(force=lambda F: F[..., [1, 0, 2]]), "Fx and Fy seem to be exchanged"),
+    "pillars": (turned(ohm=lambda R: R[..., [1, 0, 2]]), "pillars z and x seem to be exchanged"),
+    "pillars as axes": (turned(ohm=lambda R: R[..., [1, 2, 0]]), "pillars seem to stand in the order x, y, z"),
+    "transposed": (turned(force=lambda F: F.swapaxes(1, 2)), "rows and columns of the forces seem to be exchanged"),
+    "rows": (turned(force=lambda F: F[:, ::-1]), "rows of the forces seem to stand in reverse order"),
+    "columns": (turned(ohm=lambda R: R[:, :, ::-1]), "columns of the forces seem to stand in reverse order"),
+    "order": (turned(ohm=lambda R: R[SHUFFLED]), r"far better in another order, \d\d of 30 are out of place"),
+    "shifted": (turned(ohm=lambda R: np.roll(R, 1, axis=0)), r"another order, 30 of 30 are out of place"),
+    "of others": (turned(ohm=lambda R: OTHERS.resistance_ohm), "if nothing linked them"),
+    "constant": (turned(ohm=lambda R: np.repeat(R[:1], 30, axis=0)), "if nothing linked them"),
+    "unloaded": (turned(force=lambda F: 0 * F), "every force is 0 N, though the resistances differ by more"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_named(name):
+    """Thirty pairs and ten of a poor specimen: whatever it is, one line says it."""
+    data, said = WRONG[name]
+    assert re.search(said, doubt(data, ALL, JOINT) or ""), doubt(data, ALL, JOINT)
+    assert doubt(selected(data, slice(10)), ALL, JOINT) is not None
+
+
+def test_four_pairs_in_a_wrong_order_are_enough():
+    four = selected(PAIRS, slice(4))
+    wrong = replace(four, resistance_ohm=four.resistance_ohm[[1, 2, 3, 0]])
+    assert "4 of 4 are out of place" in (doubt(wrong, ALL, JOINT) or "")
+
+
+def test_one_net_alone_is_warned_of_forces_that_it_leaves_out():
+    fz = COMPONENTS["fz"]
+    assert "forces along x and y act as well" in (disturbance(PAIRS, fz, JOINT) or "")
+    assert "use --component all" in (disturbance(PAIRS, fz, None) or "")
+    faint = replace(PAIRS, force_n=PAIRS.force_n * [1e-6, 1e-6, 1.0])
+    pressed = lighter(faint, 1.0)
+    assert disturbance(pressed, fz, JOINT) is None  # a scale's noise is no shear
+    assert disturbance(PAIRS, ALL, JOINT) is None
+
+
+def test_there_is_nothing_to_learn_from_what_never_changes():
+    assert nothing_to_learn(PAIRS, ALL) is None
+    assert nothing_to_learn(WRONG["unloaded"][0], ALL) == "every force is 0 N: nothing can be learnt"
+    assert "every resistance is the same" in (nothing_to_learn(WRONG["constant"][0], ALL) or "")
+    pressed = labelled(SENSOR, "z", n_samples=5, seed=0)
+    assert "every force is 0 N" in (nothing_to_learn(pressed, COMPONENTS["fx"]) or "")
