@@ -26,9 +26,7 @@ dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
 picture: $(READY)  ## draw the pictures of the README and of docs/ again
-	$(BIN)/tripillar view --pressure 5 --save docs/deformed-array.png
-	mkdir -p $(OUT) && printf '[array]\nrows = 3\ncols = 3\n' > $(OUT)/tutorial.toml
-	$(BIN)/tripillar view $(OUT)/tutorial.toml --pressure 1 3 5 --save docs/tutorial-array.png
+	$(BIN)/python -m studies.viewer.documented docs
 	$(BIN)/python -m studies.board.picture docs/live.svg
 	$(BIN)/python -m studies.pictures docs
 	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs

@@ -15,6 +15,7 @@ from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centr
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
 ACROSS = 12  #: squares along a pad's side
+APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 
 Surface = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
@@ -38,6 +39,13 @@ class Part:
             raise ValueError("this part has no stress: ask for it where parts are made.")
         return self.stress_mpa
 
+    @property
+    def strength_mpa(self) -> FloatArray:
+        """Size of the traction on the cells, (m,); ValueError where there is none."""
+        if self.traction_mpa is None:
+            raise ValueError("this part has no traction: only pads have.")
+        return np.linalg.norm(self.traction_mpa, axis=1)
+
     def times(self, share: float) -> "Part":
         """The same under a share of the load: everything is linear."""
 
@@ -58,19 +66,25 @@ Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads
 def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
     """Pillars, matrix, electrodes and pads of a loaded array.
 
-    Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes.
+    Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
+    pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
+    0.06 mm all around, which nobody sees.
     """
     unit = array.design.unit
     return {
-        "pillars": _on_units(array, state, pillar_surface(unit), stress, region=1),
+        "pillars": _on_units(array, state, pillar_surface(unit, apart_mm=APART_MM), stress, region=1),
         "matrix": _slab(array, state, stress),
         "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
         "pads": _pads(array, state, stress),
     }
 
 
-def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND) -> Surface:
-    """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend."""
+def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Surface:
+    """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
+
+    The first is smaller by `apart_mm` all around, the second by twice as much, the third by three times: no two of
+    their faces coincide.
+    """
     turn = np.linspace(-0.5, 0.5, around + 1)[:-1]
     side = np.full(around, 0.5)
     ring = np.column_stack(
@@ -78,11 +92,14 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND) -> Su
     )
     share = np.linspace(0.0, 1.0, slices + 1)
     surfaces = []
-    for (bottom, top), section in zip(pillar_ends(unit), pillar_sections(unit), strict=True):
+    for number, (ends, full) in enumerate(zip(pillar_ends(unit), pillar_sections(unit), strict=True), start=1):
+        inward = number * apart_mm
+        section = full - 2 * inward
+        bottom, top = ends + np.outer([1, -1], (ends[1] - ends[0]) * (inward / np.ptp(ends[:, 2])))
         axis = bottom + share[:, None] * (top - bottom)
         wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
-        number = np.arange(len(wall)).reshape(slices + 1, -1)
-        quads = [number[:-1], np.roll(number[:-1], -1, 1), np.roll(number[1:], -1, 1), number[1:]]
+        place = np.arange(len(wall)).reshape(slices + 1, -1)
+        quads = [place[:-1], np.roll(place[:-1], -1, 1), np.roll(place[1:], -1, 1), place[1:]]
         surfaces.append((wall, np.stack(quads, axis=-1).reshape(-1, 4)))
         surfaces += [rectangle_surface(end, section, around) for end in (bottom, top)]
     return joined(surfaces)
@@ -92,7 +109,7 @@ def electrode_surface(unit: Unit) -> Surface:
     """The four electrodes of a unit, U1, U2, L1, L2, in its own frame."""
     upper = upper_electrodes(unit)
     lower = pillar_ends(unit)[:2, 0]
-    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), 2) for at in (*upper, *lower)])
+    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in (*upper, *lower)])
 
 
 def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Surface:

@@ -2,35 +2,34 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from fem.array_field import ArrayField
+from fem.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
 from fem.deformed import Part, Parts, sensor_parts
+from fem.legend import INK, draw_legend, words_at
 from fem.response import ArrayResponse
-from fem.stress import pressure, von_mises
+from fem.scenery import Camera, scenery
 from geometry.files import replacing
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
-Colour = Literal["displacement", "vertical", "mises", "pressure"]
-Camera = Literal["iso", "top", "front", "side"]
 Triple = tuple[float, float, float]
 Medium = Literal["file", "film", "window", "page"]
 
-SIZE_PX = {1: (1376, 800), 2: (880, 560)}  #: of one picture, and of each of several
-PAGE_PX = (1440, 720)  #: of a page that holds all
-BAR_PX = 224  #: width of the colour bar's column
-MARGIN = 0.06  #: of a picture's width or height, around what it shows
+WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
+HIGH_PX = 880  #: of a picture, where its width leaves a choice
+NAME_PX, LEGEND_PX = 64, 112  #: heights of the strips above and below pictures
+MARGIN = 0.03  #: of a picture's width or height, around what it shows
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
 LEAST_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
 SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
-LIFT_MM = 0.15  #: by which electrodes are drawn before the pillars' ends
-MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
+LIFT_MM, PAD_LIFT_MM = 0.15, 0.2  #: by which electrodes are drawn before the pillars' ends, and pads' outlines above
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
 GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
 VIEWS: dict[Camera, tuple[Triple, Triple]] = {
@@ -38,24 +37,6 @@ VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
     "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-}
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """What colour shows."""
-
-    title: str
-    of: Callable[[Part], FloatArray]  #: a part to values (n,) at its points
-    colours: str
-    of_stress: bool = False  #: it has no bound at edges, then: the largest value means nothing
-
-
-QUANTITIES: dict[Colour, Quantity] = {
-    "displacement": Quantity("displacement\n[mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), "viridis"),
-    "vertical": Quantity("vertical\ndisplacement\n[mm]", lambda p: p.displacement_mm[:, 2], "viridis_r"),
-    "mises": Quantity("von Mises\nstress\n[MPa]", lambda p: von_mises(p.stress), "plasma", of_stress=True),
-    "pressure": Quantity("pressure\n[MPa]", lambda p: pressure(p.stress), "YlOrRd", of_stress=True),
 }
 
 
@@ -142,6 +123,9 @@ def draw_electrode_grid(
 class DeformedPicture:
     """Loaded bodies side by side, coloured by one scale: pillars in a translucent matrix, and how they were at rest.
 
+    Each has a scale bar and axes beside it; below all are the colour bar, a key to the reds of loaded pads and the
+    factor of displacement.
+
     Parameters
     ----------
     panels : mapping of names to parts
@@ -151,9 +135,12 @@ class DeformedPicture:
     scale : float
         Factor by which displacement is drawn; 1 is true.
     camera : {"iso", "top", "front", "side"}
+        All but the first are parallel projections.
     medium : {"file", "film", "window", "page"}
-        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour bar:
-        they add their own, by `names`, `title` and `limits`.
+        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour
+        bars: they add their own, by `names`, `bars`, `note` and `aspect`.
+    over : sequence of parts, optional
+        What the colour bars are to hold where the picture is to show more than its panels, by `load`.
     """
 
     def __init__(
@@ -163,62 +150,95 @@ class DeformedPicture:
         scale: float = 1.0,
         camera: Camera = "iso",
         medium: Medium = "file",
+        over: Sequence[Parts] | None = None,
     ) -> None:
         draw_off_screen()
-        self._quantity, self._scale = QUANTITIES[colour], scale
-        self.names, self.title, self.colours = tuple(panels), self._quantity.title, self._quantity.colours
-        self.limits = colour_limits(panels.values(), self._quantity)
-        self._moving: list[tuple[pv.PolyData, FloatArray]] = []
-        n, on_page = len(panels), medium == "page"
-        width, height = self._size = (PAGE_PX[0] // n, PAGE_PX[1]) if on_page else SIZE_PX[min(n, 2)]
+        self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
+        self.names = tuple(panels)
+        self._shows_all_pads, held = over is not None, [*panels.values()] if over is None else over
+        pads = pads_bar(held)
+        self.bars = (bar_of(self._quantity, held), *([] if pads is None else [pads]))
+        self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
+        self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
+        n, self._is_bare = len(panels), medium == "page"
+        points = {name: reach(parts, scale) for name, parts in panels.items()}
+        stage = {name: scenery(at, camera) for name, at in points.items()}
+        seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
+        self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
-        bar = [] if on_page else [BAR_PX]
-        self.plotter = pv.Plotter(
-            off_screen=medium != "window",
-            shape=(1, n + len(bar)),
-            col_weights=[width] * n + bar,
-            window_size=(n * width + sum(bar), height),
-            border=False,
-        )
-        self.plotter.set_background("white", all_renderers=True)
-        if medium != "page":
-            self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
-        self._texts = []
+        self.plotter = self._plotter(n, medium)
+        self._titles: list[tuple[str, vtkTextActor]] = []
         for column, (name, parts) in enumerate(panels.items()):
-            self.plotter.subplot(0, column)
-            mapper = self._draw(parts)
-            if not on_page:
-                text = self.plotter.add_text(name, position="upper_edge", color="black", font_size=13)
-                self._texts.append((name, text))
-            rest = np.vstack([part.points_mm for part in parts.values()])
-            moved = rest + scale * np.vstack([part.displacement_mm for part in parts.values()])
-            self._look(camera, np.vstack([rest, moved]))
-        if bar:
-            self.plotter.subplot(0, n)
-            self._draw_bar(mapper)
+            self.plotter.subplot(0 if self._is_bare else 1, column)
+            self._draw(name, parts)
+            self.plotter.add_mesh(stage[name], color=INK, lighting=False)
+            look(self.plotter.camera, seen[name], camera, self.aspect)
+            self.plotter.reset_camera_clipping_range()
+            if not self._is_bare:
+                self.plotter.subplot(0, column)
+                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "centre", size=24)))
+        if not self._is_bare:
+            self.plotter.subplot(2, 0)
+            wide, _ = self.plotter.window_size
+            draw_legend(self.plotter, self.bars, [self.note], wide, LEGEND_PX)
         self.press(1.0)
 
     def press(self, share: float) -> None:
         """Show everything under a share of its load."""
-        for mesh, rest in self._moving:
+        for _, _, mesh, rest in self._moving:
             mesh.points = rest + share * self._scale * mesh["full"]
             if "of full" in mesh.array_names:
                 mesh["shown"] = share * mesh["of full"]
+            if "strength of full" in mesh.array_names:
+                mesh["strength"] = share * mesh["strength of full"]
             if "Normals" in mesh.array_names:
                 turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
                 mesh["Normals"] = turned["Normals"]
-        for name, text in self._texts:
-            text.set_text("upper_edge", name if share == 1 else f"{share:.0%} of {name}")
+        for name, text in self._titles:
+            text.SetInput(name if share == 1 else f"{share:.0%} of {name}")
 
-    def _draw(self, parts: Parts) -> pv.DataSetMapper:
-        mapper = None
+    def load(self, panels: Mapping[str, Parts]) -> None:
+        """Show the same bodies under other loads, in the colours of the first ones."""
+        for name, part_name, mesh, _ in self._moving:
+            part = panels[name][part_name]
+            mesh["full"] = part.displacement_mm[mesh["point"]]
+            if "of full" in mesh.array_names:
+                mesh["of full"] = self._quantity.of(part)[mesh["point"]]
+            if "strength of full" in mesh.array_names:
+                mesh["strength of full"] = strength_at_points(part)[mesh["point"]]
+        self.press(1.0)
+
+    def _plotter(self, n: int, medium: Medium) -> pv.Plotter:
+        """An empty plotter for n pictures, each with its name above, and one legend below all of them."""
+        off_screen = medium != "window"
+        least, most = WIDE_PX[min(n, 2)]
+        wide = 16 * round(min(max(HIGH_PX * self.aspect, least), most) / 16)
+        high = 16 * round(wide / self.aspect / 16)  # films want multiples of 16
+        rows = [NAME_PX, high, LEGEND_PX]
+        if self._is_bare:
+            plotter = pv.Plotter(off_screen=off_screen, shape=(1, n), window_size=(n * wide, high), border=False)
+        else:
+            plotter = pv.Plotter(
+                off_screen=off_screen, shape=(3, n), groups=[(2, slice(None))], row_weights=rows,
+                window_size=(n * wide, sum(rows)), border=False,
+            )  # fmt: skip
+            plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
+        plotter.set_background("white", all_renderers=True)
+        return plotter
+
+    def _draw(self, panel: str, parts: Parts) -> None:
         for name, part in parts.items():
             whole = grid_of(part)
-            whole["full"] = part.displacement_mm
+            whole["full"], whole["point"] = part.displacement_mm, np.arange(len(part.points_mm))
+
+            def moved(mesh: pv.PolyData, name: str = name) -> pv.PolyData:
+                self._moving.append((panel, name, mesh, mesh.points.copy()))
+                return mesh
+
             if part.traction_mpa is not None:
-                self._draw_pads(whole, part.traction_mpa)
+                self._draw_pads(whole, part, moved)
                 continue
-            if name not in ("matrix", "electrodes"):
+            if name not in COLOURED_NOT:
                 whole["of full"] = self._quantity.of(part)
             skin = whole.extract_surface(algorithm="dataset_surface")
             if name == "electrodes":
@@ -226,53 +246,52 @@ class DeformedPicture:
                 skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - middle)
             if name == "matrix":
                 skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
-                actor = self.plotter.add_mesh(self._moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                actor = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
                 # PyVista's own smooth shading would draw a copy, which stays at rest
                 actor.prop.interpolation = "phong"
             elif name == "electrodes":
-                self.plotter.add_mesh(self._moved(skin), color="#c98a4b", **SOLID)
+                self.plotter.add_mesh(moved(skin), color="#c98a4b", **SOLID)
             else:
                 skin["shown"] = skin["of full"]
-                actor = self.plotter.add_mesh(
-                    self._moved(skin), scalars="shown", clim=self.limits, cmap=self._quantity.colours,
+                bar = self.bars[0]
+                self.plotter.add_mesh(
+                    moved(skin), scalars="shown", clim=(bar.low, bar.high), cmap=bar.colours, n_colors=len(bar.colours),
                     show_scalar_bar=False, **SOLID,
                 )  # fmt: skip
-                mapper = actor.mapper
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
-                self.plotter.add_mesh(self._moved(edges), color="#3d5468", line_width=1.5 * self._line)
-        return mapper
+                self.plotter.add_mesh(moved(edges), color="#3d5468", line_width=1.5 * self._line)
 
-    def _draw_pads(self, whole: pv.UnstructuredGrid, traction_mpa: FloatArray) -> None:
+    def _draw_pads(self, whole: pv.UnstructuredGrid, part: Part, moved: Callable[[pv.PolyData], pv.PolyData]) -> None:
         """Outline loaded pads in the strength of their traction."""
-        strength = np.linalg.norm(traction_mpa, axis=1)
-        whole.cell_data["strength"] = strength / max(strength.max(), 1e-300)
-        whole = whole.extract_cells(strength >= LEAST_STRENGTH * strength.max())
+        whole["strength of full"] = strength_at_points(part)
+        strength = part.strength_mpa
+        if not self._shows_all_pads:
+            whole = whole.extract_cells(strength >= LEAST_STRENGTH * strength.max())
         outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
             boundary_edges=True, feature_edges=False, manifold_edges=False
         )
+        outlines.points[:, 2] += PAD_LIFT_MM
+        outlines["strength"] = outlines["strength of full"]
+        bar = self.bars[-1]
         self.plotter.add_mesh(
-            self._moved(outlines), scalars="strength", cmap="Reds", clim=(-0.3, 1.1), line_width=2.5 * self._line,
-            show_scalar_bar=False,
+            moved(outlines), scalars="strength", cmap=bar.colours, n_colors=len(bar.colours), clim=(bar.low, bar.high),
+            line_width=2.5 * self._line, show_scalar_bar=False, lighting=False,
         )  # fmt: skip
 
-    def _draw_bar(self, mapper: pv.DataSetMapper) -> None:
-        labels = len(colour_ticks(*self.limits))
-        self.plotter.add_scalar_bar(
-            title=self._quantity.title, mapper=mapper, color="black", fmt="%.3g", n_labels=labels, vertical=True,
-            position_x=0.15, position_y=0.12, width=0.42, height=0.76, title_font_size=20, label_font_size=20,
-        )  # fmt: skip
 
-    def _look(self, camera: Camera, points_mm: FloatArray) -> None:
-        """Turn the camera and bring it as near as lets all points be seen."""
-        direction, up = VIEWS[camera]
-        place(self.plotter.camera, points_mm, direction, up, self._size[0] / self._size[1])
-        self.plotter.reset_camera_clipping_range()
+def reach(parts: Parts, scale: float) -> FloatArray:
+    """All points that parts fill, at rest and with their displacement `scale` times as large, (n, 3) [mm]."""
+    rest = np.vstack([part.points_mm for part in parts.values()])
+    return np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])
 
-    def _moved(self, mesh: pv.PolyData) -> pv.PolyData:
-        self._moving.append((mesh, mesh.points.copy()))
-        return mesh
+
+def strength_at_points(part: Part) -> FloatArray:
+    """Size of the traction (n,) [MPa] at the points of pads, which share none between them."""
+    strength = np.zeros(len(part.points_mm))
+    strength[part.cells] = part.strength_mpa[:, None]
+    return strength
 
 
 def draw_off_screen() -> None:
@@ -281,7 +300,21 @@ def draw_off_screen() -> None:
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
 
 
-def place(camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float) -> None:
+def aspect_of(points_mm: FloatArray, camera: Camera) -> float:
+    """Width over height of what a camera of a picture sees of points (n, 3)."""
+    trial = pv.Camera()
+    return look(trial, points_mm, camera, 1.0)
+
+
+def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) -> float:
+    """Point a camera as one of a picture's does; width over height of what it sees."""
+    direction, up = VIEWS[name]
+    return place(camera, points_mm, direction, up, aspect, is_parallel=name != "iso")
+
+
+def place(
+    camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float, is_parallel: bool = False
+) -> float:
     """Put a camera as near as lets all points be seen, with a margin.
 
     Parameters
@@ -292,6 +325,13 @@ def place(camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Tripl
         From what is seen to the camera, and what is upright in the picture.
     aspect : float
         Width over height of the picture.
+    is_parallel : bool
+        Without perspective: what is twice as far is as large.
+
+    Returns
+    -------
+    float
+        Width over height of the points as they are seen.
     """
     toward = np.array(direction) / np.linalg.norm(direction)
     right = np.cross(up, toward)
@@ -301,42 +341,18 @@ def place(camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Tripl
     focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
     for _ in range(20):  # a fixed point: it settles in a few rounds
         seen = points_mm - focus
-        depth = distance - seen @ toward
+        depth = distance - (0.0 if is_parallel else 1.0) * (seen @ toward)
         across, upward = seen @ right / depth, seen @ upright / depth
         aside = (across.max() + across.min()) / 2 * right + (upward.max() + upward.min()) / 2 * upright
         focus = focus + distance * aside
         distance *= max(np.ptp(across) / aspect, np.ptp(upward)) / (2 * half)
     camera.view_angle, camera.focal_point, camera.up = VIEW_ANGLE, focus, upright
+    camera.parallel_projection = is_parallel
+    camera.parallel_scale = distance * np.tan(np.radians(VIEW_ANGLE / 2))
+    if is_parallel:  # outside of the body; how far makes no difference
+        distance = 2 * np.linalg.norm(np.ptp(points_mm, axis=0))
     camera.position = focus + distance * toward
-
-
-def colour_limits(panels: Iterable[Parts], quantity: Quantity) -> tuple[float, float]:
-    """Round ends of one colour scale for several pictures, 0 among its values."""
-    solid = [part for parts in panels for name, part in parts.items() if name not in ("matrix", "electrodes", "pads")]
-    values = np.concatenate([quantity.of(part) for part in solid])
-    share = MOST if quantity.of_stress else 100.0
-    low, high = (float(np.percentile(values, q)) for q in (100 - share, share))
-    low, high = min(low, 0.0), max(high, 0.0)
-    step = round_step(high - low)
-    low, high = step * np.floor(round(low / step, 6)), step * np.ceil(round(high / step, 6))
-    return float(low), float(high if high > low else low + step)
-
-
-def colour_ticks(low: float, high: float) -> FloatArray:
-    """Round values from one end of a colour scale to the other, the ends included."""
-    return np.linspace(low, high, 1 + round((high - low) / round_step(high - low)))
-
-
-def round_step(most: float) -> float:
-    """The step of 1, 2, 2.5 or 5 times a power of ten of which four or a few more reach up to a value.
-
-    >>> round_step(2.66), round_step(0.41)
-    (0.5, 0.1)
-    """
-    if not most > 0:
-        return 1.0
-    tens = 10.0 ** np.floor(np.log10(most / 4))
-    return float(max(step * tens for step in (1, 2, 2.5, 5) if step * tens <= most / 4))
+    return float(np.ptp(across) / np.ptp(upward))
 
 
 def grid_of(part: Part) -> pv.UnstructuredGrid:

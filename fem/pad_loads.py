@@ -9,12 +9,14 @@ from geometry.layout import FloatArray, unit_centres
 
 
 def bell_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
-    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, one pitch wide."""
-    centres = unit_centres(design)
+    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, p exp(−r²/2w²), w one pitch.
+
+    `peak_mpa` is the pressure at the indenter's middle, as on the page and in datasets: pads beside it carry less, on
+    an array of even rows and columns at most exp(−1/4), 78 %.
+    """
     traction = np.zeros((design.n_units, 3))
-    squared = (centres**2).sum(axis=1)
-    nearest = squared.min()
-    traction[:, 2] = -peak_mpa * np.exp(-(squared - nearest) / (2 * design.array.pitch_mm**2))
+    squared = (unit_centres(design) ** 2).sum(axis=1)
+    traction[:, 2] = -peak_mpa * np.exp(-squared / (2 * design.array.pitch_mm**2))
     return traction
 
 
@@ -23,6 +25,8 @@ def uniform_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
     return np.tile([0.0, 0.0, -peak_mpa], (design.n_units, 1))
 
 
+#: what a pressure of each is the pressure of
+WHERE = {"indenter": "at the indenter's middle", "uniform": "on every pad"}
 PAD_LOADS: dict[str, Callable[[SensorDesign, float], FloatArray]] = {
     "indenter": bell_pressure,
     "uniform": uniform_pressure,

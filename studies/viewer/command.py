@@ -85,7 +85,8 @@ def view(
     pressure: Annotated[
         list[float] | None,
         typer.Option(
-            metavar="MPA...", help="Largest pressure on the pads [MPa]; several are drawn side by side; default: 3."
+            metavar="MPA...",
+            help="Pressure at the indenter's middle or on every pad [MPa]; several are drawn side by side; default: 3.",
         ),
     ] = None,
     load: Annotated[
@@ -140,7 +141,8 @@ def view(
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
-    from fem.figures import QUANTITIES, DeformedPicture
+    from fem.colours import QUANTITIES
+    from fem.figures import DeformedPicture
     from studies.viewer.saving import FRAMES, SAVERS, save_blocks
 
     kind = "" if save is None else save.suffix
@@ -159,7 +161,11 @@ def view(
                 write(DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
     if save is None:
         DeformedPicture(panels, colour, factor, camera, "window").plotter.show()
-    largest = {name: max(largest_mm(part.displacement_mm) for part in parts.values()) for name, parts in panels.items()}
+    moved = {
+        name: {part_name: largest_mm(part.displacement_mm) for part_name, part in parts.items()}
+        for name, parts in panels.items()
+    }
+    largest = {name: max(of_parts.values()) for name, of_parts in moved.items()}
     if json_:
         show_json({
             "file": None if save is None else str(save),
@@ -168,10 +174,10 @@ def view(
             "seconds": perf_counter() - start,
         })  # fmt: skip
     else:
-        for name, millimetres in largest.items():
-            print(
-                f"{name}: largest displacement {millimetres:.3g} mm{'' if factor == 1 else f', drawn {factor:g} times'}"
-            )
+        drawn_as = "" if factor == 1 else f", drawn {factor:g} times"
+        for name, of_parts in moved.items():
+            pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
+            print(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
     wrote([] if save is None else [save])
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pyvista as pv
 
 from fem.deformed import Parts
-from fem.figures import DeformedPicture, Medium, colour_ticks, grid_of
+from fem.figures import DeformedPicture, Medium, grid_of
 from fem.stress import pressure, von_mises
 from geometry.files import replacing
+from studies.viewer.saved_page import own_page
 
 FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those of them that hold the whole load, and how many a second
 
@@ -47,32 +48,8 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
 
     page = asyncio.run(exported())
     with replacing(path) as temporary:
-        head, end, tail = page.rpartition("</body>")
-        temporary.write_text(head + _legend(picture) + end + tail, encoding="utf-8")
+        temporary.write_text(own_page(page, picture), encoding="utf-8")
     done()
-
-
-def _legend(picture: DeformedPicture) -> str:
-    """Names above the pictures and a colour bar, which the viewer in the page does not draw well, as HTML."""
-    n, (low, high) = len(picture.names), picture.limits
-    names = [
-        f'<div style="left:{100 * (k + 0.5) / n:.2f}%;top:12px;transform:translateX(-50%);font-size:20px">{name}</div>'
-        for k, name in enumerate(picture.names)
-    ]
-    shades = pv.LookupTable(picture.colours, n_values=24).values
-    gradient = ", ".join(f"rgb({red},{green},{blue})" for red, green, blue, _ in shades)
-    ticks = [
-        f'<div style="right:{90 + 360 * (high - tick) / (high - low):.1f}px;bottom:12px;transform:translateX(50%)">'
-        f"{tick:.3g}</div>"
-        for tick in colour_ticks(low, high)
-    ]
-    bar = (
-        f'<div style="right:90px;bottom:36px;width:360px;height:14px;background:linear-gradient(to right, {gradient})">'
-        f'</div><div style="right:90px;bottom:56px;width:360px;text-align:center">{picture.title}</div>'
-    )
-    style = "<style>.legend div{position:fixed;z-index:9;font:16px sans-serif;color:black;pointer-events:none}</style>"
-    stage = '<div class="content" style="position:fixed;inset:0"></div>'  # for the viewer, which empties what it fills
-    return f'{stage}{style}<div class="legend">{"".join(names)}{bar}{"".join(ticks)}</div>'
 
 
 def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:

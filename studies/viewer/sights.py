@@ -7,7 +7,7 @@ import numpy as np
 
 from fem.array_field import array_field
 from fem.deformed import Parts, sensor_parts
-from fem.pad_loads import PAD_LOADS
+from fem.pad_loads import PAD_LOADS, WHERE
 from fem.scene import Scene
 from fem.scene_file import scene_from_dict
 from fem.scene_parts import scene_parts
@@ -41,7 +41,8 @@ def panels_of(
     progress("pads")
     one = sensor_parts(field, field.state(PAD_LOADS[load](body, 1.0)), stress)
     return {
-        f"{pressure:g} MPa": {name: part.times(pressure) for name, part in one.items()} for pressure in pressures_mpa
+        f"{pressure:g} MPa {WHERE[load]}": {name: part.times(pressure) for name, part in one.items()}
+        for pressure in pressures_mpa
     }
 
 

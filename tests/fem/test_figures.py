@@ -1,12 +1,15 @@
 """Pictures show a deformed array on an honest scale, not an empty frame."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 import pyvista as pv
 
 from fem.array_field import array_field
+from fem.colours import QUANTITIES, bar_of, pads_bar
 from fem.deformed import sensor_parts
-from fem.figures import QUANTITIES, DeformedPicture, colour_limits, colour_ticks, draw_deformed, draw_electrode_grid
+from fem.figures import VIEWS, DeformedPicture, draw_deformed, draw_electrode_grid, look, reach
 from fem.layer import layer_response
 from fem.pad_loads import bell_pressure, uniform_pressure
 from geometry.design import Array, SensorDesign
@@ -48,24 +51,89 @@ def test_several_loads_stand_side_by_side(field, tmp_path):
     assert colours_of(two).shape[1] > colours_of(one).shape[1]
 
 
-def test_one_colour_scale_serves_all_pictures(parts):
-    """Its ends are round, hold the largest load's displacement, and 0 is among its values."""
-    quantity = QUANTITIES["displacement"]
+def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):
     largest = np.linalg.norm(parts["pillars"].displacement_mm, axis=1).max()
-    low, high = colour_limits([{k: part.times(0.1) for k, part in parts.items()}, parts], quantity)
-    assert low == 0.0
-    assert largest <= high < 1.5 * largest
-    ticks = colour_ticks(low, high)
-    assert (ticks[0], ticks[-1]) == (low, high)
-    assert 4 <= len(ticks) <= 12
-    still = [{k: part.times(0.0) for k, part in parts.items()}]
-    assert colour_limits(still, quantity)[1] > 0  # a scale even where nothing moves
+    bar = bar_of(QUANTITIES["displacement"], [{k: part.times(0.1) for k, part in parts.items()}, parts])
+    assert (bar.low, bar.high) == (0.0, largest)
+    assert bar.title == "displacement of the pillars [mm]"
+    assert next(iter(bar.labels)) == 0.0
+    assert bar.labels[largest] == f"{largest:.3g}"
+    still = bar_of(QUANTITIES["displacement"], [{k: part.times(0.0) for k, part in parts.items()}])
+    assert still.high > 0  # a scale even where nothing moves
+
+
+def test_signed_values_are_white_at_0_and_as_strong_either_way(parts):
+    """Between the shades next to 0 lies white; the end that is nearer to 0 is the paler one."""
+    bar = bar_of(QUANTITIES["vertical"], [parts, {k: part.times(-0.5) for k, part in parts.items()}])
+    assert bar.high == pytest.approx(-0.5 * bar.low)
+    colours = np.array([pv.Color(colour).int_rgb for colour in bar.colours], dtype=float)
+    values = np.linspace(bar.low, bar.high, len(colours))
+    at_0 = np.array([np.interp(0.0, values, channel) for channel in colours.T])
+    assert at_0.min() > 250
+    assert colours[0, 2] > colours[0, 0]  # blue below
+    assert colours[-1, 0] > colours[-1, 2]  # red above
+    assert colours[-1].min() > colours[0].min()
+
+
+def test_a_bar_of_stress_says_that_it_is_cut(field):
+    parts = sensor_parts(field, field.state(bell_pressure(DESIGN, 2.0)), stress=True)
+    bar = bar_of(QUANTITIES["mises"], [parts])
+    assert bar.labels[bar.high].startswith("≥ ")
+    assert bar.labels[0.0] == "0"
+
+
+def test_the_key_to_the_pads_ends_at_the_largest_traction(parts):
+    strengths = np.linalg.norm(bell_pressure(DESIGN, 2.0), axis=1)
+    assert pads_bar([parts, {"pads": parts["pads"].times(0.5)}]).high == pytest.approx(strengths.max())
+    assert pads_bar([{"pads": parts["pads"].times(0.0)}]) is None
+    assert [bar.title for bar in DeformedPicture({"all": parts}).bars][1] == "traction on a pad [MPa]"
+
+
+@pytest.mark.parametrize("camera", VIEWS)
+def test_a_picture_is_as_high_as_what_it_shows(parts, camera):
+    """No bands: what is seen reaches to the margin both ways, with its scale bar and axes; the camera is outside."""
+    picture = DeformedPicture({"all": parts}, camera=camera)
+    eye = picture.plotter.renderers[1].camera
+    assert eye.parallel_projection == (camera != "iso")
+    again = pv.Camera()
+    points = reach(parts, 1.0)
+    assert look(again, points, camera, 1.0) > 0
+    toward = np.array(eye.position) - np.array(eye.focal_point)
+    assert ((points - eye.focal_point) @ toward).max() < toward @ toward
+    image = picture.plotter.screenshot(return_img=True)[70:-112]  # without name and legend
+    inked = np.argwhere((image < 250).any(axis=2))
+    blank = 1 - (np.ptp(inked, axis=0) + 1) / image.shape[:2]
+    assert blank.max() < 0.11  # twice the margin, rounding to 16 px, and the width of legends where a picture is narrow
+    picture.plotter.close()
+
+
+def test_no_two_faces_of_a_picture_coincide(parts):
+    """No two quadrilaterals of pillars, nor of a pillar and the slab, lie in one plane and overlap there."""
+    at_rest = {name: part.points_mm[part.cells] for name, part in parts.items() if name in ("pillars", "electrodes")}
+    faces = at_rest["pillars"]
+    normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    normal *= np.where(normal @ [1.0, 1e-3, 1e-6] < 0, -1.0, 1.0)[:, None]
+    offset = (faces[:, 0] * normal).sum(axis=1)
+    owner = np.arange(len(faces)) // (len(faces) // (3 * DESIGN.n_units))  # of its surface: a pillar of a unit
+    planes = np.column_stack([normal, offset]).round(6)
+    _, group = np.unique(planes, axis=0, return_inverse=True)
+    centres = faces.mean(axis=1)
+    clashes = [
+        (i, j)
+        for number in np.unique(group)
+        for i, j in combinations(np.flatnonzero(group == number), 2)
+        if owner[i] != owner[j] and np.linalg.norm(centres[i] - centres[j]) < 0.5  # mm: a face is 0.7 wide
+    ]
+    assert clashes == []
+    slab = [0.0, DESIGN.unit.height_mm]
+    assert not np.isin(faces[..., 2].round(6), slab).any()
 
 
 def test_pressing_moves_the_drawn_bodies(parts):
     """At rest, half way and all the way: what is drawn sinks with the share of the load, times the scale."""
     picture = DeformedPicture({"all": parts}, scale=2.0)
-    drawn = [actor.mapper.dataset for actor in picture.plotter.renderers[0].actors.values() if hasattr(actor, "mapper")]
+    drawn = [actor.mapper.dataset for actor in picture.plotter.renderers[1].actors.values() if hasattr(actor, "mapper")]
     bodies = [mesh for mesh in drawn if mesh is not None and "full" in mesh.array_names]
     at_rest = []
     for share in (0.0, 0.5, 1.0):
@@ -93,8 +161,7 @@ def test_the_electrode_grid_is_drawn_before_and_after(traction, tmp_path):
 def test_loads_are_largest_in_the_middle_or_everywhere():
     design = SensorDesign()
     bell = bell_pressure(design, 3.0)[:, 2].reshape(6, 6)
-    assert bell.min() == -3.0
     assert (bell == bell.T).all()
-    assert (bell[2:4, 2:4] == -3.0).all()
+    assert (bell[2:4, 2:4] == bell.min()).all()
     assert bell[0, 0] > -0.1 * 3.0
     assert (uniform_pressure(design, 3.0) == [0.0, 0.0, -3.0]).all()

@@ -7,8 +7,9 @@ import numpy as np
 import pyvista as pv
 
 from fem.array_field import FieldState, Observer
-from fem.deformed import Part, Surface, pillar_surface
-from fem.figures import QUANTITIES, Colour, colour_limits, draw_off_screen, place
+from fem.colours import QUANTITIES, Bar, Colour, bar_of, shades
+from fem.deformed import APART_MM, Part, Surface, pillar_surface
+from fem.figures import draw_off_screen, place
 from fem.solution import QUADRILATERAL
 from geometry.layout import PILLARS, FloatArray, unit_centres
 from studies.viewer.page.camera import Gestures
@@ -16,9 +17,7 @@ from studies.viewer.page.cell_points import IntArray, pad_outline, rims, side_fa
 from studies.viewer.page.superposition import Superposition
 
 RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page's own: of each pillar as a whole
-TITLES = {name: quantity.title.replace("\n", " ") for name, quantity in QUANTITIES.items()} | {
-    RESISTANCE: "change of resistance [%]"
-}
+TITLES = {name: quantity.title for name, quantity in QUANTITIES.items()} | {RESISTANCE: "change of resistance [%]"}
 LEAST_CHANGE = 1.0  #: [%], end of the colour bar of resistances at least
 SLICES = 8  #: of a pillar along its axis
 MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
@@ -36,16 +35,6 @@ class Shown:
     scale: float = 1.0  #: of displacements
     chosen: int = 0  #: unit whose pad is marked
     dark: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Legend:
-    """The colour bar: what it shows, where it ends, and some of its colours from low to high."""
-
-    title: str
-    low: float
-    high: float
-    colours: list[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +82,7 @@ class ArrayScene:
         everyone = np.arange(design.n_units)
         row, col = np.divmod(everyone, cols)
         at_end = {(0, -1): col == 0, (0, 1): col == cols - 1, (1, -1): row == 0, (1, 1): row == rows - 1}
-        pillars = pillar_surface(design.unit, SLICES, around=1)
+        pillars = pillar_surface(design.unit, SLICES, around=1, apart_mm=APART_MM)
         self._owner = np.repeat(np.arange(len(PILLARS)), len(pillars[0]) // len(PILLARS))
         faces = [(top_face(design), everyone)]
         faces += [(side_face(design, *side), everyone[there]) for side, there in at_end.items()]
@@ -111,7 +100,7 @@ class ArrayScene:
         self.plotter = pv.Plotter(off_screen=True, window_size=(800, 600), lighting="none")
         self._fill()
 
-    def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Legend:
+    def show(self, traction_mpa: FloatArray, change: FloatArray, shown: Shown) -> Bar:
         """Bring the scene to a load.
 
         Parameters
@@ -132,25 +121,23 @@ class ArrayScene:
         if shown.colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
             most = max(float(np.abs(values).max()), LEAST_CHANGE)
-            return self._coloured(TITLES[RESISTANCE], values, (-most, most), "coolwarm_r")
+            colours = shades(None, -most, most)
+            return self._coloured(Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=colours), values)
         quantity = QUANTITIES[shown.colour]
         stress = self._stress.stress_mpa(state).reshape(-1, 6) if quantity.of_stress else None
         part = Part(
             points_mm=moved_mm, cells=np.empty((0, 4), dtype=np.int64), cell_type=QUADRILATERAL,
             displacement_mm=moved_mm, stress_mpa=stress,
         )  # fmt: skip
-        return self._coloured(
-            TITLES[shown.colour], quantity.of(part), colour_limits([{"pillars": part}], quantity), quantity.colours
-        )
+        return self._coloured(bar_of(quantity, [{"pillars": part}]), quantity.of(part))
 
-    def _coloured(self, title: str, values: FloatArray, ends: tuple[float, float], colours: str) -> Legend:
+    def _coloured(self, bar: Bar, values: FloatArray) -> Bar:
         """Colour the pillars by values (n_points,)."""
         self._pillars.mesh["shown"] = values.astype(np.float32)
         mapper = self._actor.mapper
-        mapper.lookup_table.apply_cmap(colours, 256)
-        mapper.scalar_range = ends
-        some = [f"rgb({red},{green},{blue})" for red, green, blue, _ in mapper.lookup_table.values[::17].tolist()]
-        return Legend(title=title, low=ends[0], high=ends[1], colours=some)
+        mapper.lookup_table.apply_cmap(bar.colours, len(bar.colours))
+        mapper.scalar_range = bar.low, bar.high
+        return bar
 
     def look_from_the_start(self) -> None:
         """Put the camera where it was at first: the undeformed array fills the window."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dataset.protocols import FRICTION
+from fem.pad_loads import bell_pressure
 from geometry.design import Array, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import unit_centres
@@ -50,3 +51,11 @@ def test_an_indenter_presses_by_a_bell():
     beside = np.flatnonzero((centres == (0.0, 0.0)).all(axis=1))[0]
     np.testing.assert_allclose(traction[middle], [0.4, 0.0, -4.0])
     np.testing.assert_allclose(traction[beside], np.exp(-0.5) * traction[middle])
+
+
+@pytest.mark.parametrize("rows", [3, 6])
+def test_a_pressure_means_the_same_on_the_page_and_in_a_picture(rows):
+    """5 MPa are those at the indenter's middle, whether a pad is there or not."""
+    design = SensorDesign(array=Array(rows=rows, cols=rows))
+    indenter = Indenter(load=PadLoad(pressure_mpa=5.0), width_mm=design.array.pitch_mm)
+    np.testing.assert_allclose(indenter.tractions(design), bell_pressure(design, 5.0), atol=1e-12)

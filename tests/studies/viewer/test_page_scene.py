@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fem.array_field import array_field
-from fem.deformed import pillar_surface
+from fem.deformed import APART_MM, pillar_surface
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from studies.viewer.page.scene import SLICES, TITLES, ArrayScene, Shown
@@ -40,7 +40,7 @@ def test_superposition_is_the_solution(field):
 
 def test_pillars_move_as_the_field_says(field, scene):
     """Each unit's pillars stand at its centre and move as the solved field does there; drawn in single precision."""
-    points, _ = pillar_surface(DESIGN.unit, SLICES, around=1)
+    points, _ = pillar_surface(DESIGN.unit, SLICES, around=1, apart_mm=APART_MM)
     scene.show(TRACTION, NONE, Shown())
     moved = field.observe(points).displacement_mm(field.state(TRACTION))
     expected = np.pad(unit_centres(DESIGN), ((0, 0), (0, 1)))[:, None] + points + moved

@@ -1,5 +1,6 @@
 """`tripillar view`: what it writes, what it prints, what it refuses."""
 
+import re
 import subprocess
 
 import numpy as np
@@ -46,9 +47,9 @@ def panels():
 def test_several_pressures_are_drawn_side_by_side(house):
     told = house.result("view", "small.toml", "--pressure", "1", "3", "--save", "two.png", "--scale", "auto", "-q")
     assert told["file"] == "two.png"
-    one, three = told["largest_displacement_mm"]["1 MPa"], told["largest_displacement_mm"]["3 MPa"]
+    one, three = (told["largest_displacement_mm"][f"{p} MPa at the indenter's middle"] for p in (1, 3))
     assert three == pytest.approx(3 * one)
-    assert pv.read(house.folder / "two.png").dimensions[0] > 1800
+    assert pv.read(house.folder / "two.png").dimensions[0] == 2 * 880
 
 
 def test_a_scene_is_drawn_under_its_own_load(house):
@@ -112,13 +113,13 @@ def test_blocks_hold_every_part_with_its_fields(panels, tmp_path):
     for _ in range(2):  # the second time over the first
         saving.save_blocks(panels, path)
     read = pv.read(path)
-    assert read.keys() == ["1 MPa", "3 MPa"]
-    assert read["3 MPa"].keys() == ["pillars", "matrix", "electrodes", "pads"]
-    for name, part in panels["3 MPa"].items():
-        block = read["3 MPa"][name]
+    assert read.keys() == ["1 MPa on every pad", "3 MPa on every pad"]
+    assert read["3 MPa on every pad"].keys() == ["pillars", "matrix", "electrodes", "pads"]
+    for name, part in panels["3 MPa on every pad"].items():
+        block = read["3 MPa on every pad"][name]
         assert np.allclose(block["displacement_mm"], part.displacement_mm)
         assert {"stress_mpa", "von_mises_mpa", "pressure_mpa"} <= set(block.point_data)
-    assert np.allclose(read["3 MPa"]["pads"]["traction_mpa"], [0.0, 0.0, -3.0])
+    assert np.allclose(read["3 MPa on every pad"]["pads"]["traction_mpa"], [0.0, 0.0, -3.0])
     assert sorted(item.name for item in tmp_path.iterdir()) == ["array", "array.vtm"]
 
 
@@ -137,34 +138,58 @@ def test_a_film_shows_the_load_rising(panels, tmp_path, monkeypatch):
     assert np.abs(pictures[-1] - pictures[-2]).mean() < 0.5  # held at the end
 
 
-def test_a_page_shows_the_array_in_a_browser_without_a_network(panels, tmp_path):
-    pytest.importorskip("trame_vtk")
+@pytest.mark.parametrize("size", [(900, 450), (390, 844)], ids=["wide", "phone"])
+def test_a_page_shows_the_array_in_a_browser_without_a_network(page_file, tmp_path, size):
+    """It asks for nothing but itself, and on a phone its pictures stand one below the other, none cut off."""
     sync_api = pytest.importorskip("playwright.sync_api")
-    path = tmp_path / "page.html"
-    saving.save_html(DeformedPicture(panels, "vertical", medium="page"), path, lambda: None)
     with sync_api.sync_playwright() as playwright:
         browser = chromium(playwright)
-        page = browser.new_context(offline=True, viewport={"width": 900, "height": 450}).new_page()
-        page.goto(path.as_uri())
+        page = browser.new_context(offline=True, viewport={"width": size[0], "height": size[1]}).new_page()
+        asked = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(page_file.as_uri())
         page.wait_for_selector("canvas", timeout=20_000)
-        assert page.get_by_text("3 MPa", exact=True).is_visible()
-        assert page.get_by_text("vertical displacement [mm]").is_visible()
+        assert page.title() == "TriPillar: 1 MPa on every pad, 3 MPa on every pad"
+        assert page.get_by_text("3 MPa on every pad", exact=True).is_visible()
+        assert page.get_by_text("vertical displacement of the pillars [mm]").is_visible()
+        assert page.get_by_text("displacement × 2").is_visible()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        boxes = [one.bounding_box() for one in page.query_selector_all("main .labels span, main .content")]
+        assert all(box["x"] >= 0 and box["x"] + box["width"] <= size[0] for box in boxes)
         drawn = tmp_path / "page.png"
         for _ in range(40):  # the picture comes some time after its canvas
             page.wait_for_timeout(250)
-            page.screenshot(path=drawn)
-            if coloured(drawn):
+            page.query_selector("main .content").screenshot(path=drawn)
+            if coloured(drawn, axis=1 if size[0] > size[1] else 0):
                 break
         browser.close()
-    assert coloured(drawn)
+    assert coloured(drawn, axis=1 if size[0] > size[1] else 0)
+    assert asked == [page_file.as_uri()]
 
 
-def coloured(path):
-    """Whether both halves of a screenshot show something coloured in their middle."""
+@pytest.fixture(scope="module")
+def page_file(panels, tmp_path_factory):
+    pytest.importorskip("trame_vtk")
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    saving.save_html(DeformedPicture(panels, "vertical", 2.0, medium="page"), path, lambda: None)
+    return path
+
+
+def test_a_page_names_nothing_that_browsers_would_load(page_file):
+    text = page_file.read_text(encoding="utf-8")
+    assert "default-src 'none'" in text
+    assert text.count("<title>") == 1
+    assert 'name="viewport"' in text
+    assert "favicon" not in text
+    assert not re.search(r"""(src|href)\s*=\s*["'`]?https?:""", text)
+
+
+def coloured(path, axis):
+    """Whether both halves of a screenshot, side by side or one below the other, show something coloured."""
     picture = pv.read(path)
     width, height, _ = picture.dimensions
-    colours = picture.active_scalars.reshape(height, width, -1)[height // 4 : 3 * height // 4, :, :3].astype(float)
-    return all(np.ptp(half, axis=2).max() > 60 for half in np.split(colours, 2, axis=1))
+    colours = picture.active_scalars.reshape(height, width, -1)[: height // 2 * 2, : width // 2 * 2, :3].astype(float)
+    return all(np.ptp(half, axis=2).max() > 60 for half in np.split(colours, 2, axis=axis))
 
 
 def chromium(playwright):
@@ -180,10 +205,10 @@ def chromium(playwright):
 
 def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height(panels):
     scale = suited_scale(panels)
-    largest = max(np.linalg.norm(part.displacement_mm, axis=1).max() for part in panels["3 MPa"].values())
+    largest = max(np.linalg.norm(part.displacement_mm, axis=1).max() for part in panels["3 MPa on every pad"].values())
     assert 0.08 * 10 < scale * largest <= 0.2 * 10 + 1e-9  # rounded down by at most 2.5
     assert float(f"{scale:.0e}") == scale
-    still = {"none": {name: part.times(0.0) for name, part in panels["1 MPa"].items()}}
+    still = {"none": {name: part.times(0.0) for name, part in panels["1 MPa on every pad"].items()}}
     assert suited_scale(still) == 1.0
 
 
