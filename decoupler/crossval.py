@@ -100,8 +100,8 @@ def jobs_of(
 
 def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
     """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
-    with _one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        with uninterrupted(), _deaf_to_interrupts():
+    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        with uninterrupted(), deaf_to_interrupts():
             futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
         try:
             for future in as_completed(futures):
@@ -133,7 +133,7 @@ def fold(
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Tell the processes started meanwhile to use one thread for linear algebra."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
@@ -184,7 +184,7 @@ def summary(tested: list[Fold]) -> dict[str, Any]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
+def deaf_to_interrupts() -> Iterator[None]:
     """Keep Ctrl-C, which a terminal sends to all, from the processes started meanwhile: who started them ends them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

@@ -51,6 +51,9 @@ class Bars:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is None:  # whatever ended before its limit, such as a training, is done as well
+            for task in self._progress.tasks:
+                self._progress.update(task.id, completed=task.total)
         self._progress.stop()
 
     def begin(self, stage: str, total: float) -> Advance:

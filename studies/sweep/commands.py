@@ -50,7 +50,7 @@ def sweep(
     The same command again goes on where it was stopped.
     """
     require_counts(workers=count, best=best)
-    require_packages("dask", "distributed", "pyarrow", "matplotlib")
+    require_packages("pyarrow", "matplotlib", *(["dask", "distributed"] if scheduler else []))
     from studies.report import show
     from studies.sweep.figures import draw_parallel, draw_pareto
     from studies.sweep.rows import flat, write_parquet, write_rows_netcdf
@@ -66,8 +66,8 @@ def sweep(
     missing = [sample for sample in samples if sample.recipe not in found]
     if missing:
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
-            found |= judge_all(missing, asked.judging, client, folder, shown(bars, "designs", len(missing)))
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as judges:
+            found |= judge_all(missing, asked.judging, judges, folder, shown(bars, "designs", len(missing)))
     rows = [found[sample.recipe] for sample in samples]
     files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
     write_parquet(rows, files[0])
@@ -109,7 +109,7 @@ def optimize(
     The same command again goes on where it was stopped.
     """
     require_counts(workers=count, trials=trials)
-    require_packages("dask", "distributed", "optuna")
+    require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
     from geometry.files import replacing
     from studies.report import show
     from studies.sweep.optimize import finished, open_study, search
@@ -129,8 +129,8 @@ def optimize(
     left = max(0, asked.samples - len(done))
     if left or len(kept) < len({sample.recipe for sample in done}):
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as client:
-            rows = search(asked, study, client, folder, shown(bars, "trials", left))
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as judges:
+            rows = search(asked, study, judges, folder, shown(bars, "trials", left))
     best = ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {file} failed, such as: {rows[0].reason}")
@@ -140,7 +140,8 @@ def optimize(
     with replacing(path) as temporary:
         temporary.write_text(best[0].design or "", encoding="utf-8")
     if json_:
-        show_json({"trials": len(rows), "tried_now": left, "best": flat(best[0]), "file": str(path)})
+        counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
+        show_json(counts | {"best": flat(best[0]), "file": str(path)})
     else:
         show(best_table(rows, asked, 5))
     wrote([path])

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,10 +10,11 @@ from scipy.stats import spearmanr
 
 from geometry.files import replacing
 from geometry.layout import FloatArray
-from studies.sweep.merits import FIGURES
+from studies.sweep.merits import figure_label
 from studies.sweep.rows import Row
 from studies.sweep.sweep_file import Sweep
 from studies.sweep.table import ranked
+from studies.sweep.variables import Variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,8 +36,8 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     within = np.array([not sweep.excess(row.figures) for row in sound])
     whole = _column(sound, sweep.least)
     error = _clipped(whole)
-    key = telling_key(sound, sweep)
-    shade = np.array([row.values[key] for row in sound])
+    variable = telling_variable(sound, sweep)
+    shade = np.array([row.values[variable.name] for row in sound])
     norm = _norm(shade)
     figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
     for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
@@ -62,13 +64,13 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
             label=label,
         )
         axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
-        axes.set(xlabel=f"{_named(name)}, {'more' if more else 'less'} is better")
+        axes.set(xlabel=f"{figure_label(name)}, {'more' if more else 'less'} is better")
         _scale(axes, "x", other)
         _scale(axes, "y", error)
         axes.grid(visible=True, which="major", alpha=0.25)
-    figure.axes[0].set_ylabel(f"{_named(sweep.least)}, less is better")
+    figure.axes[0].set_ylabel(f"{figure_label(sweep.least)}, less is better")
     figure.axes[1].legend(fontsize=9, loc="best")
-    figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=key, pad=0.01)
+    figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
     counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int((error < whole).sum())}
     parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
     figure.suptitle("; ".join(parts), fontsize=12)
@@ -86,9 +88,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     sound = [row for row in rows if not row.failed]
     best = {row.recipe: place for place, row in enumerate(ranked(rows, sweep)[:BEST])}
     figures = [sweep.least, *(name for name in BESIDE if name != sweep.least)]
-    labels = [variable.name.replace(".", "\n") for variable in sweep.variables] + [
-        _named(name, "\n") for name in figures
-    ]
+    labels = [*(variable.label for variable in sweep.variables), *map(figure_label, figures)]
     columns = [np.array([row.values[variable.name] for row in sound]) for variable in sweep.variables]
     columns += [_clipped(_column(sound, name)) for name in figures]
     cut = [False] * len(sweep.variables) + [
@@ -113,7 +113,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
             above = "≥ " if ends and share == 1.0 else ""
             axes.text(place + 0.05, share, above + text, fontsize=8, va="center", zorder=5, bbox=_PAPER)
             axes.plot([place - 0.03, place + 0.03], [share, share], color="#333333", linewidth=1.0)
-    axes.set_xticks(places, [label for label, _, _ in kept], fontsize=9)
+    axes.set_xticks(places, ["\n".join(wrap(label, 14)) for label, _, _ in kept], fontsize=9)
     axes.xaxis.set_ticks_position("top")
     axes.tick_params(length=0)
     failed = len(rows) - len(sound)
@@ -122,7 +122,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
     grey = "; grey: out of bounds" if sweep.bounds else ""
-    bar.set_label(f"{sweep.least}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
+    bar.set_label(f"{figure_label(sweep.least)}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -143,19 +143,19 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
     return np.flatnonzero(~np.array(beaten) & np.isfinite(first) & np.isfinite(second))
 
 
-def telling_key(rows: Sequence[Row], sweep: Sweep) -> str:
-    """The varied key that agrees best in order with the figure that is to be least, where that is not hopeless."""
+def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
+    """The variable that agrees best in order with the figure that is to be least, where that is not hopeless."""
     error = _column(rows, sweep.least)
     sane = error == _clipped(error)
     error = error[sane]
 
-    def agreement(key: str) -> float:
-        values = np.array([row.values[key] for row in rows])[sane]
+    def agreement(variable: Variable) -> float:
+        values = np.array([row.values[variable.name] for row in rows])[sane]
         if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
             return 0.0
         return abs(float(spearmanr(values, error).statistic))
 
-    return max((variable.name for variable in sweep.variables), key=agreement)
+    return max(sweep.variables, key=agreement)
 
 
 def _column(rows: Sequence[Row], name: str) -> FloatArray:
@@ -171,19 +171,6 @@ def _clipped(values: FloatArray) -> FloatArray:
     """Values not above `HOPELESS` times the least, so that a few singular designs do not squeeze all others."""
     least = np.nanmin(values, initial=np.inf)
     return np.minimum(values, HOPELESS * least) if least > 0 else values
-
-
-def _named(name: str, between: str = " ") -> str:
-    """A figure's name for an axis, its unit in brackets.
-
-    >>> _named("area_cm2")
-    'area [cm²]'
-    """
-    unit = FIGURES[name][0]
-    if unit == "1":
-        return name
-    suffix = unit.replace("²", "2").replace("³", "3").replace("%", "pct").replace("/", "_per_").lower()
-    return f"{name.removesuffix('_' + suffix)}{between}[{unit}]"
 
 
 def _is_wide(values: FloatArray) -> bool:

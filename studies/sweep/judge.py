@@ -42,6 +42,12 @@ def row_of(sample: Sample, judging: Judging) -> Row:
     return replace(row, figures=figures | spent | _cost(start))
 
 
+def failed_row(sample: Sample, error: BaseException, more: str = "") -> Row:
+    """The row of a design that its worker could not even fail properly."""
+    reason = f"{type(error).__name__}: {error}".splitlines()[0] + more
+    return Row(recipe=sample.recipe, values=sample.values, design=None, reason=reason)
+
+
 def sensitivities(response: ArrayResponse) -> list[list[list[float]]]:
     """Relative resistance change of every pillar by 1 N of its own force, (rows, cols, 3) as lists [1/N]."""
     design = response.design

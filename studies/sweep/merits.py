@@ -26,37 +26,65 @@ LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is t
 SEED = 0  #: of those draws, the same for every design
 SPLITS = {"train": (3000, 1), "test": (400, 2)}  #: samples and seed of the trained net's data
 
-#: the figures of a row: unit and meaning
+#: the figures of a row: name for tables and pictures, unit, meaning
 FIGURES = {
-    "error_n": ("N", "noise-limited error of a force component, root mean square over axes, units and loads"),
-    "error_pct": ("%", "the same in % of range_n"),
-    **{f"error_{axis}_n": ("N", f"the same of F{axis} alone") for axis in AXES},
-    "range_n": ("N", "force along z that every pad can carry, alone or all together, below the strain cap"),
-    "pressure_one_mpa": ("MPa", "largest pressure on one pad alone below the strain cap, of the weakest pad"),
-    "pressure_all_mpa": ("MPa", "largest pressure on all pads at once below the strain cap"),
+    "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
+    "error_pct": ("error", "%", "the same in % of range_n"),
+    **{f"error_{axis}_n": (f"error of F{axis}", "N", f"the same of F{axis} alone") for axis in AXES},
+    "range_n": ("range", "N", "force along z that every pad can carry, alone or all together, below the strain cap"),
+    "pressure_one_mpa": (
+        "pressure on one pad", "MPa", "largest pressure on one pad alone below the strain cap, of the weakest pad"
+    ),
+    "pressure_all_mpa": (
+        "pressure on all pads", "MPa", "largest pressure on all pads at once below the strain cap"
+    ),
     **{
-        f"sensitivity_{pillar}_pct_per_n": ("%/N", f"change of a {pillar} pillar by its own force, mean over units")
+        f"sensitivity_{pillar}_pct_per_n": (
+            f"sensitivity of {pillar} pillars", "%/N", f"change of a {pillar} pillar by its own force, mean over units"
+        )
         for pillar in PILLARS
     },
-    "sensitivity_least_pct_per_n": ("%/N", "the same of the least sensitive of all pillars"),
-    **{f"crosstalk_{d}": ("1", f"worst response {d} pitches away over the loaded unit's") for d in DISTANCES},
+    "sensitivity_least_pct_per_n": ("least sensitivity", "%/N", "the same of the least sensitive of all pillars"),
     **{
-        f"crosstalk_{pillar}_{d}": ("1", f"the same of {pillar} pillars alone, {d} away")
+        f"crosstalk_{d}": (f"crosstalk at {d} × pitch", "1", f"worst response {d} pitches away over the loaded unit's")
+        for d in DISTANCES
+    },
+    **{
+        f"crosstalk_{pillar}_{d}": (
+            f"crosstalk of {pillar} pillars at {d} × pitch", "1", f"the same of {pillar} pillars alone, {d} away"
+        )
         for pillar in PILLARS
         for d in DISTANCES
     },
-    "condition": ("1", "condition number of the map from forces to relative resistances, at rest"),
-    "area_cm2": ("cm²", "footprint of the slab"),
-    "volume_cm3": ("cm³", "volume of the slab"),
-    "error_estimate": ("1", "estimated relative error of the response"),
-    "unknowns": ("1", "unknowns of the largest system solved"),
-    "seconds": ("s", "time spent on the design, whatever was taken from the cache left out"),
-    "seconds_mesh": ("s", "of which meshing its cell"),
-    "seconds_condense": ("s", "of which condensing it"),
-    "seconds_couple": ("s", "of which coupling the array"),
-    "peak_mib": ("MiB", "largest memory of the worker so far"),
-    **{f"trained_{axis}_n": ("N", f"error of the trained joint net in F{axis}, root mean square") for axis in AXES},
-}
+    "condition": (
+        "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
+    ),
+    "area_cm2": ("area", "cm²", "footprint of the slab"),
+    "volume_cm3": ("volume", "cm³", "volume of the slab"),
+    "error_estimate": ("error of the response", "1", "estimated relative error of the response"),
+    "unknowns": ("unknowns", "1", "unknowns of the largest system solved"),
+    "seconds": ("time", "s", "time spent on the design, whatever was taken from the cache left out"),
+    "seconds_mesh": ("meshing", "s", "of which meshing its cell"),
+    "seconds_condense": ("condensing", "s", "of which condensing it"),
+    "seconds_couple": ("coupling", "s", "of which coupling the array"),
+    "peak_mib": ("memory", "MiB", "largest memory of the worker so far"),
+    **{
+        f"trained_{axis}_n": (
+            f"trained error of F{axis}", "N", f"error of the trained joint net in F{axis}, root mean square"
+        )
+        for axis in AXES
+    },
+}  # fmt: skip
+
+
+def figure_label(name: str) -> str:
+    """What people read instead of a figure's key: its name with its unit.
+
+    >>> figure_label("area_cm2"), figure_label("condition")
+    ('area [cm²]', 'condition number')
+    """
+    label, unit, _ = FIGURES[name]
+    return label if unit == "1" else f"{label} [{unit}]"
 
 
 def merits(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> dict[str, float | None]:

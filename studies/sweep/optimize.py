@@ -11,10 +11,10 @@ from studies.sweep.rows import Row
 from studies.sweep.run import judge_all, kept_rows
 from studies.sweep.sampling import Sample, sample_at
 from studies.sweep.sweep_file import Sweep
+from studies.sweep.workers import Workers
 
 if TYPE_CHECKING:
     import optuna
-    from distributed import Client
 
 START = 16  #: trials drawn evenly before the search leans on any
 OUTSIDE = 1e9  #: what a design out of bounds counts for, more the farther; only the order of values matters to TPE
@@ -60,11 +60,11 @@ def finished(study: "optuna.Study", sweep: Sweep) -> list[Sample]:
 def search(
     sweep: Sweep,
     study: "optuna.Study",
-    client: "Client",
+    workers: Workers,
     folder: Path,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
-    """Go on with a study until it has as many trials as the sweep has samples; the row of every trial.
+    """Go on with a study until it has as many trials as the sweep has samples; the rows of its designs, each once.
 
     Trials are asked for in batches, one a worker, and told in their order: the search does not depend on which of a
     batch ends first. `progress` is called with the row of each trial.
@@ -77,11 +77,11 @@ def search(
 
     def judged(samples: list[Sample]) -> None:
         missing = {sample.recipe: sample for sample in samples if sample.recipe not in rows}
-        rows.update(judge_all(list(missing.values()), sweep.judging, client, folder))
+        rows.update(judge_all(list(missing.values()), sweep.judging, workers, folder))
 
     judged(done)
     while len(done) < sweep.samples:
-        width = min(max(1, sum(client.nthreads().values())), sweep.samples - len(done))
+        width = min(workers.count, sweep.samples - len(done))
         trials = [study.ask(space) for _ in range(width)]
         batch = [_sample(sweep, trial.params) for trial in trials]
         judged(batch)
@@ -89,7 +89,7 @@ def search(
             study.tell(trial, value(rows[sample.recipe], sweep))
             done.append(sample)
             progress(rows[sample.recipe])
-    return [rows[sample.recipe] for sample in done]
+    return list(rows.values())
 
 
 def value(row: Row, sweep: Sweep) -> float:

@@ -85,7 +85,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
 
 
 def _column_notes(name: str) -> dict[str, str]:
-    units, meaning = FIGURES.get(name, ("", ""))
+    _, units, meaning = FIGURES.get(name, ("", "", ""))
     return {"units": units, "meaning": meaning} if meaning else {}
 
 
@@ -108,7 +108,7 @@ def to_xarray(rows: Sequence[Row]) -> "xr.Dataset":
     split += [f"crosstalk_{d}" for d in DISTANCES]
     variables: dict[str, Any] = {
         name: ("sample", column(name), {"units": units, "meaning": meaning})
-        for name, (units, meaning) in FIGURES.items()
+        for name, (_, units, meaning) in FIGURES.items()
         if name not in split
     }
     for kind, of in (("error", "noise-limited error"), ("trained", "error of the trained joint net")):

@@ -1,23 +1,20 @@
 """A sweep from its designs to their rows: what is known is read, the rest is judged by workers and kept at once."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import monotonic
 
 from fem.array_response import ResponseSettings, response_recipe
 from fem.substructured import cell_recipe, lone_unit
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.mesh import mesh_recipe, suited_settings
-from studies.sweep.judge import row_of
 from studies.sweep.rows import Row, read_row, write_row
 from studies.sweep.sampling import Sample
 from studies.sweep.sweep_file import Judging
+from studies.sweep.workers import Workers
 
-if TYPE_CHECKING:
-    from distributed import Client, Future
-
-IN_FLIGHT = 2  #: designs a worker has at a time: one to work on, one to go on with
+QUIET_S = 120.0  #: how long no design may end before it is said why
 
 
 def kept_rows(samples: Sequence[Sample], folder: Path, retry: bool = False) -> dict[str, Row]:
@@ -29,65 +26,54 @@ def kept_rows(samples: Sequence[Sample], folder: Path, retry: bool = False) -> d
 def judge_all(
     samples: Sequence[Sample],
     judging: Judging,
-    client: "Client",
+    workers: Workers,
     folder: Path,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> dict[str, Row]:
-    """Judge designs by the workers of a client; every row is written as it comes. Returns the rows by recipe.
+    """Have designs judged; every row is written as it comes. Returns the rows by recipe.
 
     Raises
     ------
     DesignError
         If the scheduler is lost.
+    OSError
+        If a file cannot be written, here or by a worker.
     """
     rows = {}
-    for row in _judged(samples, judging, client):
+    for row in _judged(samples, judging, workers):
         write_row(row, folder)
         rows[row.recipe] = row
         progress(row)
     return rows
 
 
-def _judged(samples: Sequence[Sample], judging: Judging, client: "Client") -> Iterator[Row]:
+def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> Iterator[Row]:
     """Rows as they finish. A design waits while another one makes a stage that both need: none is made twice."""
-    from distributed import as_completed
-
     waiting = {sample.recipe: sample for sample in samples}
     stages = {sample.recipe: shared_stages(sample, judging) for sample in samples}
     made: set[str] = set()
-    making: set[str] = set()
-    flying = as_completed()
-    flights: dict[Future, Sample] = {}
-
-    def send() -> None:
-        room = IN_FLIGHT * max(1, sum(client.nthreads().values())) - len(flights)
-        for recipe, sample in list(waiting.items()):
-            if room <= 0:
-                return
+    making: dict[str, set[str]] = {}  #: stages of the designs in work, by recipe
+    while waiting or making:
+        count = workers.count
+        for recipe in list(waiting):
             own = stages[recipe] - made
-            if not own & making:
-                making.update(own)
-                future = client.submit(row_of, sample, judging, pure=False)
-                flights[future] = waiting.pop(recipe)
-                flying.add(future)
-                room -= 1
-
-    send()
-    for future in flying:
-        sample = flights.pop(future)
-        making -= stages[sample.recipe]
-        made |= stages[sample.recipe]
-        if future.cancelled():
-            raise DesignError("the scheduler is gone; rows that came are kept: give the same command again to go on.")
-        error = future.exception()
-        yield future.result() if error is None else _lost(sample, error)
-        send()
+            if len(making) < count and own.isdisjoint(set().union(*making.values())):
+                making[recipe] = own
+                workers.give(waiting.pop(recipe), judging)
+        row = _next_row(workers)
+        made |= making.pop(row.recipe)
+        yield row
 
 
-def _lost(sample: Sample, error: BaseException) -> Row:
-    """The row of a design that its worker could not even fail properly."""
-    reason = f"{type(error).__name__}: {error}".splitlines()[0]
-    return Row(recipe=sample.recipe, values=sample.values, design=None, reason=reason)
+def _next_row(workers: Workers) -> Row:
+    """The next row; while there is none, a word on why, every `QUIET_S`."""
+    begun = monotonic()
+    while True:
+        row = workers.row(QUIET_S)
+        if row is not None:
+            return row
+        waited = monotonic() - begun
+        logging.getLogger("tripillar").warning("no design has ended for %.0f s: %s.", waited, workers.state())
 
 
 def shared_stages(sample: Sample, judging: Judging) -> set[str]:

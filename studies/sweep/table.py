@@ -1,22 +1,15 @@
 """The best designs of a sweep as a table for people."""
 
-import re
 from collections.abc import Sequence
 
 from rich.markup import escape
 from rich.table import Table
 
+from studies.sweep.merits import figure_label
 from studies.sweep.rows import Row
 from studies.sweep.sweep_file import Sweep
 
-SHOWN = {
-    "error_n": ("error", "N"),
-    "error_pct": ("error", "%"),
-    "range_n": ("range", "N"),
-    "area_cm2": ("area", "cm²"),
-    "crosstalk_1": ("crosstalk", ""),
-    "condition": ("condition", ""),
-}  #: figures with their heads
+SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: figures of the table
 
 
 def ranked(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
@@ -36,14 +29,13 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     best = ranked(rows, sweep)
     failed = sum(row.failed for row in rows)
     sound = len(rows) - failed
+    least = escape(figure_label(sweep.least))
     outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
     table = Table(
-        title=f"The {min(count, len(best))} designs of least {sweep.least} of {sound}{outside}; {failed} failed",
+        title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed",
     )
-    for variable in sweep.variables:
-        table.add_column("\n".join(re.split(r"[._]", variable.name)), justify="right", vertical="bottom")
-    for head, unit in SHOWN.values():
-        table.add_column(f"{head}\n{escape(f'[{unit}]') if unit else ''}", justify="right")
+    for label in (*(variable.label for variable in sweep.variables), *map(figure_label, SHOWN)):
+        table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
     for row in best[:count]:
         cells = [f"{figure(row, name):.3g}" for name in SHOWN]
         table.add_row(*(f"{row.values[variable.name]:.4g}" for variable in sweep.variables), *cells)

@@ -20,6 +20,23 @@ def _numeric_keys(kind: Any, prefix: str = "") -> dict[str, type]:
 
 
 KEYS = _numeric_keys(SensorDesign)  #: every numeric key of a design by its dotted name, with its type
+LABELS = {
+    "resistivity_ohm_mm": ("resistivity", "Ω mm"),
+    "unit.span_mm": ("span", "mm"),
+    "unit.height_mm": ("height", "mm"),
+    "unit.pillar_width_mm": ("pillar width", "mm"),
+    "unit.electrode_mm": ("electrode", "mm"),
+    "array.rows": ("rows", ""),
+    "array.cols": ("columns", ""),
+    "array.pitch_mm": ("pitch", "mm"),
+    "pad.size_mm": ("pad", "mm"),
+    "pad.offset_x_mm": ("pad offset in x", "mm"),
+    "pad.offset_y_mm": ("pad offset in y", "mm"),
+    "pillar_material.young_mpa": ("pillars' modulus", "MPa"),
+    "pillar_material.poisson": ("pillars' Poisson ratio", ""),
+    "matrix_material.young_mpa": ("matrix modulus", "MPa"),
+    "matrix_material.poisson": ("matrix Poisson ratio", ""),
+}  #: what people read instead of a key, and its unit
 
 
 def _is_number(given: Any) -> bool:
@@ -66,8 +83,18 @@ class Variable:
 
     @property
     def name(self) -> str:
-        """What tables call it: its first key."""
+        """What files call it: its first key."""
         return self.key[0]
+
+    @property
+    def label(self) -> str:
+        """What people read instead: the names of all its keys, with their unit.
+
+        >>> Variable(key=("array.pitch_mm",), low=1.0, high=2.0).label
+        'pitch [mm]'
+        """
+        names, units = zip(*(LABELS[key] for key in self.key), strict=True)
+        return ", ".join(names) + (f" [{units[0]}]" if units[0] else "")
 
     def at(self, share: float) -> float:
         """The value at a share from 0 to below 1 of its range, or of its list of values.

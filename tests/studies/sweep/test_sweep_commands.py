@@ -51,7 +51,9 @@ def test_a_killed_sweep_goes_on_and_computes_only_what_is_missing(house):
         until = time.monotonic() + 120
         while len(list(rows.glob("[!.]*.json"))) < 3 and process.poll() is None and time.monotonic() < until:
             time.sleep(0.02)
+        started = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(signal.SIGKILL)
+    assert not psutil.wait_procs(started, timeout=20)[1]
     kept = sorted(rows.glob("[!.]*.json"))
     assert 3 <= len(kept) < 6
     kept[0].write_text(kept[0].read_text()[:50])
@@ -67,7 +69,7 @@ def test_a_killed_sweep_goes_on_and_computes_only_what_is_missing(house):
         assert (house.folder / "out" / name).stat().st_size > 0
     again = house.tripillar("sweep", "pads.toml", "--best", "2")
     assert again.returncode == 0, again.stderr
-    assert f"The 2 designs of least error_n of {6 - wrong}; {wrong} failed" in again.stdout
+    assert f"The 2 designs of least error [N] of {6 - wrong}; {wrong} failed" in again.stdout
     assert again.stderr.splitlines()[-1] == "out/pads-parallel.png"
 
 

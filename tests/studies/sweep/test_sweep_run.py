@@ -122,7 +122,7 @@ def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
 
 def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
     """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right."""
-    monkeypatch.setattr("studies.sweep.workers.CONNECT_S", 60)
+    monkeypatch.setattr("studies.sweep.cluster.CONNECT_S", 60)
     samples = samples_of(SWEEP)
     file = tmp_path / "scheduler.json"
     environment = os.environ | {
@@ -140,8 +140,10 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
         ]
         try:
             address = _address(file)
-            with workers(None, address, tmp_path / "unused.log") as client:
-                client.wait_for_workers(2, timeout=60)
+            with workers(None, address, tmp_path / "unused.log") as judges:
+                until = time.monotonic() + 60
+                while judges.count < 2 and time.monotonic() < until:
+                    time.sleep(0.1)
                 done = []
 
                 def progress(row):
@@ -149,7 +151,7 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
                     if len(done) == 2:
                         processes[1].send_signal(signal.SIGKILL)
 
-                rows = judge_all(samples, SWEEP.judging, client, tmp_path / "rows", progress)
+                rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows", progress)
         finally:
             for process in processes:
                 process.kill()
@@ -167,7 +169,7 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
 
 
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("studies.sweep.workers.CONNECT_S", 1)
+    monkeypatch.setattr("studies.sweep.cluster.CONNECT_S", 1)
     with pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"):
         workers(None, "tcp://127.0.0.1:9", tmp_path / "log").__enter__()
 
