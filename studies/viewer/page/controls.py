@@ -1,5 +1,6 @@
 """The page's controls: what each may say. A browser's word is taken if it is one of these, and refused otherwise."""
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -57,7 +58,7 @@ class Choice:
         for one in self.among:
             if value == one and isinstance(value, bool) == isinstance(one, bool):
                 return one
-        raise ControlError(f"{name}={value!r:.40} is none of its {len(self.among)} values.")
+        raise ControlError(f"{name}={shortened(value)} is none of its {len(self.among)} values.")
 
 
 Controls = dict[str, Range | Choice]
@@ -106,7 +107,7 @@ def taken(controls: Controls, said: object) -> dict[str, Any]:
     given = mapping("values of controls", said)
     unknown = [name for name in given if name not in controls]
     if unknown:
-        raise ControlError(f"there is no control {unknown[0]!r:.40}.")
+        raise ControlError(f"there is no control {shortened(unknown[0])}.")
     return {name: controls[name].taken(name, value) for name, value in given.items()}
 
 
@@ -119,7 +120,7 @@ def mapping(name: str, value: object) -> Mapping[str, Any]:
         If it is none.
     """
     if not isinstance(value, dict):
-        raise ControlError(f"{name} must be an object, not {value!r:.40}.")
+        raise ControlError(f"{name} must be an object, not {shortened(value)}.")
     return value
 
 
@@ -132,7 +133,7 @@ def numbers_of(name: str, value: object, count: int, least: float, most: float) 
         If it is none.
     """
     if not isinstance(value, list) or len(value) != count:
-        raise ControlError(f"{name} must be a list of {count}, not {value!r:.40}.")
+        raise ControlError(f"{name} must be a list of {count}, not {shortened(value)}.")
     return [number(name, one, least, most) for one in value]
 
 
@@ -145,8 +146,16 @@ def number(name: str, value: object, least: float, most: float) -> float:
         If it is none: text, true, NaN, or out of bounds.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ControlError(f"{name}={value!r:.40} must be a number.")
+        raise ControlError(f"{name}={shortened(value)} must be a number.")
     if not least <= value <= most:  # no NaN is
-        shown = f"{value:g}" if isinstance(value, float) or abs(value) < 10**15 else "a number of many digits"
-        raise ControlError(f"{name}={shown} must be from {least:g} to {most:g}.")
+        raise ControlError(f"{name}={shortened(value)} must be from {least:g} to {most:g}.")
     return float(value)
+
+
+def shortened(value: object) -> str:
+    """A value as a message shows it, however long or deep it is.
+
+    >>> shortened("a" * 1000)
+    "'aaaaaaaaaaaa...aaaaaaaaaaaaa'"
+    """
+    return reprlib.repr(value)

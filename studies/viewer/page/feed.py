@@ -120,3 +120,10 @@ class SensorWatch:
                 for tell in list(self.listeners):
                     tell()
             await asyncio.sleep(POLL_S)
+
+    def play_again(self) -> None:
+        """Start a recording from its beginning."""
+        try:
+            self.feed.play_again()
+        except TriPillarError as error:  # the file is gone, perhaps
+            self.trouble = str(error)

@@ -2,6 +2,7 @@
 
 import hmac
 import ipaddress
+import re
 import secrets
 from collections.abc import Awaitable, Callable
 
@@ -20,6 +21,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self' ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:@/]+))(?::[0-9]+)?")
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -80,13 +82,11 @@ class Guard:
 def host_name(host: str) -> str:
     """The name in a Host header, without its port and an address's brackets; empty if it is none.
 
-    >>> host_name("[::1]:8080"), host_name("LocalHost:80"), host_name("127.0.0.1"), host_name("a:b")
-    ('::1', 'localhost', '127.0.0.1', '')
+    >>> host_name("[::1]:8080"), host_name("LocalHost:80"), host_name("127.0.0.1"), host_name("a:b"), host_name("[a")
+    ('::1', 'localhost', '127.0.0.1', '', '')
     """
-    name, colon, port = host.rpartition(":") if ":" in host and not host.endswith("]") else (host, "", "")
-    if colon and not (port.isascii() and port.isdecimal()):
-        return ""
-    return name.removeprefix("[").removesuffix("]").lower()
+    found = HOST.fullmatch(host.lower())
+    return "" if found is None else found[1] or found[2]
 
 
 async def add_headers(request: web.BaseRequest, response: web.StreamResponse) -> None:

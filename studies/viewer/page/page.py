@@ -14,7 +14,7 @@ from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import AXES, PILLARS, FloatArray
 from studies.viewer.page import numbers
-from studies.viewer.page.controls import ControlError, Range, controls_of, mapping, numbers_of, taken
+from studies.viewer.page.controls import ControlError, Range, controls_of, mapping, numbers_of, shortened, taken
 from studies.viewer.page.feed import SensorWatch
 from studies.viewer.page.loads import MOST_PRESSURE_MPA, MOST_SHEAR_MPA, Indenter, PadLoad
 from studies.viewer.page.pictures import Pictures
@@ -120,7 +120,7 @@ class Page:
         """
         state = mapping("a state", said)
         if state.keys() != {"controls", "traction_mpa"}:
-            raise ControlError(f"a state has 'controls' and 'traction_mpa', not {list(state)!r:.60}.")
+            raise ControlError(f"a state has 'controls' and 'traction_mpa', not {shortened(list(state))}.")
         given, n = taken(self._kinds, state["controls"]), 3 * self._design.n_units
         traction = np.array(numbers_of("traction_mpa", state["traction_mpa"], n, -1e3, 1e3)).reshape(-1, 3)
         self._traction = np.clip(traction, -LIMITS_MPA, LIMITS_MPA * (1, 1, 0))
@@ -142,7 +142,7 @@ class Page:
     def play_again(self) -> None:
         """Start a recording from its beginning, for all who look."""
         if self._subject.watch is not None:
-            self._subject.watch.feed.play_again()
+            self._subject.watch.play_again()
 
     def hear(self) -> None:
         """The sensor has said something."""

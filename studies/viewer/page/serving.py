@@ -23,9 +23,10 @@ FILES = {
     "/picture.js": "picture.js",
 }  #: all that there is
 MOST_BROWSERS = 8  #: at once; each has a scene of its own, 40 MB
-MOST_CONNECTIONS = 64  #: at once, of any kind
+MOST_CONNECTIONS = 64  #: at once, without those browsers; one more ends the oldest
 MOST_BYTES = 2**16  #: of a message; the state of 500 pads takes 20 kB
 PATIENCE_S = 10.0  #: for a request and its answer
+GOODBYE_S = 1.0  #: for a browser to take leave
 HEARTBEAT_S = 20.0  #: between two signs of life of a browser
 
 
@@ -97,14 +98,17 @@ class Server:
         app.on_response_prepare.append(add_headers)
         app.add_routes([web.get(path, self._file) for path in FILES])
         app.add_routes([web.get("/socket", self._socket)])
-        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=PATIENCE_S, shutdown_timeout=1.0)
+        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=PATIENCE_S, shutdown_timeout=GOODBYE_S)
         await self._runner.setup()
         self._http = self._runner.server
         assert self._http is not None
         http = self._http
 
         def connected() -> asyncio.BaseProtocol:
-            return http() if len(http.connections) < MOST_CONNECTIONS else Busy()
+            strangers = [one for one in http.connections if one not in self._sockets.values()]
+            if len(strangers) >= MOST_CONNECTIONS and strangers[0].transport is not None:
+                strangers[0].transport.abort()  # the oldest: nobody can hold all places
+            return http()
 
         opened = listening_on(host, port)
         self._listening = await asyncio.get_running_loop().create_server(connected, sock=opened)
@@ -116,15 +120,18 @@ class Server:
         if hasattr(self, "_listening"):
             self._sweeping.cancel()
             self._listening.close()
-            goodbyes = [socket.close(code=WSCloseCode.GOING_AWAY) for socket in self._sockets]
-            await asyncio.gather(*goodbyes, return_exceptions=True)
+            goodbyes = [asyncio.create_task(socket.close(code=WSCloseCode.GOING_AWAY)) for socket in self._sockets]
+            if goodbyes:
+                await asyncio.wait(goodbyes, timeout=GOODBYE_S)
             await self._runner.cleanup()
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         return web.FileResponse(Path(__file__).with_name(FILES[request.path]))
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
-        socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=HEARTBEAT_S, compress=False, timeout=1.0)
+        socket = web.WebSocketResponse(
+            max_msg_size=MOST_BYTES, heartbeat=HEARTBEAT_S, compress=False, timeout=GOODBYE_S, autoping=False
+        )
         await socket.prepare(request)
         if len(self._sockets) >= MOST_BROWSERS:
             said = f"{MOST_BROWSERS} browsers look already: close one of them, and reload."
@@ -153,10 +160,3 @@ class Server:
                     since.pop(connection, None)
                 elif now - since.setdefault(connection, now) > PATIENCE_S and connection.transport is not None:
                     connection.transport.abort()
-
-
-class Busy(asyncio.Protocol):
-    """Takes no further connection."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport.abort()  # type: ignore[attr-defined]

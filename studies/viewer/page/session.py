@@ -8,10 +8,11 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from studies.viewer.page.controls import ControlError, mapping, numbers_of
+from studies.viewer.page.controls import ControlError, mapping, numbers_of, shortened
 from studies.viewer.page.page import Page
 
 MOST_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
+BURST_S = 1.0  #: worth of messages that are read at once after a silence
 MOST_PIXELS_A_SIDE = 4096
 TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
 
@@ -62,19 +63,20 @@ class Session:
                 raise error
 
     async def _listen(self) -> None:
-        began, count = time.monotonic(), 0
+        next_s = 0.0
         async for message in self._socket:
             try:
-                if message.type is not WSMsgType.TEXT:
+                if message.type is WSMsgType.PING:
+                    await self._socket.pong(message.data)
+                elif message.type is WSMsgType.TEXT:
+                    self._take(message.data)
+                elif message.type is not WSMsgType.PONG:
                     raise ControlError("messages are text.")
-                self._take(message.data)
             except ControlError as error:
                 await self._send({"refused": str(error)})
-            count += 1
-            left_s = began + count / MOST_A_SECOND - time.monotonic()
-            if left_s < -1.0:
-                began, count = time.monotonic(), 0
-            await asyncio.sleep(max(left_s, 0.0))
+            now_s = time.monotonic()
+            next_s = max(next_s, now_s - BURST_S) + 1.0 / MOST_A_SECOND
+            await asyncio.sleep(max(next_s - now_s, 0.0))  # others have their turn, and a flood waits in its sender
 
     def _take(self, text: str) -> None:
         """Do what a message says.
@@ -90,7 +92,7 @@ class Session:
             raise ControlError("a message is no JSON.") from None
         for name, value in mapping("a message", said).items():
             if name not in self._takers:
-                raise ControlError(f"there is no message {name!r:.40}.")
+                raise ControlError(f"there is no message {shortened(name)}.")
             self._takers[name](value)
             if name in ("turn", "nearer", "move"):
                 self._page.pictures.schedule_render()
@@ -101,7 +103,7 @@ class Session:
 
     def _do(self, said: Any) -> None:
         if not isinstance(said, str) or said not in self.calls:
-            raise ControlError(f"do={said!r:.40} is none of {', '.join(self.calls)}.")
+            raise ControlError(f"do={shortened(said)} is none of {', '.join(self.calls)}.")
         self.calls[said]()
 
     def _resize(self, said: Any) -> None:
