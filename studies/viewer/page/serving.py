@@ -4,7 +4,6 @@ import asyncio
 import signal
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -12,7 +11,7 @@ from weakref import WeakKeyDictionary
 from aiohttp import WSCloseCode, web
 
 from studies.viewer.page.address import listening_on, page_url
-from studies.viewer.page.guard import Guard, add_headers
+from studies.viewer.page.guard import Guard, Handler, add_headers
 from studies.viewer.page.page import Page, Subject
 from studies.viewer.page.session import Session
 
@@ -60,15 +59,15 @@ async def _serve(subject: Subject, host: str, port: int, on_ready: Callable[[str
         working.append(asyncio.create_task(subject.watch.run()))
     try:
         on_ready(await server.start(host, port))
-        await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()  # the sensor's failure, if it is that
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
-        await server.stop()
         for task in working:
             task.cancel()
-        with suppress(asyncio.CancelledError):
-            await asyncio.gather(*working)
+        await server.stop()
 
 
 class Server:
@@ -91,8 +90,8 @@ class Server:
         guard = self._guard
 
         @web.middleware
-        async def admitted(request: web.Request, handler: Callable[[web.Request], object]) -> web.StreamResponse:
-            return await guard.admit(request, handler)  # type: ignore[arg-type]
+        async def admitted(request: web.Request, handler: Handler) -> web.StreamResponse:
+            return await guard.admit(request, handler)
 
         app = web.Application(middlewares=[admitted], client_max_size=MOST_BYTES)
         app.on_response_prepare.append(add_headers)
