@@ -4,8 +4,14 @@ Results go to stdout (with --json one object), progress and messages to stderr. 
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
-import math
 import sys
+
+from studies import interrupts
+
+if sys.argv[0].endswith(("tripillar", "tripillar.py", "tripillar.exe")):  # the program, not a library of another one
+    interrupts.install()  # before all the rest is loaded, which takes a while
+
+import math
 from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
