@@ -265,7 +265,7 @@ def dataset(
     protocol: Annotated[
         Protocol,
         typer.Option(
-            help="Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each pad along "
+            help="Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along "
             "all axes; light, by 10 N at most. With -fz or -fx along one axis."
         ),
     ],
