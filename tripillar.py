@@ -33,6 +33,7 @@ from studies.console import (
     VerbosityOption,
     chosen,
     progress_bars,
+    require_other,
     require_suffix,
     say,
     show_json,
@@ -233,6 +234,7 @@ def response(
 
     This is the array's influence matrix. Data sets, networks and pictures are made from it.
     """
+    require_other(out, design)
     from fem.array_response import ResponseSettings
     from fem.response import write_response
     from studies.pipeline import respond
@@ -306,6 +308,7 @@ def dataset(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Simulate labelled samples: forces on the pads, and the resistances they give."""
+    require_other(out, design)
     from dataset.imperfections import place_of
     from dataset.labelled import write_dataset
     from dataset.simulate import DatasetSettings, simulate
@@ -375,6 +378,7 @@ def train(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
+    require_other(out, data, design)
     from dataset.labelled import read_labelled
     from decoupler.components import component_named
     from decoupler.metrics import evaluate as errors_on
@@ -520,6 +524,7 @@ def fine_tune(
     A pair is the forces on the pads and the resistances measured under them. Gain and offset of each pillar are fitted
     first, then the network's output layer.
     """
+    require_other(out, model, data)
     from dataset.labelled import read_labelled
     from decoupler.crossval import selected
     from decoupler.fine_tuning import fine_tune as fine_tuned
@@ -566,6 +571,7 @@ def export(
     json_: JsonOption = False,
 ) -> None:
     """Write a model for other programs: ONNX, or C for a microcontroller."""
+    require_other(out, model)
     from decoupler.export import export_model
     from decoupler.model_file import read_model
 

@@ -27,6 +27,7 @@ from geometry.layout import AXES, FloatArray, pillar_volumes
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
+MOST_SAMPLES = 10_000_000  #: of 36 units each they hold 52 GB
 MOST_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
 
@@ -47,8 +48,8 @@ class DatasetSettings(Imperfections):
         super().__post_init__()
         if self.protocol not in PROTOCOLS:
             raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
-        if self.samples < 1:
-            raise DesignError(f"samples={self.samples} must be at least 1.")
+        if not 1 <= self.samples <= MOST_SAMPLES:
+            raise DesignError(f"samples={self.samples} must be from 1 to {MOST_SAMPLES}; the paper uses 2200.")
         if not 0 <= self.seed < 2**63:
             raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
         if not 0 < self.cap < 1:

@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
-from geometry.errors import DesignError
+from geometry.errors import DesignError, FileFormatError
 
 if TYPE_CHECKING:
     from studies.progress import Bars
@@ -75,3 +75,10 @@ def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:
     """Refuse a file to write whose name says another kind, or a folder in its place."""
     if path is not None and (path.suffix not in suffixes or path.is_dir()):
         raise DesignError(f"{option} {path} must be a file that ends in {' or '.join(suffixes)}.")
+
+
+def require_other(out: Path | None, *read: Path | None) -> None:
+    """Refuse to write over what the command reads."""
+    for path in read:
+        if out is not None and path is not None and out.exists() and path.exists() and out.samefile(path):
+            raise FileFormatError(f"{out} is read by this command: give another name for what it writes.")

@@ -73,7 +73,9 @@ response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be
 dataset -> Missing option '--protocol'. Choose from: independent-fz, independent-fx
 dataset --protocol magic --samples 5 -o x.nc -> --protocol magic must be one of independent-fz,
 dataset --protocol contact --samples 1.5 -o x.nc -> --samples 1.5 must be a whole number
-dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be at least 1
+dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be from 1 to 10000000
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 10000000
+dataset --protocol contact --samples 5 -o small.toml --design small.toml -> small.toml is read by this command
 dataset --protocol contact --samples 5 -o x.nc --seed -1 -> seed=-1 must be from 0
 dataset --protocol contact --samples 5 -o x.nc --cap 0 -> the paper uses 0.2 and 0.3
 dataset --protocol contact --samples 5 -o x.nc --noise 5 -> noise=5 must be from 0 to 0.1
@@ -88,6 +90,7 @@ train --data missing.nc --component fz -o m.safetensors -> missing.nc: no such f
 train --data dir --component fz -o m.safetensors -> dir: a folder
 train --data text.nc --component fz -o m.safetensors -> text.nc: truncated or not NetCDF
 train --data data.nc --component fq -o m.safetensors -> --component fq must be one of fz, fx, fy, all
+train --data data.nc --component fz -o data.nc -> data.nc is read by this command: give another name
 train --data data.nc --component fz -o m.safetensors --hidden 0 -> hidden=0 must be a whole number from 1 up
 train --data data.nc --component fz -o m.safetensors --hidden 9999 -> hidden=9999 must be at most 1000
 train --data data.nc --component fz -o m.safetensors --design missing.toml -> missing.toml: no such file
@@ -98,6 +101,7 @@ evaluate --model data.nc --data data.nc -> data.nc: truncated or no safetensors 
 evaluate --model model.safetensors --data empty.nc -> empty.nc: truncated or not NetCDF
 crossval --data data.nc --component all --folds 1 -> folds=1 must be from 2 to 2
 crossval --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
+fine-tune --model model.safetensors --data data.nc -o model.safetensors -> model.safetensors is read by this command
 fine-tune --model model.safetensors --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
 export --model model.safetensors -o model.txt -> must end in .onnx or .h
 export --model model.safetensors -o m.h --precision half -> --precision half must be one of float, double
@@ -156,7 +160,7 @@ simulate --board arduino -> --board arduino must be one of auto, atmega328p, atm
 simulate --rate 0 -> rate_hz=0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
 simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
-simulate --period 0 -> --period 0 must be above 0 and at most 3600 s
+simulate --period 0 -> --period 0 must be from 0.1 to 600 s
 simulate --sense-ohm 0 -> sense_ohm=0 must be a whole number from 1
 simulate --switch-ohm -1 -> switch_ohm=-1 must be from 0
 simulate --noise 7 -> noise=7 must be from 0 to 0.1

@@ -290,7 +290,7 @@ def test_resistivity_scales_resistances_alone(response):
     ("changed", "message"),
     [
         ({"protocol": "contact-fy"}, "protocol='contact-fy' is unknown; known are independent-fz, "),
-        ({"samples": 0}, "samples=0 must be at least 1"),
+        ({"samples": 0}, "samples=0 must be from 1 to 10000000"),
         ({"samples": 2.5}, "samples=2.5 must be a whole number"),
         ({"samples": True}, "samples=True must be a whole number"),
         ({"samples": "10"}, "samples='10' must be a whole number"),

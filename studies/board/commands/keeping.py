@@ -19,10 +19,9 @@ from studies.board.commands.options import (
     PortArgument,
     SecondsOption,
     TimeoutOption,
-    require_other,
     require_positive,
 )
-from studies.console import BOARD, JsonOption, VerbosityOption, require_suffix, say, show_json, wrote
+from studies.console import BOARD, JsonOption, VerbosityOption, require_other, require_suffix, say, show_json, wrote
 
 commands = typer.Typer()
 

@@ -53,13 +53,6 @@ def require_positive(**values: float) -> None:
             )
 
 
-def require_other(out: Path | None, *read: Path | None) -> None:
-    """Refuse to write over what the command reads."""
-    for path in read:
-        if out is not None and path is not None and out.exists() and path.exists() and out.samefile(path):
-            raise FileFormatError(f"{out} is read by this command: give another name for what it writes.")
-
-
 def require_unused(out: Path, read: Path | None) -> None:
     """Refuse to lose a file that the command did not read."""
     if out.is_dir():

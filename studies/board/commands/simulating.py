@@ -79,7 +79,9 @@ def simulate(
     from studies.board.session import ended_by_signal
     from studies.board.simulated import counts_over_time, simulated, suited_kind
 
-    require_positive(seconds=seconds, period=period)
+    require_positive(seconds=seconds)
+    if not 0.1 <= period <= 600:
+        raise DesignError(f"--period {period:g} must be from 0.1 to 600 s.")
     require_suffix("--truth", truth, ".nc")
     scan_mode = scan_mode_named(mode)
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
