@@ -6,9 +6,10 @@ quickest say where the board's clock stands, and over some seconds how fast it r
 
 from collections import deque
 
+from hardware.frames import MOST_DRIFT
+
 _TURN_US = 2**32  # the board's clock starts again from 0
 _BUCKET_S = 1.0  # the quickest frame of each second is kept
-_MOST_DRIFT = 0.01  # of a ceramic resonator, with room to spare; quartz has 1e-4
 _FEWEST_POINTS = 4  # for a drift: with fewer, one second without a quick frame would tilt the line
 
 
@@ -104,7 +105,7 @@ class DeviceClock:
             hull = _lower_hull(points)
             k = next(k for k in range(1, len(hull)) if hull[k][0] >= mean_s)
             (start_s, start), (end_s, end) = hull[k - 1], hull[k]
-            self._drift = min(max((end - start) / (end_s - start_s), -_MOST_DRIFT), _MOST_DRIFT)
+            self._drift = min(max((end - start) / (end_s - start_s), -MOST_DRIFT), MOST_DRIFT)
         self._offset_s = min(delay_s - self._drift * board_s for board_s, delay_s in points)
 
 

@@ -29,7 +29,7 @@ _CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 MAX_OVERRUNS = _BYTE  #: that a board counts: this many or more
 _MAX_COUNT = _SHORT
-_MOST_DRIFT = 0.01  # of a ceramic resonator, with room to spare
+MOST_DRIFT = 0.01  #: of a board's clock, a ceramic resonator, with room to spare; quartz has 1e-4
 _MOST_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
 _MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
 
@@ -138,6 +138,11 @@ def encode(frame: Frame | Info | Errors) -> bytes:
     >>> len(encode(Frame(sequence=0, device_us=0, bits=10, counts=np.full(108, 512)))), len(encode(Info()))
     (232, 25)
     """
+    return cobs.encode(pack(frame)) + _DELIMITER
+
+
+def pack(frame: Frame | Info | Errors) -> bytes:
+    """A frame's fields and their CRC: what is on the wire, before COBS."""
     if isinstance(frame, Info):
         packed = _INFO.pack(
             _INFO_TYPE, frame.protocol, frame.rows, frame.cols, frame.bits, frame.scan_mode,
@@ -151,7 +156,18 @@ def encode(frame: Frame | Info | Errors) -> bytes:
             frame.counts.size, frame.bits, frame.overruns,
         )  # fmt: skip
         packed = header + frame.counts.astype("<u2").tobytes()
-    return cobs.encode(packed + _CRC.pack(_crc(packed))) + _DELIMITER
+    return packed + _CRC.pack(_crc(packed))
+
+
+def packed_dtype(n_counts: int) -> np.dtype[np.void]:
+    """`pack` of data frames as a structured array, for many of them at once.
+
+    >>> frame = Frame(sequence=7, device_us=0, bits=10, counts=np.array([1, 2, 3]))
+    >>> np.frombuffer(pack(frame), packed_dtype(3))["counts"].tolist()
+    [[1, 2, 3]]
+    """
+    scalars = [("type", "u1"), ("flags", "u1"), ("sequence", "<u2"), ("device_us", "<u4"), ("count", "<u2")]
+    return np.dtype([*scalars, ("bits", "u1"), ("overruns", "u1"), ("counts", "<u2", (n_counts,)), ("crc", "<u2")])
 
 
 def _crc(packed: bytes) -> int:
@@ -166,9 +182,13 @@ def _crc(packed: bytes) -> int:
 def _decode(chunk: bytes) -> Frame | Info | Errors | str:
     """The frame between two delimiters, or the field of `Statistics` that says what is wrong with it."""
     try:
-        body = cobs.decode(chunk)
+        return unpack(cobs.decode(chunk))
     except cobs.DecodeError:
         return "bad_cobs"
+
+
+def unpack(body: bytes) -> Frame | Info | Errors | str:
+    """The frame that `pack` gave as `body`, or the field of `Statistics` that says what is wrong with it."""
     packed, received = body[: -_CRC.size], body[-_CRC.size :]
     if received != _CRC.pack(_crc(packed)):
         return "bad_crc"
@@ -243,7 +263,7 @@ def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) 
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
     if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
         return None
-    if host_s is not None and elapsed_us * 1e-6 * (1 - _MOST_DRIFT) > host_s + _MOST_EARLY_S:
+    if host_s is not None and elapsed_us * 1e-6 * (1 - MOST_DRIFT) > host_s + _MOST_EARLY_S:
         return None
     return missing
 
@@ -255,7 +275,9 @@ class Statistics:
     ok: int = 0  #: data frames
     info: int = 0  #: INFO frames
     lost: int = 0  #: data frames missing from the sequence, the damaged ones among them
+    repeated: int = 0  #: data frames equal to the one before, byte for byte: left out
     restarts: int = 0  #: steps back of the sequence or the board's clock (`missing_between`); nothing is lost there
+    foreign: int = 0  #: frames of another board, left out; a decoder alone cannot tell them
     bad_cobs: int = 0  #: chunks between delimiters that are not COBS
     bad_crc: int = 0  #: chunks with a wrong CRC
     bad_form: int = 0  #: over-long chunks, and those whose type, length or values no frame has
@@ -282,6 +304,7 @@ class FrameDecoder:
         self._counted: Counter[str] = Counter()
         self._has_met_delimiter = False
         self._previous: Frame | None = None
+        self._previous_chunk = b""  # which `_previous` came in
 
     @property
     def statistics(self) -> Statistics:
@@ -307,12 +330,16 @@ class FrameDecoder:
         return frames
 
     def _take(self, chunk: bytes) -> Frame | Info | Errors | None:
+        if chunk == self._previous_chunk:
+            self._counted["repeated"] += 1
+            return None
         frame = _decode(chunk) if len(chunk) <= _MAX_CHUNK else "bad_form"
         if isinstance(frame, str):
             self._counted[frame] += self._has_met_delimiter
             return None
         if isinstance(frame, Frame):
             self._follow(frame)
+            self._previous_chunk = chunk
             self._counted["ok"] += 1
         elif isinstance(frame, Info):
             self._counted["info"] += 1

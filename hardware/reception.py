@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from hardware.clock import DeviceClock
-from hardware.frames import Errors, Frame, FrameDecoder, Info, Statistics, missing_between
+from hardware.frames import MOST_DRIFT, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -21,24 +21,23 @@ class Scan:
 
     frame: Frame
     received_s: float  #: time.perf_counter() when its last byte was read [s]
+    restarts: int  #: of the board, before it
+    run: int  #: counts up where the board restarted or was connected again; from one run to the next nothing is lost
     time_s: float  #: start of the scan on the host's Unix clock [s], late by the link's least delay
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReceptionStatistics:
-    """What was met so far, over all connections; names as in `frames.Statistics`."""
+class ReceptionStatistics(Statistics):
+    """What was met so far, over all connections.
 
-    ok: int = 0  #: valid data frames
-    lost: int = 0  #: missing from the sequence within a connection, not over a restart of the board
-    bad_crc: int = 0
-    bad_cobs: int = 0
-    bad_form: int = 0
-    restarts: int = 0  #: of the board, those between two connections among them
-    foreign: int = 0  #: data and INFO frames of another device, not delivered
+    `lost` are frames missing within a run; `restarts` has those between two connections among them; `foreign` are data
+    and INFO frames of another device, not delivered.
+    """
+
     overruns: int = 0  #: scans that the board skipped
 
 
-_OF_THE_DECODER = ("ok", "bad_crc", "bad_cobs", "bad_form")  # which has no clock to tell restarts by
+_OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # which has no clock to tell restarts by
 
 
 class Reception:
@@ -64,7 +63,8 @@ class Reception:
         self._unix_s = 0.0  # to be added to time.perf_counter()
         self._counted: Counter[str] = Counter()
         self._previous: Frame | None = None
-        self._previous_s = 0.0  # when it was scanned, by the host's clock
+        self._scanned_s = 0.0  # when it was scanned, by the host's clock, at the latest
+        self._run = 0
         self._foreign: str | None = None  # why nothing is delivered
         self.connected()
 
@@ -78,7 +78,7 @@ class Reception:
     @property
     def statistics(self) -> ReceptionStatistics:
         met = self._counted + Counter(_counts(self._decoder.statistics))
-        return ReceptionStatistics(**met)
+        return ReceptionStatistics(info=self.n_infos, **met)
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
@@ -105,10 +105,15 @@ class Reception:
                 self.errors = received
                 continue
             self.n_frames += 1
+            if self._is_foreign(received):
+                continue
             self._follow(received, received_s)
-            if self._belongs(received):
+            if self._is_trusted:
                 time_s = self._unix_s + self._clock.host_time(received.device_us)
-                scans.append(Scan(frame=received, received_s=received_s, time_s=time_s))
+                restarts = self._counted["restarts"]
+                scans.append(
+                    Scan(frame=received, received_s=received_s, time_s=time_s, restarts=restarts, run=self._run)
+                )
         return scans
 
     def _identify(self, info: Info) -> None:
@@ -125,21 +130,27 @@ class Reception:
 
     def _follow(self, frame: Frame, received_s: float) -> None:
         """Keep the clock, and count what is missing between the previous frame and this one."""
+        scanned_s = received_s
         if self._previous:
-            missing = missing_between(self._previous, frame, received_s - self._previous_s)
+            missing = missing_between(self._previous, frame, received_s - self._scanned_s)
             if missing is None:
                 self._counted["restarts"] += 1
                 self._counted["overruns"] += frame.overruns
                 self.doubt()
-            elif self._has_frames:  # what a board sends between two connections is not lost
+            else:
+                # one that waited in a buffer while this program did not read was scanned long before its arrival
+                elapsed_s = 1e-6 * ((frame.device_us - self._previous.device_us) % 2**32)
+                scanned_s = min(received_s, self._scanned_s + (1 + MOST_DRIFT) * elapsed_s)
+            if missing is None or not self._has_frames:  # what a board sends between two connections is not lost
+                self._run += 1
+            else:
                 self._counted["lost"] += missing
                 self._counted["overruns"] += (frame.overruns - self._previous.overruns) % 2**8
-        self._previous, self._has_frames = frame, True
+        self._previous, self._scanned_s, self._has_frames = frame, scanned_s, True
         self._clock.add(frame.device_us, received_s)
-        self._previous_s = self._clock.host_time(frame.device_us)  # where it waited in a buffer, before its arrival
 
-    def _belongs(self, frame: Frame) -> bool:
-        """Whether a frame is the board's, as far as it can be told; where not, the board is asked."""
+    def _is_foreign(self, frame: Frame) -> bool:
+        """Whether a frame is another device's, as far as it can be told; then the board is asked."""
         if self.info is None:
             return False
         shape = frame.counts.size, frame.bits, frame.scan_mode
@@ -151,7 +162,7 @@ class Reception:
         if self._foreign:
             self._counted["foreign"] += 1
             self.asks = True
-        return self._is_trusted and self._foreign is None
+        return self._foreign is not None
 
 
 def _counts(statistics: Statistics) -> dict[str, int]:

@@ -1,17 +1,12 @@
-"""A recording as the bytes that a board sends: an INFO frame and data frames, as `docs/frames.md` has them."""
+"""Recordings as a board would have sent them: an INFO frame and data frames, as `docs/frames.md` has them."""
 
 from pathlib import Path
 
-import numpy as np
-
 from geometry import files
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.calibration import Electronics
-from hardware.frames import PROTOCOL, Frame, FrameDecoder, Info, encode
-from hardware.recording.recorded import Recording, frames_of, require_same_board, skipped, unwrapped_s
-
-_STEP = 2**20  # bytes handed to the decoder at a time, lest the pieces it cuts them into fill the memory
+from hardware.frames import Frame, Info, encode
+from hardware.recording.recorded import Recording, frames_of
 
 
 def recording_bytes(recording: Recording) -> bytes:
@@ -23,77 +18,6 @@ def write_recording(stream: bytes, path: Path) -> None:
     """Write a stream of bytes, whole or not at all."""
     with files.replacing(path) as temporary:
         temporary.write_bytes(stream)
-
-
-def parse_recording(stream: bytes, source: str = "recording") -> Recording:
-    """Decode a recorded stream of bytes.
-
-    Damaged frames are left out and counted. A truncated last frame is normal and only reported.
-
-    Raises
-    ------
-    FileFormatError
-        If `stream` is empty, holds no frame, no INFO frame or no data frame, if two INFO frames disagree, or
-        if a data frame disagrees with the INFO frame. The message names `source`.
-
-    Notes
-    -----
-    Time is unwrapped under the assumption that no pause between two frames reaches 2³² µs (71.6 min) and that
-    the board did not restart. A restart shows in ``statistics.restarts``; there, time jumps forward.
-    """
-    decoder = FrameDecoder()
-    frames: list[Frame] = []
-    infos: list[Info] = []
-    for start in range(0, len(stream), _STEP):
-        for received in decoder.feed(stream[start : start + _STEP]):
-            if isinstance(received, Info):
-                infos.append(received)
-            elif isinstance(received, Frame):
-                frames.append(received)
-    _require_complete(stream, frames, infos, source)
-    _require_consistent(frames, infos, source)
-    device_us = np.array([frame.device_us for frame in frames], dtype=np.uint32)
-    overrun_counts = np.array([frame.overruns for frame in frames], dtype=np.uint8)
-    return Recording(
-        info=infos[0],
-        counts=np.stack([frame.counts for frame in frames]),
-        sequence=np.array([frame.sequence for frame in frames], dtype=np.uint16),
-        device_us=device_us,
-        time_s=unwrapped_s(device_us),
-        flags=np.array([frame.flags for frame in frames], dtype=np.uint8),
-        overrun_counts=overrun_counts,
-        overruns=skipped(overrun_counts),
-        statistics=decoder.statistics,
-        truncated_bytes=decoder.pending,
-    )
-
-
-def _require_complete(stream: bytes, frames: list[Frame], infos: list[Info], source: str) -> None:
-    if not stream:
-        raise FileFormatError(f"{source}: the file is empty: record again.")
-    if not frames and not infos:
-        raise FileFormatError(
-            f"{source}: no valid frame in {len(stream)} bytes: give a recording, made at the right baud rate."
-        )
-    if not infos:
-        raise FileFormatError(
-            f"{source}: {len(frames)} data frames but no INFO frame of protocol {PROTOCOL}, which says what "
-            "the counts mean: record again, with the answer to '?' first."
-        )
-    if not frames:
-        raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")
-
-
-def _require_consistent(frames: list[Frame], infos: list[Info], source: str) -> None:
-    info = infos[0]
-    for other in infos:
-        if other != info:
-            raise FileFormatError(
-                f"{source}: two INFO frames that differ, {info} and {other}: "
-                "keep one board with one setting to a recording."
-            )
-    for k, frame in enumerate(frames):
-        require_same_board(frame, info, source, f"data frame {k}")
 
 
 def recording_from_resistances(
@@ -123,6 +47,8 @@ def recording_from_resistances(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from hardware.recording import parse_recording
     >>> info = Info(rows=1, cols=2, bits=12)
     >>> parse_recording(recording_from_resistances(np.full((5, 1, 2, 3), 10e3), info)).counts.shape
     (5, 6)

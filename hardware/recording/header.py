@@ -7,7 +7,7 @@ from typing import Any
 from geometry.errors import FileFormatError
 from hardware.frames import FrameError, Info, ScanMode
 
-FORMAT, VERSION = "tripillar recording", 1
+FORMAT, VERSION = "tripillar recording", 2
 MADE_FROM = ("model_recipe", "design_hash")  #: what may be said of a recording's origin
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from hardware.frames import Frame, Info, Statistics
+from hardware.frames import Frame, Info, ScanMode, Statistics
+from hardware.recording.header import Header
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,47 +21,49 @@ class Recording:
     counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     device_us: NDArray[np.uint32]  #: (n,), the board's clock as sent [µs], modulo 2³²
-    time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone
+    run: NDArray[np.int64]  #: (n,), counts up where board or recorder began anew; nothing is lost from one to the next
+    time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone; between runs the host's
     flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode
-    overrun_counts: NDArray[np.uint8]  #: (n,), the board's counter as sent, modulo 2⁸
+    overrun_counts: NDArray[np.uint8]  #: (n,), the board's counter as sent
     overruns: int  #: scans the board skipped between the first and the last frame
     statistics: Statistics
     truncated_bytes: int  #: of an unfinished end, as a killed recorder leaves it
+    damaged_at: tuple[int, ...] = ()  #: bytes before each piece of the file that is damaged and left out
     received_s: FloatArray | None = None  #: (n,), host's Unix time of arrival [s]; a stream of bytes has none
     calibration: str = ""  #: JSON text, as given to the recorder
     made_from: Mapping[str, str] = field(default_factory=dict)  #: hashes of what the recorder worked with
 
 
 def assemble(
-    info: Info,
+    header: Header,
     columns: Mapping[str, NDArray[Any]],
     source: str,
-    damage: Mapping[str, int],
-    truncated_bytes: int,
-    **more: Any,
+    counted: Mapping[str, int],
+    damaged_at: tuple[int, ...] = (),
+    truncated_bytes: int = 0,
 ) -> Recording:
     """A recording from the columns of a file, with what follows from them.
 
     Parameters
     ----------
-    info : Info
-        The board.
+    header : Header
+        Of the board and what else was stated once.
     columns : mapping
-        ``counts``, ``sequence``, ``device_us``, ``flags``, ``overruns`` and ``received_s``, n rows each.
+        ``counts``, ``sequence``, ``device_us``, ``flags``, ``overruns``, ``received_s`` (NaN: unknown) and ``run``,
+        n rows each.
     source : str
         Named in the message of a refusal.
-    damage : mapping
-        The fields ``bad_*`` of `Statistics` as far as they are known; the others are counted here.
-    truncated_bytes : int
-        Of an unfinished end.
-    **more
-        ``calibration`` and ``made_from``.
+    counted : mapping
+        Fields of `Statistics` that do not follow from the columns: damage, and restarts between two runs.
+    damaged_at, truncated_bytes
+        As in `Recording`.
 
     Raises
     ------
     FileFormatError
         If there is no frame, or a column holds what no frame of this board does.
     """
+    info = header.info
     n = len(columns["sequence"])
     if not n:
         raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")
@@ -70,57 +73,63 @@ def assemble(
             f"{source}: counts has shape {counts.shape}, but {n} frames of {info.rows} × {info.cols} units make "
             f"{(n, info.n_crossings)}: keep one board to a recording."
         )
-    foreign = (flags >> 1 != info.scan_mode) | (counts >> info.bits).any(axis=1)
+    bits = columns.get("bits", np.full(n, info.bits))
+    foreign = (flags >> 1 != info.scan_mode) | (bits != info.bits) | (counts >> info.bits).any(axis=1)
     if foreign.any():
         k = int(foreign.argmax())
+        mode = next((mode.name for mode in ScanMode if mode == flags[k] >> 1), "unknown")
         raise FileFormatError(
-            f"{source}: data frame {k} has flags {flags[k]} and counts up to {counts[k].max()}, but the board has "
-            f"{info.bits} bits in scan mode {info.scan_mode.name}: the file was damaged or edited, record again."
+            f"{source}: data frame {k} has counts up to {counts[k].max()}, {bits[k]} bits in scan mode {mode}, the "
+            f"INFO frame {info.bits} bits in {info.scan_mode.name}: keep one setting to a recording."
         )
     sequence, device_us = columns["sequence"].astype(np.uint16), columns["device_us"].astype(np.uint32)
-    lost, restarts = _gaps(sequence, device_us)
+    received_s: FloatArray | None = columns["received_s"].astype(np.float64)
+    if received_s is not None and np.isnan(received_s).any():
+        received_s = None
+    restart = is_restart(sequence, device_us) & (np.diff(columns["run"]) == 0)
+    run = columns["run"].astype(np.int64)
+    run = np.concatenate([[0], np.cumsum(restart | (np.diff(run) != 0))])
+    missing = (np.diff(sequence) - np.uint16(1))[np.diff(run) == 0]
     overrun_counts = columns["overruns"].astype(np.uint8)
+    statistics = {"info": 1} | dict(counted)
+    statistics["restarts"] = statistics.get("restarts", 0) + int(restart.sum())
     return Recording(
         info=info,
         counts=counts,
         sequence=sequence,
         device_us=device_us,
-        time_s=unwrapped_s(device_us),
+        run=run,
+        time_s=unwrapped_s(device_us, run, received_s),
         flags=flags,
         overrun_counts=overrun_counts,
-        overruns=skipped(overrun_counts),
-        statistics=Statistics(ok=n, info=1, lost=lost, restarts=restarts, **damage),
+        overruns=int(np.diff(overrun_counts)[np.diff(run) == 0].sum()),  # u8 differences wrap as the counter does
+        statistics=Statistics(ok=n, lost=int(missing.sum()), **statistics),
+        damaged_at=damaged_at,
         truncated_bytes=truncated_bytes,
-        received_s=columns["received_s"].astype(np.float64),
-        **more,
+        received_s=received_s,
+        calibration=header.calibration,
+        made_from=header.made_from,
     )
 
 
-def unwrapped_s(device_us: NDArray[np.uint32]) -> FloatArray:
+def unwrapped_s(device_us: NDArray[np.uint32], run: NDArray[np.int64], received_s: FloatArray | None) -> FloatArray:
     """The board's clock [s] with its rollover undone, under the assumption that no pause reaches 2³² µs.
 
-    >>> unwrapped_s(np.array([2**32 - 1_000_000, 1_000_000], np.uint32)).round(6).tolist()
+    From one run to the next it goes on by the host's clock where that is known.
+
+    >>> unwrapped_s(np.array([2**32 - 1_000_000, 1_000_000], np.uint32), np.zeros(2, int), None).round(6).tolist()
     [4293.967296, 4295.967296]
     """
-    steps_us = np.diff(device_us, prepend=device_us[:1])  # u32 differences wrap as the board's clock does
-    return (device_us[0] + np.cumsum(steps_us, dtype=np.float64)) * 1e-6
-
-
-def skipped(overrun_counts: NDArray[np.uint8]) -> int:
-    """Scans skipped from the first frame to the last."""
-    return int(np.diff(overrun_counts).sum())  # u8 differences wrap as the board's counter does
+    steps_us = np.diff(device_us, prepend=device_us[:1]).astype(np.float64)  # u32 differences wrap as the clock does
+    if received_s is not None:
+        begins = np.flatnonzero(np.diff(run)) + 1
+        steps_us[begins] = np.maximum(received_s[begins] - received_s[begins - 1], 0.0) * 1e6  # it may be set back
+    return (device_us[0] + np.cumsum(steps_us)) * 1e-6
 
 
 def is_restart(sequence: NDArray[np.uint16], device_us: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Where the board stepped back between a frame and the one before it, shape (n - 1,); as `FrameDecoder` has it."""
     return (np.diff(sequence) - np.uint16(1) >= 2**15) | (np.diff(device_us) >= 2**31)
-
-
-def _gaps(sequence: NDArray[np.uint16], device_us: NDArray[np.uint32]) -> tuple[int, int]:
-    """Frames lost and restarts, counted as `FrameDecoder` does."""
-    restart = is_restart(sequence, device_us)
-    missing = np.diff(sequence) - np.uint16(1)
-    return int(missing[~restart].sum()), int(restart.sum())
 
 
 def frames_of(recording: Recording) -> Iterator[Frame]:

@@ -1,33 +1,34 @@
-"""What every recorder does: gather frames, write them out twice a second, and stop in one clear line.
+"""Appending frames to a recording as they come: each is handed to the operating system at once, whole or not at all."""
 
-A kind of file adds how it is opened, written and ended (`netcdf.Recorder`, `mcap_recorder.McapRecorder`).
-"""
-
+import json
+import os
+import struct
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from geometry.errors import FileFormatError, TriPillarError
 from geometry.files import uninterrupted
-from hardware.frames import Frame, Info, Statistics
+from hardware.frames import Frame, Info, Statistics, missing_between, pack
 from hardware.recording.header import Header
+from hardware.recording.reader import read_header_of
 from hardware.recording.recorded import require_same_board
+from hardware.recording.records import END, FRAME, SESSION, record
 
-FLUSH_S = 0.5  #: frames wait no longer than this for the disk, as long as `append` is called
-STALL_S = 10.0  #: a disk that takes longer for half a second of frames is given up
-_MOST = 4096  #: frames that wait at most, lest fast ones fill the memory
+SUFFIX = ".frames"
 _LATEST_S = 1e10  #: of Unix times; beyond, nanoseconds do not fit the 64 bits that MCAP has for them
+_TIME = struct.Struct("<d")
 
 
 class RecordingError(TriPillarError, OSError):
-    """A disk that is full, gone or too slow. What was flushed before stays readable."""
+    """A disk that is full, gone or cannot be written. What was recorded before stays readable."""
 
 
-class FrameRecorder(ABC):
+class Recorder:
     """Appends frames to a file of one board, one thread at a time.
 
     Parameters
@@ -41,21 +42,31 @@ class FrameRecorder(ABC):
     made_from : mapping
         ``model_recipe`` and ``design_hash``, either or both.
     append : bool
-        Continue `path` if it exists. It must be of the same kind, with the same info, calibration and made_from.
+        Continue `path` if it exists. It must have the same info, calibration and made_from.
 
     Raises
     ------
     FileFormatError
-        If the file exists (without `append`), or is another board's or no recording of this kind (with it).
+        If the file exists (without `append`), or is another board's or no recording (with it).
     RecordingError
-        If the file cannot be made.
+        If the file cannot be made or written; then it is not there, or as it was.
 
     Notes
     -----
-    Frames reach the operating system 0.5 s after they came at the latest, and on `close`. There is no thread:
-    `append` writes when it is time. Where frames may stop, go on calling it with none: ``append([], now)``. A killed
-    process thus loses less than a second; a computer that loses its power may lose what the system had not yet
-    written, 30 s on a usual Linux.
+    A process that is killed loses the frame that it was writing. A computer that loses its power may lose what the
+    system had not yet written to the disk, 30 s on a usual Linux. On any failure the file ends with its last whole
+    frame.
+
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from hardware.recording import read_recording
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "press.frames"
+    ...     with Recorder(path, Info(rows=1, cols=1), made_from={"design_hash": "a1b2"}) as recorder:
+    ...         recorder.append(Frame(sequence=7, device_us=0, bits=10, counts=np.array([1, 2, 3])), 1.8e9)
+    ...     recording = read_recording(path)
+    >>> recording.counts.tolist(), recording.received_s.tolist(), recording.made_from
+    ([[1, 2, 3]], [1800000000.0], {'design_hash': 'a1b2'})
     """
 
     def __init__(
@@ -63,52 +74,40 @@ class FrameRecorder(ABC):
         path: Path,
         info: Info,
         calibration: str = "",
-        made_from: dict[str, str] | None = None,
+        made_from: Mapping[str, str] | None = None,
         append: bool = False,
     ) -> None:
         self.path = Path(path)
         self.header = Header(info=info, calibration=calibration, made_from=made_from or {})
-        self.frames = 0  #: on disk, written by this recorder
-        self._waiting: list[tuple[Frame, float]] = []
-        self._is_open = False
-        exists = self.path.exists()
-        if exists and not append:
+        self.frames = 0  #: recorded so far
+        self.lost = 0  #: frames missing between them
+        self.restarts = 0  #: of the board, between them
+        self._previous: Frame | None = None
+        self._runs = 0
+        self._file = -1
+        is_there = self.path.exists()
+        if is_there and not append:
             raise FileFormatError(f"{path}: the file exists: give another name, or continue it by --append.")
+        if is_there:
+            self._require_same_header(read_header_of(self.path))
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with uninterrupted():
-                self._continue() if exists else self._create()
-        except FileFormatError:
-            raise
-        except (OSError, RuntimeError) as error:
-            with suppress(OSError, RuntimeError, AttributeError):  # the last if there is nothing to close yet
-                self._abandon()
-            raise RecordingError(f"{path}: {_reason(error)}: give a file on a disk that can be written.") from None
-        self._is_open = True
-        self._flushed_at = time.monotonic()
-
-    @abstractmethod
-    def _create(self) -> None:
-        """Make the file, `header` in it and on its way to the disk."""
-
-    @abstractmethod
-    def _continue(self) -> None:
-        """Open the file of an earlier recorder, after `_require_same_header`."""
-
-    @abstractmethod
-    def _write(self, frames: Sequence[Frame], received_s: Sequence[float]) -> None:
-        """Hand frames, perhaps none, and all that waits beside them to the operating system."""
-
-    @abstractmethod
-    def _end(self, statistics: Statistics | None) -> None:
-        """Write what comes last and close the file."""
-
-    @abstractmethod
-    def _abandon(self) -> None:
-        """Close the file after a failure; errors are dropped by the caller."""
+            flags = os.O_WRONLY | os.O_APPEND | (0 if is_there else os.O_CREAT | os.O_EXCL)
+            self._file = os.open(self.path, flags | getattr(os, "O_BINARY", 0), 0o666)
+            self._write(2 * self._session("append" if is_there else "start"))  # twice: one damaged header costs nothing
+        except OSError as error:
+            is_made = self._file >= 0 and not is_there
+            self._close()
+            if is_made:
+                with suppress(OSError):
+                    self.path.unlink()
+            kept = "; the recording is as it was" if is_there else ""
+            raise RecordingError(
+                f"{path}: {error.strerror}{kept}: give a file on a disk that has room and can be written."
+            ) from None
 
     def append(self, frames: Frame | Iterable[Frame], received_s: float | Sequence[float]) -> None:
-        """Add frames, one, several or none, and write out what waits if it is time.
+        """Add frames, one, several or none.
 
         Parameters
         ----------
@@ -119,42 +118,30 @@ class FrameRecorder(ABC):
         """
         batch = [frames] if isinstance(frames, Frame) else list(frames)
         arrivals = [received_s] * len(batch) if isinstance(received_s, int | float) else list(received_s)
-        self._require_open()
+        if self._file < 0:
+            raise RecordingError(f"{self.path}: the recorder is closed: make a new one, with append to continue.")
         for frame, arrival in zip(batch, arrivals, strict=True):
             require_same_board(frame, self.header.info, str(self.path))
-            self._require_time(arrival)
-        self._waiting.extend(zip(batch, arrivals, strict=True))
-        self._flush_if_due()
+            if not 0 <= arrival < _LATEST_S:
+                raise ValueError(
+                    f"received_s={arrival!r} must be a Unix time [s], 0 to {_LATEST_S:g}: give time.time()."
+                )
+        for frame, arrival in zip(batch, arrivals, strict=True):
+            self._write_or_end(record(FRAME, _TIME.pack(arrival) + pack(frame)))
+            self._count(frame)
 
-    def flush(self) -> None:
-        """Hand all that waits to the operating system."""
-        self._require_open()
-        with uninterrupted():
-            self._write_out()
+    def begin_run(self, because: str) -> None:
+        """Say that nothing is lost between the last frame and the next one, and why: "restart" or "reconnect"."""
+        self._write_or_end(self._session(because))
+        self._previous = None
+        self.restarts += because == "restart"
 
     def close(self, statistics: Statistics | None = None) -> None:
-        """Write what waits, then the decoder's statistics if they are given, and close; a second time does nothing."""
-        if not self._is_open:
-            return
-        with uninterrupted():
-            self._write_out()
-            self._is_open = False
-            try:
-                self._end(statistics)
-            except (OSError, RuntimeError) as error:
-                raise self._failed(_reason(error)) from None
-
-    def _write_out(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        started = time.monotonic()
-        try:
-            self._write([frame for frame, _ in waiting], [arrival for _, arrival in waiting])
-        except (OSError, RuntimeError) as error:
-            raise self._failed(_reason(error)) from None
-        self.frames += len(waiting)
-        self._flushed_at = time.monotonic()
-        if self._flushed_at - started > STALL_S:
-            raise self._failed(f"the disk stalled for {self._flushed_at - started:.0f} s")
+        """Write the statistics of who received the frames, if they are given, and close; again, it does nothing."""
+        if self._file >= 0:
+            if statistics is not None:
+                self._write_or_end(record(END, json.dumps(asdict(statistics)).encode()))
+            self._close()
 
     def __enter__(self) -> Self:
         return self
@@ -164,19 +151,45 @@ class FrameRecorder(ABC):
     ) -> None:
         self.close()
 
-    def _flush_if_due(self) -> None:
-        if len(self._waiting) >= _MOST or time.monotonic() - self._flushed_at >= FLUSH_S:
-            self.flush()
+    def _count(self, frame: Frame) -> None:
+        self.frames += 1
+        missing = missing_between(self._previous, frame) if self._previous else 0
+        self.restarts += missing is None
+        self.lost += missing or 0
+        self._previous = frame
 
-    def _require_open(self) -> None:
-        if not self._is_open:
-            raise RecordingError(f"{self.path}: the recorder is closed: make a new one, with append to continue.")
+    def _session(self, because: str) -> bytes:
+        self._runs += 1
+        run = {"because": because, "began_s": time.time(), "run": self._runs}
+        return record(SESSION, json.dumps(self.header.plain() | run).encode())
 
-    def _require_time(self, received_s: float) -> None:
-        if not 0 <= received_s < _LATEST_S:
-            raise ValueError(
-                f"received_s={received_s!r} must be a Unix time [s], 0 to {_LATEST_S:g}: give time.time()."
-            )
+    def _write_or_end(self, data: bytes) -> None:
+        try:
+            self._write(data)
+        except OSError as error:
+            self._close()
+            raise RecordingError(
+                f"{self.path}: {error.strerror}: recording ended, all {self.frames} frames up to here are kept: "
+                "make room or take another disk."
+            ) from None
+
+    def _write(self, data: bytes) -> None:
+        """Append some bytes; on failure none of them is left."""
+        with uninterrupted():
+            start = os.fstat(self._file).st_size
+            try:
+                while data:
+                    data = data[os.write(self._file, data) :]  # a disk that gets full takes a part of them first
+            except OSError:
+                with suppress(OSError):
+                    os.ftruncate(self._file, start)
+                raise
+
+    def _close(self) -> None:
+        if self._file >= 0:
+            with suppress(OSError):
+                os.close(self._file)
+            self._file = -1
 
     def _require_same_header(self, there: Header) -> None:
         for name in ("info", "calibration", "made_from"):
@@ -186,16 +199,3 @@ class FrameRecorder(ABC):
                     f"{self.path}: recorded with {name} {old!r}, not {new!r}: give another file, "
                     "a recording has one board, one calibration and one model."
                 )
-
-    def _failed(self, reason: str) -> RecordingError:
-        self._is_open = False
-        with suppress(OSError, RuntimeError):
-            self._abandon()
-        return RecordingError(
-            f"{self.path}: {reason}: recording ended, its first {self.frames} frames are kept: "
-            "make room or take another disk."
-        )
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -1,18 +1,18 @@
 """A board's scans into a recording."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from hardware.calibration import SensorCalibration
 from hardware.frames import Statistics
-from hardware.recording import recorder_for
-from hardware.recording.mcap_recorder import McapRecorder
+from hardware.recording import Recorder
 from hardware.scanner import Scanner, ScannerStatistics
-from studies.board.session import Session, hashes_of, scans
+from studies.board.session import scans
 
 TOLD_S = 1.0  #: between two words on the progress
+QUEUE = 2**14  #: scans that may wait while a disk or a busy machine holds the recorder up; 109 s at 150 Hz
 
 Advance = Callable[[float, int, str | None], None]  #: seconds, scans, trouble
 
@@ -22,7 +22,7 @@ class Recorded:
     """What came of it."""
 
     scans: int
-    statistics: ScannerStatistics
+    statistics: ScannerStatistics  #: lost and restarts as in the file, from its first scan to its last
 
 
 def record_scans(
@@ -30,7 +30,7 @@ def record_scans(
     path: Path,
     seconds: float,
     calibration: SensorCalibration | None = None,
-    reading: Session | None = None,
+    made_from: Mapping[str, str] | None = None,
     append: bool = False,
     advance: Advance | None = None,
 ) -> Recorded:
@@ -40,8 +40,8 @@ def record_scans(
     ----------
     calibration : SensorCalibration, optional
         Kept with the counts.
-    reading : Session, optional
-        Its model's hash is kept; in MCAP its forces and deviations, too.
+    made_from : mapping, optional
+        Hashes of the model that the recording is meant for.
     append : bool
         Continue a recording of the same board, model and calibration.
     advance : callable, optional
@@ -50,30 +50,38 @@ def record_scans(
     Raises
     ------
     FileFormatError, RecordingError
-        As `FrameRecorder` does.
+        As `Recorder` does.
     """
     unix_s = time.time() - time.perf_counter()
     start = told = time.monotonic()
-    n = 0
+    last = None
     text = "" if calibration is None else calibration.to_json()
-    hashes = {} if reading is None else hashes_of(reading.model)
-    with recorder_for(path, scanner.info, text, hashes, append) as recorder:
+    with Recorder(path, scanner.info, text, made_from, append) as recorder:
         for scan in scans(scanner, seconds):
-            if scan is None:
-                recorder.append([], time.time())
-            else:
-                n += 1
-                received_s = unix_s + scan.received_s
-                recorder.append(scan.frame, received_s)
-                if reading is not None and isinstance(recorder, McapRecorder):
-                    found = reading.forces(scan)
-                    axes, deviation_n = reading.model.component.axes, reading.deviations(found)
-                    recorder.append_forces(received_s, found.force_n[0], axes, deviation_n)
+            if scan is not None:
+                if last is not None and scan.run > last.run:
+                    recorder.begin_run("restart" if scan.restarts > last.restarts else "reconnect")
+                last = scan
+                recorder.append(scan.frame, unix_s + scan.received_s)
             now = time.monotonic()
             if advance and now - told > TOLD_S:
                 told = now
-                advance(now - start, n, scanner.trouble)
-        statistics = scanner.stats
-        known = {spec.name for spec in fields(Statistics)}
-        recorder.close(Statistics(**{name: value for name, value in vars(statistics).items() if name in known}))
-    return Recorded(scans=n, statistics=statistics)
+                advance(now - start, recorder.frames, scanner.trouble)
+        statistics = replace(scanner.stats, lost=recorder.lost, restarts=recorder.restarts)
+        kept = {each.name: getattr(statistics, each.name) for each in fields(Statistics)}
+        recorder.close(Statistics(**kept))
+    return Recorded(scans=recorder.frames, statistics=statistics)
+
+
+def met_beside(met: ScannerStatistics) -> list[str]:
+    """What else there was to meet, in words."""
+    damaged = met.bad_cobs + met.bad_crc + met.bad_form
+    named = {
+        "damaged": damaged,
+        "repeated": met.repeated,
+        "of another board": met.foreign,
+        "restarts": met.restarts,
+        "reconnects": met.reconnects,
+        "of the lost because this computer was too slow": met.dropped,
+    }
+    return [f"{n} {what}" for what, n in named.items() if n]

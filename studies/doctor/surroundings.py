@@ -28,7 +28,7 @@ EXTRAS = {
     "film": "view --save FILE.mp4",
     "sweep": "sweep, optimize",
     "export": "export to ONNX",
-    "mcap": "record and replay of MCAP",
+    "mcap": "recordings as MCAP",
     "paper": "make paper",
     "bench": "make bench beside other programs",
 }

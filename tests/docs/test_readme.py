@@ -40,7 +40,7 @@ ELSEWHERE = {
 FIRST, FIRST_TYPED = "tripillar design --out sensor.toml", "tripillar design --rows 1 --cols 2 --out sensor.toml"
 MADE = {
     "sensor.toml", "cad", "response.nc", "train.nc", "test.nc", "measured.nc", "model.safetensors", "own.safetensors",
-    "model.onnx", "deformed.png", "own.json", "press.nc", "forces.nc",
+    "model.onnx", "deformed.png", "own.json", "press.frames", "press.nc", "forces.nc",
 }  # fmt: skip
 
 

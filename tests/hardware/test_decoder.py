@@ -72,7 +72,7 @@ def is_subsequence(some, of_all):
 
 
 @fuzzed
-@given(st.lists(frames() | infos(), max_size=6), st.lists(U32, max_size=8))
+@given(st.lists(frames() | infos(), max_size=6, unique_by=encode), st.lists(U32, max_size=8))
 def test_round_trip_in_pieces_of_any_size(sent, cuts):
     decoder = FrameDecoder()
     wires = [encode(frame) for frame in sent]
@@ -174,6 +174,14 @@ def test_a_restarted_board_is_no_loss():
     decoder = FrameDecoder()
     decoder.feed(b"".join(wires_of(3, first=1000) + wires_of(3)))
     assert decoder.statistics == Statistics(ok=6, restarts=1)
+
+
+def test_a_repeated_frame_is_left_out_and_is_no_restart():
+    """A board never sends the same bytes twice: each frame has its number and its time."""
+    first, second = wires_of(2)
+    decoder = FrameDecoder()
+    assert [frame.sequence for frame in decoder.feed(first + first + first + second + second)] == [0, 1]
+    assert decoder.statistics == Statistics(ok=2, repeated=3)
 
 
 def test_a_restart_far_into_the_sequence_shows_in_the_clock():

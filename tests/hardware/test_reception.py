@@ -109,3 +109,44 @@ def test_frames_of_a_new_connection_are_trouble_until_the_info_comes(reception):
     assert reception.trouble.startswith("frames but no INFO")
     reception.take(encode(replace(INFO, rate_hz=10)), NOW_S)
     assert reception.trouble is None
+
+
+@pytest.mark.parametrize("stopped_s", [1, 5, 20, 60])
+@pytest.mark.parametrize("is_noted", [False, True], ids=["unnoticed", "noted"])
+def test_a_reader_that_was_stopped_has_lost_what_no_buffer_held(reception, stopped_s, is_noted):
+    """Whether or not the scanner took the silence for a stall before it saw what the buffers had held."""
+    feed(reception, wires(0, SCANS), arrivals(NOW_S, SCANS))
+    woken_s = NOW_S + 5 + stopped_s
+    if is_noted:
+        reception.doubt()
+    feed(reception, wires(SCANS, 17, uptime_s=5), [woken_s] * 17)
+    first = SCANS + stopped_s * INFO.rate_hz
+    feed(reception, wires(first, 100, uptime_s=5 + stopped_s), arrivals(woken_s, 100))
+    assert (reception.statistics.restarts, reception.statistics.lost) == (0, stopped_s * INFO.rate_hz - 17)
+
+
+def test_a_repeated_frame_is_delivered_once_and_is_no_restart(reception):
+    sent = wires(0, 3)
+    scans = feed(reception, [sent[0], sent[1], sent[1], sent[2]], arrivals(NOW_S, 4))
+    assert [scan.frame.sequence for scan in scans] == [0, 1, 2]
+    assert {scan.run for scan in scans} == {0}
+    met = reception.statistics
+    assert (met.ok, met.repeated, met.restarts, met.lost) == (3, 1, 0, 0)
+
+
+def test_frames_of_another_board_are_counted_and_spoil_no_other_number(reception):
+    """They are refused until the board has answered; of its own only those are lost that were refused meanwhile."""
+    feed(reception, wires(500, 10), arrivals(NOW_S, 10))
+    other = a_wire(60_000, info=replace(INFO, rows=2))
+    feed(reception, [other, other, *wires(510, 3, uptime_s=0.05)], arrivals(NOW_S + 0.1, 5))
+    reception.take(encode(INFO), NOW_S + 0.2)
+    scans = feed(reception, wires(513, 5, uptime_s=0.065), arrivals(NOW_S + 0.2, 5))
+    assert [scan.frame.sequence for scan in scans] == list(range(513, 518))
+    met = reception.statistics
+    assert (met.foreign, met.repeated, met.restarts, met.lost) == (4, 1, 0, 3)
+
+
+def test_the_sequence_wraps_without_loss(reception):
+    scans = feed(reception, wires(65_530, 20), arrivals(NOW_S, 20))
+    assert {scan.run for scan in scans} == {0}
+    assert (reception.statistics.restarts, reception.statistics.lost) == (0, 0)

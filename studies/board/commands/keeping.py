@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,13 +23,21 @@ from studies.board.commands.options import (
 )
 from studies.console import BOARD, JsonOption, VerbosityOption, require_other, require_suffix, say, show_json, wrote
 
+if TYPE_CHECKING:
+    from hardware.recording import Recording
+
 commands = typer.Typer()
+
+RecordingArgument = Annotated[
+    Path, typer.Argument(help="Recording, or what 'convert' made of one, or a board's bytes.")
+]
+MOST_NAMED = 3  #: places of damage in one line
 
 
 @commands.command(rich_help_panel=BOARD)
 def record(
     port: PortArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .nc, or .mcap for Foxglove and ROS.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write; it ends in .frames.")],
     model: Annotated[
         Path | None, typer.Option(help="Model file that the recording is meant for: its hash goes along.")
     ] = None,
@@ -41,27 +49,67 @@ def record(
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Record what a board sends; a killed recording loses less than a second.
+    """Record what a board sends, raw, as it comes; a killed recording loses one scan.
 
-    The recording holds raw counts. An .mcap file holds the forces of --model, too.
+    'replay' makes forces of a recording, 'convert' NetCDF, MCAP or CSV.
     """
     from decoupler.model_file import read_model
-    from studies.board.keep import record_scans
-    from studies.board.session import Session, board_on
+    from studies.board.keep import QUEUE, met_beside, record_scans
+    from studies.board.session import Session, board_on, hashes_of
 
     require_positive(seconds=seconds, timeout=timeout)
+    if out.suffix in (".nc", ".mcap", ".csv"):
+        raise DesignError(f"{out}: record to {out.with_suffix('.frames')}, then 'tripillar convert' makes {out} of it.")
+    require_suffix("--out", out, ".frames")
     decoupler = None if model is None else read_model(model)
-    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
-        reading = None if decoupler is None else Session(scanner, decoupler, known)
+    with board_on(port, calibration, baud=baud, timeout=timeout, queue=QUEUE) as (scanner, known):
+        if decoupler is not None:
+            Session(scanner, decoupler, known)  # refuses a model of another sensor
+        hashes = {} if decoupler is None else hashes_of(decoupler)
         advance = None if verbosity is False else progress
-        recorded = record_scans(scanner, out, seconds, known if calibration else None, reading, append, advance)
+        recorded = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
     if json_:
         show_json({"file": str(out), "scans": recorded.scans, "statistics": asdict(recorded.statistics)})
     else:
-        print(f"{recorded.scans} scans, {recorded.statistics.lost} lost, {recorded.statistics.overruns} overruns")
+        met = recorded.statistics
+        print(", ".join([f"{recorded.scans} scans, {met.lost} lost, {met.overruns} overruns", *met_beside(met)]))
     wrote([out])
+
+
+@commands.command(rich_help_panel=BOARD)
+def convert(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write: .nc (NetCDF), .mcap (Foxglove, ROS) or .csv.")
+    ],
+    json_: JsonOption = False,
+) -> None:
+    """Turn a recording into NetCDF, MCAP or CSV, whole or not at all."""
+    from hardware.recording import convert as converted
+    from hardware.recording import read_recording
+
+    require_suffix("--out", out, ".nc", ".mcap", ".csv")
+    require_other(out, recording)
+    recorded = read_recording(recording)
+    say(damage(recording, recorded))
+    converted(recorded, out)
+    if json_:
+        show_json({"file": str(out), "frames": len(recorded.run), "statistics": asdict(recorded.statistics)})
+    else:
+        print(f"{len(recorded.run)} frames, {recorded.statistics.lost} lost")
+    wrote([out])
+
+
+def damage(path: Path, recorded: "Recording") -> str:
+    """One line on what of a file is damaged and left out; empty if nothing is."""
+    found = [f"byte {at}" for at in recorded.damaged_at[:MOST_NAMED]]
+    if (more := len(recorded.damaged_at) - MOST_NAMED) > 0:
+        found.append(f"{more} more places")
+    ends = "its last frame is cut off" if recorded.truncated_bytes else ""
+    said = "; ".join(part for part in (f"damaged at {', '.join(found)}, left out" if found else "", ends) if part)
+    return f"warning: {path}: {said}" if said else ""
 
 
 def progress(seconds: float, scans: int, trouble: str | None) -> None:
@@ -71,7 +119,7 @@ def progress(seconds: float, scans: int, trouble: str | None) -> None:
 
 @commands.command(rich_help_panel=BOARD)
 def replay(
-    recording: Annotated[Path, typer.Argument(help="Recording: NetCDF, MCAP, or the bytes that a board sent.")],
+    recording: RecordingArgument,
     model: ModelOption,
     calibration: Annotated[
         Path | None, typer.Option(help="Calibration file to use instead of the one in the recording, if any.")
@@ -107,6 +155,7 @@ def replay(
             (print_lines if json_ else show_forces)(Session(scanner, decoupler, known), math.inf)
         return
     recorded = read_recording(recording)
+    say(damage(recording, recorded))
     own = None if calibration is None else read_calibration(calibration)
     hashes = hashes_of(decoupler)
     if other_design(recorded.made_from, hashes):
@@ -114,10 +163,10 @@ def replay(
     replayed = replay_frames(recorded, decoupler, own, crosstalk, uncertainty=out is not None)
     frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
     if out is not None and out.suffix == ".mcap":
-        from hardware.recording.mcap_export import export_mcap
+        from hardware.recording.mcap_file import write_mcap
 
         used = replace(recorded, calibration=replayed.calibration, made_from=hashes)
-        export_mcap(used, replayed, out, decoupler.component.axes)
+        write_mcap(used, out, replayed, decoupler.component.axes)
     elif out is not None:
         write_forces(replayed, decoupler.component.axes, out, hashes)
     if json_:

@@ -1,14 +1,12 @@
 """Boards and the frames they send, for tests of what becomes of these."""
 
 from dataclasses import asdict
-from importlib.util import find_spec
 
 import numpy as np
-import pytest
 
 from hardware.frames import Frame, Info, ScanMode
+from hardware.recording import Recorder
 
-KINDS = [".nc", pytest.param(".mcap", marks=pytest.mark.skipif(not find_spec("mcap"), reason="needs mcap"))]
 INFO = Info(
     rows=2,
     cols=3,
@@ -47,6 +45,15 @@ def frames(n, start=0, info=INFO, **changes):
 def arrivals(n, seed=1):
     """Unix times that use every bit of a float64."""
     return (1.8e9 + np.cumsum(np.random.default_rng(seed).exponential(0.005, n))).tolist()
+
+
+def record(path, n=10, start=0, statistics=None, **options):
+    """Record n frames and give them back with their times."""
+    sent, received_s = frames(n, start), arrivals(n, start)
+    with Recorder(path, INFO, **options) as recorder:
+        recorder.append(sent, received_s)
+        recorder.close(statistics)
+    return sent, received_s
 
 
 def assert_same(recording, sent, received_s):

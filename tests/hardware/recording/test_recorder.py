@@ -1,4 +1,4 @@
-"""Recorders of both kinds: what was recorded is read, files are continued, the rest is refused in one line."""
+"""The recorder: what was recorded is read, files are continued, the rest is refused in one line."""
 
 import time
 from dataclasses import replace
@@ -9,32 +9,22 @@ import pytest
 
 from geometry.errors import FileFormatError
 from hardware.frames import FrameDecoder, Info, Statistics, encode
-from hardware.recording import parse_recording, read_recording, recorder_for, recording_bytes
-from hardware.recording.recorder import RecordingError
+from hardware.recording import Recorder, RecordingError, parse_recording, read_recording, recording_bytes
 from tests.hardware.recording.recorded_frames import (
     CALIBRATION,
     INFO,
-    KINDS,
     MADE_FROM,
     arrivals,
     assert_same,
     frames,
+    record,
     without_info,
 )
 
 
-@pytest.fixture(params=KINDS)
-def path(request, tmp_path):
-    return tmp_path / f"press{request.param}"
-
-
-def record(path, n=10, start=0, statistics=None, **options):
-    """Record n frames and give them back with their times."""
-    sent, received_s = frames(n, start), arrivals(n, start)
-    with recorder_for(path, INFO, **options) as recorder:
-        recorder.append(sent, received_s)
-        recorder.close(statistics)
-    return sent, received_s
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "press.frames"
 
 
 def test_what_was_recorded_is_read_to_the_last_bit(path):
@@ -50,7 +40,7 @@ def test_what_was_recorded_is_read_to_the_last_bit(path):
 def test_the_extreme_counts_are_counts(path):
     """0 and 65535 are what some writers mean by 'missing'."""
     sent = frames(2, counts=np.array([0, 65_535] * 9))
-    with recorder_for(path, INFO) as recorder:
+    with Recorder(path, INFO) as recorder:
         recorder.append(sent, 1.8e9)
     assert_same(read_recording(path), sent, [1.8e9, 1.8e9])
 
@@ -66,7 +56,7 @@ def test_frames_lost_and_restarts_are_counted_as_the_decoder_does(path):
     sent = frames(5) + frames(5, 8) + frames(5, 2) + frames(5, 7, device_us=12)
     decoder = FrameDecoder()
     decoder.feed(b"".join(encode(frame) for frame in sent))
-    with recorder_for(path, INFO) as recorder:
+    with Recorder(path, INFO) as recorder:
         recorder.append(sent, 1.8e9)
     statistics = read_recording(path).statistics
     assert without_info(statistics) == without_info(decoder.statistics)
@@ -75,7 +65,7 @@ def test_frames_lost_and_restarts_are_counted_as_the_decoder_does(path):
 
 def test_frames_come_one_by_one_or_several_at_once(path):
     sent, received_s = frames(6), arrivals(6)
-    with recorder_for(path, INFO) as recorder:
+    with Recorder(path, INFO) as recorder:
         recorder.append(sent[0], received_s[0])
         recorder.append([], 0.0)
         recorder.append(sent[1:3], received_s[1:3])
@@ -92,7 +82,7 @@ def test_damage_that_the_decoder_met_is_kept(path):
 
 def test_the_kind_is_told_by_content_not_by_name(path, tmp_path):
     sent, received_s = record(path)
-    renamed = path.rename(tmp_path / "press.frames")
+    renamed = path.rename(tmp_path / "press.nc")
     assert_same(read_recording(renamed), sent, received_s)
 
 
@@ -101,7 +91,7 @@ def test_memory_stays_flat_and_appending_is_cheap(path):
     info = Info(bits=12)
     some = frames(250, info=info, counts=np.random.default_rng(3).integers(0, 4096, 108))
     process = psutil.Process()
-    with recorder_for(path, info) as recorder:
+    with Recorder(path, info) as recorder:
         started = time.process_time()
         for k in range(400):
             recorder.append(some, 1.8e9 + k)
@@ -128,6 +118,40 @@ def test_a_recording_is_continued_where_it_ended(path):
     assert list(path.parent.glob("*press*")) == [path]
 
 
+def test_frames_between_two_sessions_are_not_lost(path):
+    """An hour later by the board's clock and by the host's: the times go on by these."""
+    record(path, 10)
+    with Recorder(path, INFO, append=True) as recorder:
+        recorder.append(frames(5, 1000), 1.8e9 + 3600)
+        assert recorder.lost == 0
+    recording = read_recording(path)
+    assert (recording.statistics.lost, recording.statistics.restarts, recording.overruns) == (0, 0, 13)
+    assert recording.run.tolist() == [0] * 10 + [1] * 5
+    assert recording.time_s[10] - recording.time_s[0] == pytest.approx(3600, abs=0.1)
+
+
+def test_frames_lost_are_those_within_runs(path):
+    """A restart that only the receiver's clock could tell, and a new connection."""
+    with Recorder(path, INFO) as recorder:
+        recorder.append(frames(5) + frames(5, 8), 1.8e9)
+        recorder.begin_run("restart")
+        recorder.append(frames(5, 500), 1.8e9)
+        recorder.begin_run("reconnect")
+        recorder.append(frames(5, 900) + frames(1, 907), 1.8e9)
+    statistics = read_recording(path).statistics
+    assert (recorder.lost, recorder.restarts) == (statistics.lost, statistics.restarts) == (3 + 2, 1)
+
+
+def test_what_the_receiver_refused_is_kept(path):
+    record(path, 3, statistics=Statistics(foreign=7, repeated=2, lost=99))
+    statistics = read_recording(path).statistics
+    assert (statistics.foreign, statistics.repeated, statistics.lost) == (
+        7,
+        2,
+        0,
+    )  # what is lost follows from the frames
+
+
 def test_append_makes_a_file_that_is_not_there(path):
     sent, received_s = record(path.parent / "new" / path.name, append=True)
     assert_same(read_recording(path.parent / "new" / path.name), sent, received_s)
@@ -137,7 +161,7 @@ def test_a_file_that_exists_is_not_overwritten(path):
     record(path)
     before = path.read_bytes()
     with pytest.raises(FileFormatError, match=r"exists: give another name, or continue it by --append\.$"):
-        recorder_for(path, INFO)
+        Recorder(path, INFO)
     assert path.read_bytes() == before
 
 
@@ -154,15 +178,15 @@ def test_another_boards_recording_is_not_continued(path, changes, message):
     record(path)
     before = path.read_bytes()
     with pytest.raises(FileFormatError, match=message) as refusal:
-        recorder_for(path, **{"info": INFO} | changes, append=True)
+        Recorder(path, **{"info": INFO} | changes, append=True)
     assert "\n" not in str(refusal.value)
     assert path.read_bytes() == before
 
 
 def test_what_is_no_recording_is_not_continued(path):
     path.write_bytes(b"force_n,1.0\n" * 50)
-    with pytest.raises(FileFormatError, match=r"give a file made by a recorder\.$"):
-        recorder_for(path, INFO, append=True)
+    with pytest.raises(FileFormatError, match="not made by a recorder: record to a new file"):
+        Recorder(path, INFO, append=True)
     assert path.read_bytes() == b"force_n,1.0\n" * 50
 
 
@@ -177,7 +201,7 @@ def test_what_is_no_recording_is_not_continued(path):
     ],
 )
 def test_frames_of_another_board_are_refused_and_the_others_kept(path, info, message):
-    with recorder_for(path, INFO) as recorder:
+    with Recorder(path, INFO) as recorder:
         recorder.append(frames(3), 1.8e9)
         with pytest.raises(FileFormatError, match=message):
             recorder.append(frames(1) + frames(1, info=info), 1.8e9)
@@ -186,23 +210,17 @@ def test_frames_of_another_board_are_refused_and_the_others_kept(path, info, mes
 
 @pytest.mark.parametrize("received_s", [float("nan"), -1.0, 1.8e18])
 def test_times_that_are_no_unix_times_are_refused(path, received_s):
-    with recorder_for(path, INFO) as recorder, pytest.raises(ValueError, match=r"Unix time \[s\], 0 to 1e\+10"):
+    with Recorder(path, INFO) as recorder, pytest.raises(ValueError, match=r"Unix time \[s\], 0 to 1e\+10"):
         recorder.append(frames(1), received_s)
 
 
 def test_other_origins_are_refused(path):
     with pytest.raises(ValueError, match=r"made_from has \['model'\], allowed are \['model_recipe', 'design_hash'\]"):
-        recorder_for(path, INFO, made_from={"model": "?"})
-
-
-@pytest.mark.parametrize("name", ["press.csv", "press", "press.frames"])
-def test_other_suffixes_are_refused(tmp_path, name):
-    with pytest.raises(FileFormatError, match=rf"{name}: no kind of recording: end the name in \.nc or \.mcap\.$"):
-        recorder_for(tmp_path / name, INFO)
+        Recorder(path, INFO, made_from={"model": "?"})
 
 
 def test_a_closed_recorder_takes_nothing(path):
-    with recorder_for(path, INFO) as recorder:
+    with Recorder(path, INFO) as recorder:
         recorder.append(frames(2), 1.8e9)
     with pytest.raises(RecordingError, match="the recorder is closed"):
         recorder.append(frames(1), 1.8e9)
@@ -210,6 +228,6 @@ def test_a_closed_recorder_takes_nothing(path):
 
 def test_a_file_that_cannot_be_made_is_one_line(path):
     path.parent.joinpath("file").touch()
-    with pytest.raises(RecordingError, match=r"give a file on a disk that can be written\.$") as failure:
-        recorder_for(path.parent / "file" / path.name, INFO)
+    with pytest.raises(RecordingError, match=r"give a file on a disk that has room and can be written\.$") as failure:
+        Recorder(path.parent / "file" / path.name, INFO)
     assert "\n" not in str(failure.value)
