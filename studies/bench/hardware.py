@@ -128,9 +128,7 @@ def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float
     return {name: 1e6 * seconds / n for name, seconds in parts.items()} | {"frames_per_s": n / (done - start)}
 
 
-def live(
-    motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float, rehearsal: bool
-) -> dict[str, Any]:
+def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float) -> dict[str, Any]:
     """Latency from a frame's last byte to forces: from when it was read, and from when another process sent it."""
     info = board_info(mode, rate_hz)
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
@@ -141,7 +139,7 @@ def live(
     with Scanner(here.recv()) as scanner:
         reading = Session(scanner, model, SensorCalibration.as_designed(info.rows, info.cols))
         done_at = {}
-        for scan in scans(scanner, seconds, reading.rehearse if rehearsal else None):
+        for scan in scans(scanner, seconds):
             if scan is not None:
                 reading.forces(scan)
                 done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s
@@ -153,7 +151,7 @@ def live(
     from_read = milliseconds(np.array([done_s - received_s for _, (done_s, received_s) in done]))
     from_sent = milliseconds(np.array([done_s - sent_at[sequence] for sequence, (done_s, _) in done]))
     return {
-        "mode": mode.name, "Hz": rate_hz, "rehearsal": str(rehearsal), "scans": len(done), "lost": statistics.lost,
+        "mode": mode.name, "Hz": rate_hz, "scans": len(done), "lost": statistics.lost,
     } | {
         f"{name} {value}": ms
         for name, latency in {"read": from_read, "sent": from_sent}.items()
@@ -188,11 +186,7 @@ def bench(
             "forces": [forces_by(motion, model, mode) for mode in ScanMode],
             "mistaken": [mistaken(motion, mode) for mode in ScanMode],
             "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in ScanMode],
-            "live": [
-                live(motion, model, mode, rate_hz, seconds, rehearsal)
-                for mode in ScanMode
-                for rate_hz, rehearsal in ((150, True), (150, False), (500, True))
-            ],
+            "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
         }
     for name, rows in found.items():
         show(plain_table(TITLES[name], rows))

@@ -11,6 +11,7 @@ from studies.board.session import Session, scans
 from studies.board.view import live_view
 
 SHOWN_S = 0.1  #: between two pictures
+RENEWED_S = 0.1  #: between two calculations of the deviations
 RATE_OVER = 64  #: scans whose pace is the rate shown
 LEAST_FULL_SCALE_N = 10.0  #: that is drawn brightest, so that noise at rest stays dark
 
@@ -45,27 +46,31 @@ def show_forces(reading: Session, seconds: float) -> None:
 def print_lines(reading: Session, seconds: float) -> None:
     """One JSON object for every scan; one that names the trouble when scans fail to come, and when they do again.
 
-    Ends quietly when the pipe's other end closes.
+    Deviations, which take ten times as long as forces, are `RENEWED_S` old at most. Ends quietly when the pipe's other
+    end closes.
     """
-    trouble = None
+    trouble, deviation, renew_s = None, "null", 0.0
     try:
-        for scan in scans(reading.scanner, seconds, reading.rehearse):
+        for scan in scans(reading.scanner, seconds):
             if reading.scanner.trouble != trouble:
                 trouble = reading.scanner.trouble
                 print(json.dumps({"trouble": trouble}), flush=True)
             if scan is None:
                 continue
             found = reading.forces(scan)
-            deviation = reading.deviations(found)
+            if scan.received_s >= renew_s:
+                renew_s = scan.received_s + RENEWED_S
+                deviation_n = reading.deviations(found)
+                deviation = json.dumps(None if deviation_n is None else deviation_n.round(4).tolist())
             line = {
                 "time_s": scan.time_s,
                 "sequence": scan.frame.sequence,
                 "axes": reading.model.component.axes,
                 "force_n": found.force_n[0].round(4).tolist(),
-                "deviation_n": None if deviation is None else deviation.round(4).tolist(),
                 "saturated": int(found.saturated.sum()),
-                "dropped": reading.scanner.stats.dropped,
+                "dropped": reading.scanner.dropped,
             }
-            print(json.dumps(line), flush=True)
+            # put in as text, which is as long again as all the rest
+            print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)
     except BrokenPipeError:
         pass

@@ -24,8 +24,8 @@ class Link:
     statistics: dict[str, Any]
 
 
-def measured_link(scanner: Scanner, reading: Session | None, seconds: float, rehearsal: bool = True) -> Link:
-    """Read a board for some seconds, with forces of every scan if there is a session; `scans` says what a rehearsal is.
+def measured_link(scanner: Scanner, reading: Session | None, seconds: float) -> Link:
+    """Read a board for some seconds, with forces of every scan if there is a session.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def measured_link(scanner: Scanner, reading: Session | None, seconds: float, reh
         If fewer than three scans come.
     """
     arrivals, device_us, latencies = [], [], []
-    for scan in scans(scanner, seconds, reading.rehearse if reading and rehearsal else None):
+    for scan in scans(scanner, seconds):
         if scan is None:
             continue
         if reading is not None:

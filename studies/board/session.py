@@ -18,7 +18,6 @@ from geometry.layout import PILLARS, FloatArray
 from hardware.calibration import Electronics, SensorCalibration, read_calibration
 from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
-from hardware.frames import FrameDecoder, encode
 from hardware.live import ForceReader, Forces
 from hardware.recording import read_recording
 from hardware.recording.playback import PlaybackPort
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from hardware.reception import Scan
 
 BATCH_S = 0.1  #: longest wait for a scan, so that what else there is to do is done
-REHEARSED_S = 1.2e-3  #: before a scan is due; less gets in its way when it comes early, more is forgotten
 MOST_FOR_NOISE = 200  #: scans that tell how much a resistance varies
 
 
@@ -78,11 +76,6 @@ class Session:
         """Of one scan: arrays of length 1."""
         return self.reader.forces(scan.frame.counts[None])
 
-    def rehearse(self, scan: "Scan") -> None:
-        """All that a scan goes through, from its bytes to forces, for nothing but the processor's caches."""
-        FrameDecoder().feed(encode(scan.frame))
-        self.forces(scan)
-
     def deviations(self, found: Forces) -> FloatArray | None:
         """Half-widths that hold 68 % of errors, (rows, cols, k) [N]; None if the model knows no uncertainty."""
         deviation_n = self.reader.deviations(found)
@@ -95,26 +88,12 @@ def hashes_of(model: Decoupler) -> dict[str, str]:
     return {name: str(value) for name, value in found.items() if value}
 
 
-def scans(
-    scanner: Scanner, seconds: float = math.inf, rehearse: Callable[["Scan"], object] | None = None
-) -> Iterator["Scan | None"]:
-    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`.
-
-    `rehearse` is given the last scan once more a little before the next is due. What it touches is then still in the
-    processor's caches when the next scan is worked on, which 6 ms of waiting would empty; `tripillar bench` shows both.
-    """
+def scans(scanner: Scanner, seconds: float = math.inf) -> Iterator["Scan | None"]:
+    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
     end_s = time.monotonic() + seconds
     with ended_by_signal() as is_ended:
-        scan = None
         while not is_ended() and time.monotonic() < end_s:
-            last, scan = scan, None
-            if rehearse and last:
-                ahead_s = last.received_s + 1.0 / scanner.info.rate_hz - REHEARSED_S - time.perf_counter()
-                scan = scanner.get(timeout=max(0.0, ahead_s))
-                if scan is None and ahead_s > 0.0:
-                    rehearse(last)
-            if scan is None:
-                scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
+            scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
             if scan is None and scanner.ended:
                 return
             yield scan

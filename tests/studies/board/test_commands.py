@@ -66,7 +66,7 @@ def test_info_says_what_the_board_is(house, port):
     told = house.result("info", port)
     expected = {"rows": 1, "cols": 2, "bits": 12, "scan_mode": "ZERO_POTENTIAL", "serial": 7, "sense_ohm": 4700}
     assert {name: told[name] for name in expected} == expected
-    assert "serial     7" in house.tripillar("info", port).stdout
+    assert "serial      7" in house.tripillar("info", port).stdout
 
 
 def test_ports_can_be_listed(house):
