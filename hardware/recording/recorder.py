@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from geometry.errors import FileFormatError, TriPillarError
-from geometry.files import uninterrupted
+from geometry.files import FULL, require_file, uninterrupted
 from hardware.frames import Frame, Info, Statistics, missing_between, pack
 from hardware.recording.header import Header
 from hardware.recording.reader import read_header_of
@@ -78,6 +78,7 @@ class Recorder:
         append: bool = False,
     ) -> None:
         self.path = Path(path)
+        require_file(self.path)
         self.header = Header(info=info, calibration=calibration, made_from=made_from or {})
         self.frames = 0  #: recorded so far
         self.lost = 0  #: frames missing between them
@@ -103,7 +104,7 @@ class Recorder:
                     self.path.unlink()
             kept = "; the recording is as it was" if is_there else ""
             raise RecordingError(
-                f"{path}: {error.strerror}{kept}: give a file on a disk that has room and can be written."
+                f"{path}: {_reason(error)}{kept}: give a file on a disk that has room and can be written."
             ) from None
 
     def append(self, frames: Frame | Iterable[Frame], received_s: float | Sequence[float]) -> None:
@@ -169,7 +170,7 @@ class Recorder:
         except OSError as error:
             self._close()
             raise RecordingError(
-                f"{self.path}: {error.strerror}: recording ended, all {self.frames} frames up to here are kept: "
+                f"{self.path}: {_reason(error)}: recording ended, all {self.frames} frames up to here are kept: "
                 "make room or take another disk."
             ) from None
 
@@ -199,3 +200,7 @@ class Recorder:
                     f"{self.path}: recorded with {name} {old!r}, not {new!r}: give another file, "
                     "a recording has one board, one calibration and one model."
                 )
+
+
+def _reason(error: OSError) -> str:
+    return f"the disk is full ({error.strerror})" if error.errno in FULL else str(error.strerror)

@@ -226,8 +226,9 @@ def test_a_closed_recorder_takes_nothing(path):
         recorder.append(frames(1), 1.8e9)
 
 
-def test_a_file_that_cannot_be_made_is_one_line(path):
+@pytest.mark.parametrize(("name", "message"), [("file/press.frames", "is not a folder"), ("/dev/zero", "is a device")])
+def test_a_file_that_cannot_be_made_is_one_line(path, name, message):
     path.parent.joinpath("file").touch()
-    with pytest.raises(RecordingError, match=r"give a file on a disk that has room and can be written\.$") as failure:
-        Recorder(path.parent / "file" / path.name, INFO)
+    with pytest.raises(FileFormatError, match=message) as failure:
+        Recorder(path.parent / name, INFO, append=True)
     assert "\n" not in str(failure.value)
