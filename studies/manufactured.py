@@ -20,6 +20,7 @@ from geometry.design import SensorDesign
 SETTINGS = ResponseSettings(tolerance=2e-3, element="S2")
 #: of the specimen: factors in 1 ± 0.1, offsets of 100 Ω, 0.1 % of noise behind a converter of 12 bits
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
+READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: the sensor as designed, read as the specimen is
 PAIRS = 10  #: measured ones that a model is fine-tuned on
 SEEDS = {"test": 2, "pairs": 3}
 
@@ -30,6 +31,7 @@ class Manufactured:
 
     untuned: dict[str, ForceErrors]  #: as trained on the sensor as designed
     tuned: dict[str, ForceErrors]  #: after `PAIRS` measured pairs
+    tuned_model: Decoupler
 
 
 def as_made(design: SensorDesign) -> SensorDesign:
@@ -65,7 +67,8 @@ def errors_as_made(
         measured_on(truth, response.design, protocol, n, SEEDS[split])
         for split, n in (("test", samples), ("pairs", PAIRS))
     )
+    tuned = {name: fine_tune(model, pairs, response) for name, model in models.items()}
     return {
-        name: Manufactured(untuned=evaluate(model, test), tuned=evaluate(fine_tune(model, pairs, response), test))
+        name: Manufactured(untuned=evaluate(model, test), tuned=evaluate(tuned[name], test), tuned_model=tuned[name])
         for name, model in models.items()
     }

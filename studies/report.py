@@ -14,41 +14,71 @@ from decoupler.metrics import ForceErrors
 from fem.solution import Solution
 from geometry.layout import AXES
 from studies.comparison import Comparison
-from studies.manufactured import PAIRS
+from studies.manufactured import PAIRS, READ
 from studies.pipeline import CAP, SPLITS, Stage
+from studies.touches import AT_REST, TOUCHES_N
+
+AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
 
 
 def show(table: Table) -> None:
     """Print a table on stdout, as wide as it needs where stdout is no terminal."""
     console = Console()
-    console.print(table) if console.is_terminal else Console(width=124).print(table)
+    console.print(table) if console.is_terminal else Console(width=140).print(table)
 
 
 def comparison_table(comparisons: list[Comparison]) -> Table:
     """Errors of every decoupler on every protocol's test samples, beside the paper's."""
     (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
     table = Table(
-        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%})",
-        caption="Test samples come from the response that ours starts from; at rest, nothing is on the sensor.\n"
-        "As made: relative error on a sensor whose geometry, rubber, gains and offsets are a little off,\n"
-        f"with noise of 0.1 % and 12 bits; tuned: after {PAIRS} measured pairs of it",
+        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%}), noise-free",
+        caption="Test samples come from the response that ours starts from; full scale is the largest force on a pad.\n"
+        f"{AS_READ}: relative error of the same networks on the same samples, read with that noise and converter.\n"
+        "At rest: nothing is on the sensor. As made: relative error on a sensor whose geometry, rubber, gains and\n"
+        f"offsets are a little off, with that noise and converter; tuned: after {PAIRS} measured pairs of it",
     )
     table.add_column("data")
     table.add_column("decoupler")
-    for header in ("rel. error", "RMSE [N]", "% of full scale", "at rest [N]", "as made", "tuned"):
-        table.add_column(header, justify="right")
+    for header in ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "tuned"):
+        table.add_column(escape(header), justify="right")
     for comparison in comparisons:
-        title = comparison.protocol
+        title = f"{comparison.protocol}\nto {comparison.full_scale_n:.0f} N a pad"
         table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}")
         for entry in comparison.entries:
             at_rest = "" if entry.at_rest_n is None else f"{entry.at_rest_n:.3f}"
-            made = [
-                f"{errors.rel_err:.2%}" for errors in (entry.as_made, entry.as_made_tuned) if errors and errors.rel_err
+            read, *made = [
+                f"{errors.rel_err:.2%}" if errors and errors.rel_err else ""
+                for errors in (entry.as_read, entry.as_made, entry.as_made_tuned)
             ]
-            table.add_row("", entry.decoupler, *_error_cells(entry.errors), at_rest, *made)
+            table.add_row("", entry.decoupler, *_error_cells(entry.errors), read, at_rest, *made)
         floor = f"PCA floor of {comparison.floor_hidden} nodes"
         table.add_row("", floor, *_error_cells(comparison.plain_floor), style="dim", end_section=True)
     return table
+
+
+def touch_table(comparisons: list[Comparison]) -> Table:
+    """Errors in newtons of the force on one pad that is touched, for networks trained under load."""
+    table = Table(
+        title="One pad touched, nothing else on the sensor: error of its force [N], exact readings / " + AS_READ,
+        caption="Root mean square over all pads; the networks of the table above. As made, tuned, zeroed: what the\n"
+        f"sensor shows with nothing on it, the mean of {AT_REST} readings, is taken off",
+    )
+    table.add_column("data")
+    table.add_column("decoupler")
+    for size_n in TOUCHES_N:
+        table.add_column(f"{size_n:g} N", justify="right")
+    for comparison in comparisons:
+        for number, one in enumerate(comparison.touches):
+            cells = [
+                f"{_newtons(exact)} / {_newtons(read)}" for exact, read in zip(one.exact_n, one.read_n, strict=True)
+            ]
+            table.add_row("" if number else comparison.protocol, one.decoupler, *cells)
+        table.add_section()
+    return table
+
+
+def _newtons(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
 def stage_table(stages: list[Stage]) -> Table:

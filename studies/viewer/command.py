@@ -98,11 +98,7 @@ def view(
         typer.Option("--colour", "--color", help="Quantity shown as colour."),
     ] = "displacement",
     scale: Annotated[
-        str,
-        typer.Option(
-            metavar="true|FACTOR|auto",
-            help="Factor of the displacement as drawn: true is 1, auto one that shows it well.",
-        ),
+        str, typer.Option(metavar="true|FACTOR|auto", help="Factor of the displacement as drawn.")
     ] = "true",
     camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Direction to look from.")] = "iso",
     save: Annotated[

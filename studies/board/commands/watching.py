@@ -67,9 +67,7 @@ def live(
     model: ModelOption,
     calibration: CalibrationOption = None,
     seconds: SecondsOption = math.inf,
-    rate: Annotated[
-        int | None, typer.Option(help="Number of scans a second to ask the board for; default: its own.")
-    ] = None,
+    rate: Annotated[int | None, typer.Option(help="Number of scans a second to ask the board for.")] = None,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: LinesOption = False,
