@@ -251,7 +251,8 @@ def _scattered(columns: FloatArray, data: LabelledData) -> bool:
     The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).
     """
     size = columns.mean(axis=0)
-    deviation = EDGE * reading_deviation(size, data.noise or UNSTATED_NOISE, data.bits)
+    noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
+    deviation = np.hypot(noise, EDGE * steps)
     N = (len(columns) - 1) * columns.shape[1]
     x = float((((columns - size) / deviation) ** 2).sum()) / max(N, 1)
     return x > 1.0 and 0.5 * N * (x - 1.0 - math.log(x)) > math.log(1.0 / FALSE_ALARMS)
