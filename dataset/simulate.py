@@ -53,7 +53,7 @@ class DatasetSettings(Imperfections):
         if not 0 <= self.seed < 2**63:
             raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
         if not 0 < self.cap < 1:
-            raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
+            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
 
 
 def dataset_recipe(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:

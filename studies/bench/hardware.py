@@ -171,7 +171,7 @@ def bench(
     out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/hardware.json"),
     seconds: Annotated[float, typer.Option(help="Time of each live measurement [s].")] = 20.0,
 ) -> None:
-    """Crosstalk and its correction, recorded frames to forces, live scans to forces."""
+    """Measure crosstalk and its correction, recorded frames to forces, live scans to forces."""
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):
         _, response = respond(SensorDesign(), bars)
         motion = press_and_slide(response, PressAndSlide())

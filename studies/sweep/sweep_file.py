@@ -37,7 +37,7 @@ class Judging:
         if not self.noise and self.bits is None:
             raise DesignError("noise=0 and no bits leave no error to compare designs by: give noise = 0.001.")
         if not 0 < self.cap < 1:
-            raise DesignError(f"cap={self.cap:g} must be between 0 and 1; the paper uses 0.2 and 0.3.")
+            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
 
 
 @dataclass(frozen=True, kw_only=True)
