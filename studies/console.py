@@ -74,7 +74,9 @@ def wrote(files: Iterable[Path]) -> None:
 def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:
     """Refuse a file to write whose name says another kind, or a folder in its place."""
     if path is not None and (path.suffix not in suffixes or path.is_dir()):
-        raise DesignError(f"{option} {path} must be a file that ends in {' or '.join(suffixes)}.")
+        *others, last = suffixes
+        kinds = f"{', '.join(others)} or {last}" if others else last
+        raise DesignError(f"{option} {path} must be a file that ends in {kinds}.")
 
 
 def require_other(out: Path | None, *read: Path | None) -> None:

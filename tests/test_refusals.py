@@ -131,7 +131,7 @@ info '' -> no port was named
 info missing -> missing: no such port; there are
 info dir -> dir: a folder, not a port
 info empty -> the file is empty
-info data.nc -> data.nc: not a recording
+info data.nc -> data.nc has no variable 'counts'
 info foo://bar -> there are no ports of the kind foo://; name a device as /dev/ttyUSB0, or socket://HOST:PORT
 info socket://localhost:x -> give socket://HOST:PORT of a running server
 info /dev/null -> no serial port
@@ -143,8 +143,14 @@ live text.txt --model model.safetensors --rate 20 -> a recording has the rate th
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 bench missing -> missing: no such port
 record missing -o y.nc --seconds -1 -> --seconds -1 must be above 0 s
-record foo://x -o y.nc -> there are no ports of the kind foo://
-replay missing.nc --model model.safetensors -> missing.nc: No such file or directory: give a recording
+record foo://x -o y.frames -> there are no ports of the kind foo://
+record missing -o y.nc -> record to y.frames, then 'tripillar convert' makes y.nc of it
+record missing -o y.txt -> must be a file that ends in .frames
+convert missing.frames -o y.nc -> missing.frames: no such file: give a recording
+convert text.txt -o y.nc -> text.txt: no valid frame in 6 bytes
+convert text.txt -o y.txt -> must be a file that ends in .nc, .mcap or .csv
+convert text.nc -o text.nc -> text.nc is read by this command
+replay missing.nc --model model.safetensors -> missing.nc: no such file: give a recording
 replay text.txt --model model.safetensors -> no valid frame in 6 bytes
 replay text.txt --model dir -> dir: a folder
 replay text.txt --model model.safetensors --out x.csv -> must be a file that ends in .nc or .mcap

@@ -9,6 +9,7 @@ from typing import IO, Any
 import numpy as np
 
 from geometry.errors import FileFormatError
+from geometry.text_file import why_unreadable
 from hardware.frames import PROTOCOL, Info, packed_dtype, unpack
 from hardware.recording.header import Header, read_header
 from hardware.recording.mcap_file import MAGIC as MCAP
@@ -40,7 +41,7 @@ def read_recording(path: Path) -> Recording:
             if not start.startswith((*NETCDF, MCAP)):
                 return _read(file, str(path))
     except OSError as error:
-        raise FileFormatError(f"{path}: {error.strerror}: give a recording.") from error
+        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a recording.") from error
     return read_mcap(path) if start.startswith(MCAP) else read_netcdf_recording(path)
 
 

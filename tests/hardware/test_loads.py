@@ -52,7 +52,7 @@ def test_other_files_are_refused(tmp_path):
         read_loads(table(tmp_path, "1", header="spam"), 2, 3)
     with pytest.raises(FileFormatError, match="no lines"):
         read_loads(table(tmp_path), 2, 3)
-    with pytest.raises(FileFormatError, match="No such file"):
+    with pytest.raises(FileFormatError, match="no such file"):
         read_loads(tmp_path / "nowhere.csv", 2, 3)
 
 

@@ -114,7 +114,7 @@ def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, stream, m
 
 
 def test_a_missing_file_is_refused_in_one_line(tmp_path):
-    with pytest.raises(FileFormatError, match=r"nothing\.frames: No such file or directory: give"):
+    with pytest.raises(FileFormatError, match=r"nothing\.frames: no such file: give"):
         read_recording(tmp_path / "nothing.frames")
 
 
