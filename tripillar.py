@@ -4,8 +4,14 @@ Results go to stdout (with --json one object), progress and messages to stderr. 
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
-import math
 import sys
+
+from studies import interrupts
+
+if sys.argv[0].endswith(("tripillar", "tripillar.py", "tripillar.exe")):  # the program, not a library of another one
+    interrupts.install()  # before all the rest is loaded, which takes a while
+
+import math
 from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
@@ -60,6 +66,14 @@ UnstatedOption = Annotated[
     Path | None,
     typer.Option("--design", help="Design file (TOML) for data that state none; default: the paper's sensor."),
 ]
+NetOption = Annotated[
+    Literal["plain", "skip"],
+    typer.Option(help="Network: plain, as in the paper, or with a linear skip past the hidden layer."),
+]
+TrainerOption = Annotated[
+    Literal["varpro", "lm", "momentum"],
+    typer.Option(help="Method of training: variable projection, Levenberg-Marquardt, or the paper's (momentum)."),
+]
 FeatureOption = Annotated[
     Literal["auto", "inverse", "root", "resistance"],
     typer.Option(help="Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses."),
@@ -68,7 +82,8 @@ ForceOption = Annotated[
     bool, typer.Option("--force", help="Go on although the data look wrong; a model remembers why they did.")
 ]
 GoalOption = Annotated[
-    float | None, typer.Option(help="Mean squared error, scaled, at which to stop; default: the trainer's own.")
+    float | None,
+    typer.Option(help="Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own."),
 ]
 
 
@@ -251,7 +266,10 @@ def response(
 def dataset(
     protocol: Annotated[
         Protocol,
-        typer.Option(help="Loads: each pad its own, a few indenters, along one axis or all; light: 10 N at most."),
+        typer.Option(
+            help="Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along "
+            "all axes; light, by 10 N at most. With -fz or -fx along one axis."
+        ),
     ],
     samples: Annotated[int, typer.Option(help="Number of samples to make.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
@@ -268,10 +286,10 @@ def dataset(
         list[str] | None, typer.Option(metavar="ROW,COL,PILLAR", help="Broken pillar, such as 0,3,z; can be repeated.")
     ] = None,
     dead_row: Annotated[
-        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken row wire; can be repeated.")
+        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken row wire, from 0; can be repeated.")
     ] = None,
     dead_col: Annotated[
-        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken column wire; can be repeated.")
+        list[int] | None, typer.Option(metavar="WIRE", help="Number of a broken column wire, from 0; can be repeated.")
     ] = None,
     crossbar: Annotated[
         Literal["zero-potential", "grounded", "divider"] | None,
@@ -280,8 +298,10 @@ def dataset(
     sense_ohm: Annotated[
         float | None, typer.Option(help="Sense or feedback resistor of --crossbar [Ω]; default: one that suits 10 kΩ.")
     ] = None,
-    switch_ohm: Annotated[float | None, typer.Option(help="Closed switch of --crossbar [Ω]; default: 25.")] = None,
-    line_ohm: Annotated[float | None, typer.Option(help="Wire of --crossbar to a pillar [Ω]; default: 0.")] = None,
+    switch_ohm: Annotated[
+        float | None, typer.Option(help="Resistance of a closed switch of --crossbar [Ω]; default: 25.")
+    ] = None,
+    line_ohm: Annotated[float | None, typer.Option(help="Resistance of a wire of --crossbar [Ω]; default: 0.")] = None,
     correct: Annotated[bool, typer.Option(help="Correct the crosstalk of --crossbar, as a live sensor does.")] = True,
     design: DesignOption = None,
     json_: JsonOption = False,
@@ -343,19 +363,14 @@ def dataset(
 @app.command(rich_help_panel=LEARNING)
 def train(
     data: Annotated[Path, typer.Option(help="Data set to train on.")],
-    component: Annotated[Component, typer.Option(help="Forces to decouple.")],
+    component: Annotated[Component, typer.Option(help="Forces that the network tells: along one axis, or all.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
-    net: Annotated[
-        Literal["plain", "skip"], typer.Option(help="Network: the paper's, or with a linear skip.")
-    ] = "skip",
+    net: NetOption = "skip",
     hidden: Annotated[int, typer.Option(help="Number of hidden nodes.")] = 17,
-    trainer: Annotated[
-        Literal["varpro", "lm", "momentum"],
-        typer.Option(help="Training: variable projection, Levenberg-Marquardt, or the paper's."),
-    ] = "varpro",
+    trainer: TrainerOption = "varpro",
     feature: FeatureOption = "auto",
     goal: GoalOption = None,
-    iterations: Annotated[int, typer.Option(help="Iterations at most; 0: the trainer's own number.")] = 0,
+    iterations: Annotated[int, typer.Option(help="Largest number of iterations; 0: the trainer's own.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the random start.")] = 0,
     design: UnstatedOption = None,
     force: ForceOption = False,
@@ -450,16 +465,11 @@ def evaluate(
 @app.command(rich_help_panel=LEARNING)
 def crossval(
     data: Annotated[Path, typer.Option(help="Data set to split.")],
-    component: Annotated[Component, typer.Option(help="Forces to decouple.")],
+    component: Annotated[Component, typer.Option(help="Forces that the network tells: along one axis, or all.")],
     folds: Annotated[int, typer.Option(help="Number of parts, each tested once; the paper uses 10.")] = 10,
-    net: Annotated[
-        Literal["plain", "skip"], typer.Option(help="Network: the paper's, or with a linear skip.")
-    ] = "skip",
+    net: NetOption = "skip",
     hidden: Annotated[int, typer.Option(help="Number of hidden nodes.")] = 17,
-    trainer: Annotated[
-        Literal["varpro", "lm", "momentum"],
-        typer.Option(help="Training: variable projection, Levenberg-Marquardt, or the paper's."),
-    ] = "varpro",
+    trainer: TrainerOption = "varpro",
     feature: FeatureOption = "auto",
     goal: GoalOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the split and the random start.")] = 0,

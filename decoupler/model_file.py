@@ -23,9 +23,9 @@ from decoupler.uncertainty import WITHIN, Uncertainty
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.files import digest, replacing
+from geometry.files import digest, write_bytes
 from geometry.layout import PILLAR_TOP, PILLARS
-from geometry.seal import BLANK, KEY, MARK, require_intact, seal
+from geometry.seal import BLANK, KEY, MARK, require_intact, sealed
 
 if TYPE_CHECKING:
     from fem.response import ArrayResponse
@@ -86,9 +86,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
-        seal(temporary)
+    write_bytes(path, *sealed(content))
 
 
 def read_model(path: Path) -> Decoupler:

@@ -14,7 +14,7 @@ from fem.substructured import response_by_cells
 from fem.whole_array import whole_response
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
-from geometry.files import cache_folder, digest
+from geometry.files import cache_folder, digest, keep
 from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
 from geometry.seal import say_made_anew
 
@@ -65,7 +65,8 @@ def array_response(
     """Response of a sensor, from the cache if it is there.
 
     `progress` is called with the name of each step as it begins. Returns the response, its file, and whether it was
-    there already. Only what bends the body counts: another resistivity finds the same file.
+    there already; where the cache cannot be written to, the file is missing. Only what bends the body counts: another
+    resistivity finds the same file.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def array_response(
     except FileFormatError:
         say_made_anew(path)
     response = replace(solve_response(design, settings, progress, cached=True), recipe=recipe)
-    write_response(response, path)
+    keep(lambda path: write_response(response, path), path)
     return response, path, False
 
 

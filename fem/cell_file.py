@@ -7,8 +7,9 @@ import numpy as np
 
 from fem.cell import CondensedCell
 from fem.ports import PortModes
-from geometry.files import replacing
-from geometry.seal import LAST_LINE, require_intact, say_made_anew, seal
+from geometry.errors import FileFormatError
+from geometry.npz import read_npz, write_npz
+from geometry.seal import say_made_anew
 
 MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
 
@@ -27,23 +28,20 @@ def write_refined(refined: RefinedCell, path: Path) -> None:
     cell = refined.cell
     matrices = {name: getattr(cell, name) for name in MATRICES}
     numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
-    with replacing(path) as temporary:
-        np.savez(temporary, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps))
-        seal(temporary, LAST_LINE)
+    steps = np.array(refined.steps)
+    write_npz(path, **matrices, **asdict(cell.ports), numbers=numbers, steps=steps)
 
 
 def read_refined(path: Path) -> RefinedCell | None:
     """A cell that `write_refined` wrote; None if it is missing or damaged, which is said: it is refined again."""
     try:
-        require_intact(path, "delete it", required=True)
-        with path.open("rb") as file, np.load(file) as kept:
-            matrices = {name: kept[name] for name in MATRICES}
-            numbers = kept["numbers"]
-            ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
-            steps = tuple(kept["steps"].tolist())
-    except (KeyError, ValueError, OSError):
+        kept = read_npz(path)
+        matrices = {name: kept[name] for name in MATRICES}
+        unknowns, residual, error_estimate = kept["numbers"].tolist()
+        ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
+        steps = tuple(kept["steps"].tolist())
+    except (FileFormatError, KeyError, ValueError, TypeError):
         say_made_anew(path)
         return None
-    unknowns, residual, error_estimate = numbers.tolist()
     cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
     return RefinedCell(cell=cell, error_estimate=error_estimate, steps=steps)

@@ -14,11 +14,12 @@ from skfem import MeshTet
 from fem.bisection import bisected
 from fem.indicator import cell_sizes
 from fem.scene import Prism, Scene
-from geometry.errors import GeometryError
-from geometry.files import cache_folder, digest, replacing
+from geometry.errors import FileFormatError, GeometryError
+from geometry.files import cache_folder, digest, keep
 from geometry.layout import FloatArray
 from geometry.mesh import boundary_faces, cell_volumes, fill, outward
-from geometry.seal import LAST_LINE, require_intact, say_made_anew, seal
+from geometry.npz import read_npz, write_npz
+from geometry.seal import say_made_anew
 from geometry.surface import Surface
 
 METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
@@ -70,11 +71,9 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     path = cache_folder() / f"scene-mesh-{recipe}.npz"
     if cached and path.is_file():
         try:
-            require_intact(path, "delete it", required=True)
-            with path.open("rb") as file, np.load(file) as kept:
-                points, cells = kept["points_mm"], kept["cells"]
-            return _as_skfem(points, cells), True
-        except (KeyError, ValueError, OSError):
+            kept = read_npz(path)
+            return _as_skfem(kept["points_mm"], kept["cells"]), True
+        except (FileFormatError, KeyError):
             say_made_anew(path)
     for attempt in range(ATTEMPTS):
         try:
@@ -84,9 +83,7 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
             if attempt == ATTEMPTS - 1:
                 raise
     if cached:
-        with replacing(path) as temporary:
-            np.savez(temporary, points_mm=points, cells=cells)
-            seal(temporary, LAST_LINE)
+        keep(lambda path: write_npz(path, points_mm=points, cells=cells), path)
     return _as_skfem(points, cells), False
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from fem.plan import Plan
 from fem.solution import Field, Solution
-from geometry.files import replacing
+from geometry.files import write_bytes
+from geometry.vtk_file import vtk_content
 
 
 def solution_as_plain(solution: Solution, plan: Plan) -> dict[str, Any]:
@@ -29,5 +30,4 @@ def write_field(field: Field, path: Path) -> None:
     grid = pv.UnstructuredGrid({pv.CellType(field.cell_type): field.cells}, field.points_mm)
     grid.point_data["displacement_mm"] = field.displacement_mm
     grid.cell_data["region"] = field.region
-    with replacing(path) as temporary:
-        grid.save(temporary)
+    write_bytes(path, vtk_content(grid))

@@ -20,7 +20,7 @@ from fem.layer import layer_mean_compliance
 from fem.ports import PortModes
 from fem.whole_array import elastic_body
 from geometry.design import SensorDesign
-from geometry.files import cache_folder, digest
+from geometry.files import cache_folder, digest, keep
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
 
@@ -97,7 +97,7 @@ def response_by_cells(
     if refined is None:
         refined = _refined_cell(design, tolerance, element, seconds, progress)
         if cached:
-            write_refined(refined, path)
+            keep(lambda path: write_refined(refined, path), path)
     start = perf_counter()
     progress(f"coupling {rows} × {cols}")
     influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)

@@ -6,12 +6,13 @@ origin, z from 0 to h. Importing this module takes seconds, build123d's own.
 
 import re
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
 
 from geometry.design import SensorDesign, Unit
-from geometry.files import replacing
+from geometry.files import write_bytes
 from geometry.layout import PILLARS, pillar_ends, pillar_sections, unit_centres
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
@@ -113,10 +114,9 @@ def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
 
 def _write_step(solid: Shape, name: str, path: Path) -> None:
     solid.label = name
-    with replacing(path) as temporary:
-        export_step(solid, temporary, timestamp=STEP_TIME)
-        text = temporary.read_text(encoding="utf-8")
-        temporary.write_text(_with_own_numbering(text), encoding="utf-8")
+    step = BytesIO()  # the CAD kernel does not say when a disk is full
+    export_step(solid, step, timestamp=STEP_TIME)
+    write_bytes(path, _with_own_numbering(step.getvalue().decode()).encode())
 
 
 def _with_own_numbering(step: str) -> str:

@@ -15,3 +15,7 @@ class GeometryError(TriPillarError, ValueError):
 
 class FileFormatError(TriPillarError, ValueError):
     """A file that is truncated, foreign, or made for something else."""
+
+
+class NotWrittenError(TriPillarError, OSError):
+    """A file that could not be written: the disk is full, or its folder may not be written to."""

@@ -4,21 +4,28 @@ Every file that a stage hands over carries a *recipe*: a short hash of all that 
 whose recipe equals the wanted one need not be made again.
 """
 
+import errno
 import hashlib
 import json
+import logging
 import os
+import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from geometry.errors import FileFormatError
+from geometry.errors import FileFormatError, NotWrittenError
+from geometry.unfinished import unfinished
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: errors of a disk, a quota or a file that may not grow any more
 
 
 def digest(*parts: Any) -> str:
@@ -43,26 +50,132 @@ def digest(*parts: Any) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` on success, remove it on any failure.
+    """Give a temporary file in a hidden folder beside `path`; move it to `path` on success, remove it on any failure.
 
-    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. The
-    temporary name keeps the suffix, by which many writers choose their format.
+    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. A link is
+    followed: what it points to is replaced. The temporary file has the name of the real one.
+
+    Raises
+    ------
+    FileFormatError
+        If `path` is a folder, a device or a pipe.
+    NotWrittenError
+        If the disk is full or the folder cannot be written to.
     """
     path = Path(path)
-    if path.is_dir():
-        raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    target = require_file(path)
+    missing = [folder for folder in target.parents if not folder.exists()]
     try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes private files; give these the usual permissions
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        with _reported(path, target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with unfinished(target.parent, target.stem) as folder:
+                temporary = folder / target.name
+                temporary.touch()
+                yield temporary
+                temporary.replace(target)
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+def write_bytes(path: Path, *parts: bytes | memoryview) -> None:
+    """Write a file, whole or not at all; for writers that would crash on a full disk and write to memory instead."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        for part in parts:
+            file.write(part)
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for a while, where the system keeps such folders."""
+    with unfinished(Path(tempfile.gettempdir()), "scratch") as folder:
+        yield folder
+
+
+def require_file(path: Path) -> Path:
+    """The file that is to be written, links followed; `FileFormatError` if it is no file, `NotWrittenError` if it
+    cannot be written."""
+    target = Path(os.path.realpath(path))
+    with _reported(path, target):
+        if target.is_dir():
+            raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
+        if target.exists() and not target.is_file():
+            kind = "a pipe" if target.is_fifo() else "a socket" if target.is_socket() else "a device"
+            raise FileFormatError(f"{path} is {kind}: give the name of a file.")
+        _require_folder(path, target.parent)
+    return target
+
+
+def require_folder(path: Path) -> None:
+    """Refuse to begin what could not be written into a folder in the end; errors as of `require_file`."""
+    target = Path(os.path.realpath(path))
+    with _reported(path, target):
+        if target.exists() and not target.is_dir():
+            raise FileFormatError(f"{path} is not a folder: give the name of one, or of one to be made.")
+        _require_folder(path, target)
+
+
+def _require_folder(path: Path, folder: Path) -> None:
+    nearest = next(place for place in (folder, *folder.parents) if place.exists())
+    if not nearest.is_dir():
+        raise FileFormatError(f"{path}: {nearest} is not a folder: give another place.")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise NotWrittenError(f"{path}: {nearest} may not be written to: give another place.")
+
+
+def keep(write: Callable[[Path], None], path: Path) -> None:
+    """Write a file of the cache; where that fails one line says so, and what was computed is not lost for it."""
+    try:
+        write(path)
+    except OSError as error:
+        logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
+
+
+def explained(error: OSError, path: Path | None = None) -> str:
+    """One line about a file that could not be written, and how to mend it."""
+    named = str(path or error.filename or "standard output")
+    if error.errno == errno.EFBIG:
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        return (
+            f"{named}: the disk is full for this process, whose files may have {_size(limit)} at most (ulimit -f): "
+            "nothing was written; raise the limit."
+        )
+    if error.errno in FULL:
+        place = next((str(folder) for folder in (path or Path()).absolute().parents if folder.exists()), ".")
+        free = f" ({_size(shutil.disk_usage(place).free)} free in {place})" if path else ""
+        return f"{named}: the disk is full{free}: nothing was written; make room or give another place."
+    return f"{named}: cannot be written: {error.strerror or error}."
+
+
+@contextmanager
+def _reported(path: Path, target: Path) -> Iterator[None]:
+    """Say of which file the system speaks that refuses to write it."""
+    try:
+        yield
+    except OSError as error:
+        ours = error.errno in FULL or str(error.filename or "").startswith(str(target.parent))
+        if isinstance(error, FileFormatError | NotWrittenError) or not ours:
+            raise
+        raise NotWrittenError(explained(error, path)) from None
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e7 else f"{n_bytes / 1e3:.0f} kB"
+
+
+class _HeldBack:
+    """A handler of signals that only notes that one came."""
+
+    def __init__(self, before: Any) -> None:
+        self.before = before  #: the handler that it stands in for
+        self.came = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
 
 
 @contextmanager
@@ -70,19 +183,18 @@ def uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back until the block is done, then let it come.
 
     For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds.
-    The mesher replaces the handler, so that Ctrl-C kills while it runs; afterwards the old one is back. Does nothing
-    outside the main thread, which gets no signals.
+    Does nothing outside the main thread, which gets no signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    caught = []
-    before = signal.signal(signal.SIGINT, lambda *_: caught.append(True))
+    held = _HeldBack(signal.getsignal(signal.SIGINT))
+    signal.signal(signal.SIGINT, held)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if caught:
+        signal.signal(signal.SIGINT, held.before)
+    if held.came:
         signal.raise_signal(signal.SIGINT)  # to the handler of before
 
 

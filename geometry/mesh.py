@@ -11,18 +11,21 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.apart import apart
 from geometry.design import SensorDesign, quantity, require_numbers, require_positive
 from geometry.errors import DesignError, FileFormatError, GeometryError
-from geometry.files import cache_folder, digest, replacing, uninterrupted
+from geometry.files import cache_folder, digest, keep, scratch, write_bytes
 from geometry.layout import FloatArray, inside_pillars
-from geometry.seal import BLANK, require_intact, say_made_anew, seal
+from geometry.seal import BLANK, require_intact, say_made_anew, sealed
 from geometry.surface import Surface, check_surface
+from geometry.vtk_file import vtk_content
 
 REGIONS = ("matrix", "pillar")  #: meaning of a cell's region number
 METHOD = 1  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
@@ -93,15 +96,18 @@ def mesh_recipe(design: SensorDesign, settings: MeshSettings) -> str:
     return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
 
 
-def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, Path, bool]:
+def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
     """Mesh of a sensor, from the cache if it is there.
 
     Pillars get a region of their own only where their rubber differs from the matrix.
 
-    Returns the mesh, its file, and whether it was there already.
+    Returns the mesh, its file, and whether it was there already. The file may be missing where the cache cannot be
+    written to, unless it is `needed`.
 
     Raises
     ------
+    NotWrittenError
+        If a file that is needed cannot be written.
     GeometryError
         If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
     """
@@ -114,7 +120,10 @@ def sensor_mesh(design: SensorDesign, settings: MeshSettings) -> tuple[TetMesh, 
     except FileFormatError:
         say_made_anew(path)
     mesh = replace(_mesh_sensor(design, settings), recipe=recipe)
-    write_mesh(mesh, path)
+    if needed:
+        write_mesh(mesh, path)
+    else:
+        keep(lambda path: write_mesh(mesh, path), path)
     return mesh, path, False
 
 
@@ -229,24 +238,38 @@ def fill(
     -------
     points, shape (n, 3) [mm], and cells, shape (m, 4)
     """
-    import pytetwild
+    import pytetwild  # noqa: F401, before the copy is made: each would have to load it
 
     offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     vertices = np.vstack([surface.vertices for surface in surfaces])
     triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
     low, high = bounds(surfaces)
-    # the mesher prints, and drops a file where it stands
-    with uninterrupted(), _stdout_to_stderr(), TemporaryDirectory() as scratch, chdir(scratch):
-        points, cells = pytetwild.tetrahedralize(
-            vertices,
-            triangles.astype(np.int32),
-            edge_length_abs=float(edge_mm.max()),
-            epsilon=envelope_mm / float(np.linalg.norm(high - low)),
-            bg_vertices=np.ascontiguousarray(background_mm),
-            bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
-            bg_values=edge_mm,
-            disable_filtering=keep_outside,
+    with scratch() as folder:
+        return apart(
+            partial(
+                _tetrahedralize,
+                folder,
+                vertices,
+                triangles.astype(np.int32),
+                edge_length_abs=float(edge_mm.max()),
+                epsilon=envelope_mm / float(np.linalg.norm(high - low)),
+                bg_vertices=np.ascontiguousarray(background_mm),
+                bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
+                bg_values=edge_mm,
+                disable_filtering=keep_outside,
+            ),
+            name="the mesher",
         )
+
+
+def _tetrahedralize(
+    folder: Path, vertices: FloatArray, triangles: NDArray[np.int32], **settings: Any
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Run the mesher in a folder: it prints, drops a file where it stands, and no signal gets through to Python."""
+    import pytetwild
+
+    with _stdout_to_stderr(), chdir(folder):
+        points, cells = pytetwild.tetrahedralize(vertices, triangles, **settings)
     return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
 
 
@@ -314,9 +337,7 @@ def write_mesh(mesh: TetMesh, path: Path) -> None:
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
     grid.cell_data["region"] = mesh.region
     grid.field_data["recipe"] = [mesh.recipe]
-    with replacing(path) as temporary:
-        grid.save(temporary)
-        seal(temporary, b"<!-- " + BLANK + b" -->\n")
+    write_bytes(path, *sealed(vtk_content(grid), b"<!-- " + BLANK + b" -->\n"))
 
 
 def read_mesh(path: Path) -> TetMesh:

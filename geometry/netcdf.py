@@ -1,24 +1,48 @@
 """NetCDF files through xarray: written whole or not at all, refused in one line when damaged or foreign."""
 
+import os
 from collections.abc import Mapping
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.errors import FileFormatError
 from geometry.files import replacing, uninterrupted
-from geometry.seal import LAST_LINE, require_intact, seal
+from geometry.seal import LAST_LINE, require_intact, sealed
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
 def write_netcdf(data: "xr.Dataset", path: Path) -> None:
-    """Write a dataset as NetCDF-4 with the hash of its content, whole or not at all."""
+    """Write a dataset as NetCDF-4 with the hash of its content, whole or not at all.
+
+    Room is made sure of first: on a full disk the library fails without a reason, and may crash on closing the file.
+    """
     no_fill = {name: {"_FillValue": None} for name in data.variables}
     with replacing(path) as temporary:
-        with uninterrupted():
-            data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
-        seal(temporary, LAST_LINE)
+        _require_room(temporary, data.nbytes)
+        try:
+            with uninterrupted():
+                data.to_netcdf(temporary, engine="netcdf4", encoding=no_fill)
+        except (RuntimeError, OSError):
+            _require_room(temporary, data.nbytes + 100_000)  # with names and notes
+            raise
+        with (
+            temporary.open("rb") as file,
+            mmap(file.fileno(), 0, access=ACCESS_READ) as mapped,
+            memoryview(mapped) as content,
+        ):
+            _, last = sealed(content, LAST_LINE)
+        with temporary.open("ab") as end:
+            end.write(last)
+
+
+def _require_room(path: Path, n_bytes: int) -> None:
+    """Raise the error of a full disk if so much cannot be written."""
+    if hasattr(os, "posix_fallocate"):
+        with path.open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, n_bytes)
 
 
 def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str) -> "xr.Dataset":

@@ -1,6 +1,6 @@
 """A hash of a file's content that the file states itself, so that damage is refused before any library parses it.
 
-Binary files hold `BLANK`, in a header or behind their end where their format allows it; `seal` writes the SHA-256 of
+Binary files hold `BLANK`, in a header or behind their end where their format allows it; `sealed` puts the SHA-256 of
 all other bytes into it. NetCDF and zip readers pass over a last line, programs that edit or copy a NetCDF file drop it:
 whoever changes data on purpose gets a file that states none. JSON objects state the hash of their other entries under
 `KEY`, however they are laid out.
@@ -23,13 +23,13 @@ LAST_LINE = b"\n" + BLANK + b"\n"
 _HEADER, _TAIL = 1 << 20, 200  #: bytes in which a seal is looked for, from the start and from the end
 
 
-def seal(path: Path, last: bytes = b"") -> None:
-    """Append `last` to a file and write the hash into the `BLANK` that the file holds or `last` does."""
-    with path.open("ab") as file:
-        file.write(last)
-    with path.open("r+b") as whole, mmap(whole.fileno(), 0) as content:
-        at = _seal_at(content)
-        content[at : at + 64] = _hash(content, at)
+def sealed(content: bytes | memoryview, last: bytes = b"") -> tuple[bytes | memoryview, bytes]:
+    """The content of a file and its last bytes, with the hash in the `BLANK` that `last` holds or else the content."""
+    if last:
+        before, _, after = last.partition(BLANK)
+        return content, before + MARK + _hash(content, before + MARK, after) + after
+    at = bytes(content[:_HEADER]).index(BLANK) + len(MARK)
+    return b"".join((content[:at], _hash(content[:at], content[at + 64 :]), content[at + 64 :])), b""
 
 
 def require_intact(path: Path, mend: str, required: bool = False) -> None:
@@ -42,7 +42,8 @@ def require_intact(path: Path, mend: str, required: bool = False) -> None:
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
             at = _seal_at(content)
             if at >= 0:
-                stated, found = content[at : at + 64], _hash(content, at)
+                with memoryview(content) as view, view[:at] as before, view[at + 64 :] as after:
+                    stated, found = content[at : at + 64], _hash(before, after)
     except OSError:
         return
     except ValueError:
@@ -86,11 +87,10 @@ def _seal_at(content: mmap) -> int:
     return at + len(MARK) if 0 <= at <= len(content) - len(BLANK) else -1
 
 
-def _hash(content: mmap, at: int) -> bytes:
-    """Of all bytes but the 64 from `at` on."""
-    with memoryview(content) as view, view[:at] as before, view[at + 64 :] as after:
-        sha = hashlib.sha256(before)
-        sha.update(after)
+def _hash(*parts: bytes | memoryview) -> bytes:
+    sha = hashlib.sha256()
+    for part in parts:
+        sha.update(part)
     return sha.hexdigest().encode()
 
 

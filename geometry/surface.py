@@ -115,5 +115,5 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
 
 def write_surface(surface: Surface, path: Path) -> None:
     """Write a surface as STL (binary, single precision) or OBJ (text), by the suffix; whole or not at all."""
-    with replacing(path) as temporary:
-        _as_trimesh(surface).export(temporary)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        _as_trimesh(surface).export(file, file_type=path.suffix[1:])

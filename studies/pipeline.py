@@ -151,7 +151,7 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh the sensor and judge the mesh."""
     start = perf_counter()
     advance = bars.begin("mesh", total=1)
-    mesh, path, reused = sensor_mesh(design, suited_settings(design))
+    mesh, path, reused = sensor_mesh(design, suited_settings(design), needed=True)
     shape = quality(mesh)
     note = (
         f"{shape.cells} tetrahedra, scaled Jacobian {shape.worst_scaled_jacobian:.2f} at worst, "
@@ -168,7 +168,8 @@ def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None 
     response, path, reused = array_response(design, settings, lambda step: advance(0, step))
     note = response_note(response)
     advance(1, "reused" if reused else note)
-    return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=(path,), note=note), response
+    kept = (path,) if path.exists() else ()
+    return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=kept, note=note), response
 
 
 def response_note(response: ArrayResponse) -> str:

@@ -129,7 +129,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path, words, said):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is sent to a process group, which is POSIX")
-def test_ctrl_c_ends_workers_too_and_prints_nothing_of_them(tmp_path):
+def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
     """As a terminal sends it: to the command and to the processes that it started, while their libraries load."""
     house = House(tmp_path)
     made = ("dataset", "--protocol", "contact-fz", "--samples", "200", "--design", "small.toml")
@@ -142,7 +142,7 @@ def test_ctrl_c_ends_workers_too_and_prints_nothing_of_them(tmp_path):
             time.sleep(0.01)
         os.killpg(process.pid, signal.SIGINT)
         _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (130, "")
+    assert (process.returncode, said) == (130, "tripillar: interrupted.\n")
     end_s = time.monotonic() + 10
     while processes_of_group(process.pid) and time.monotonic() < end_s:
         time.sleep(0.1)

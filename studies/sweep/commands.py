@@ -1,7 +1,7 @@
 """The commands of design sweeps; `tripillar.py` adds them to its own."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +11,7 @@ import typer
 
 from geometry.errors import DesignError
 from studies.console import STUDYING, JsonOption, VerbosityOption, progress_bars, say, show_json, wrote
+from studies.interrupts import last_words
 
 if TYPE_CHECKING:
     from studies.progress import Bars
@@ -155,14 +156,9 @@ def chosen(file: Path, train: bool) -> "Sweep":
     return replace(asked, judging=replace(asked.judging, train=train))
 
 
-@contextmanager
-def stoppable(folder: Path) -> Iterator[None]:
+def stoppable(folder: Path) -> AbstractContextManager[None]:
     """On Ctrl-C say that what is done is kept."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        say(f"stopped; the rows in {folder} are kept: give the same command again to go on.")
-        raise
+    return last_words(f"stopped; the rows in {folder} are kept: give the same command again to go on.")
 
 
 def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:

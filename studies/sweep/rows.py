@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geometry.files import replacing
+from geometry.files import replacing, write_bytes
 from geometry.layout import AXES, PILLARS
 from geometry.netcdf import write_netcdf
 from geometry.seal import opened_json, say_made_anew, sealed_json
@@ -80,8 +80,9 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
     schema = pa.schema(
         [pa.field(name, types.get(name, pa.float64()), metadata=_column_notes(name)) for name in flat(rows[0])]
     )
-    with replacing(path) as temporary:
-        pq.write_table(pa.Table.from_pylist([flat(row) for row in rows], schema=schema), temporary)
+    content = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pylist([flat(row) for row in rows], schema=schema), content)
+    write_bytes(path, content.getvalue().to_pybytes())
 
 
 def _column_notes(name: str) -> dict[str, str]:

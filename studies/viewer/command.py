@@ -98,7 +98,11 @@ def view(
         typer.Option("--colour", "--color", help="Quantity shown as colour."),
     ] = "displacement",
     scale: Annotated[
-        str, typer.Option(metavar="true|FACTOR|auto", help="Factor of the displacement as drawn.")
+        str,
+        typer.Option(
+            metavar="true|FACTOR|auto",
+            help="Factor of the displacement as drawn: true is 1, auto one that shows it well.",
+        ),
     ] = "true",
     camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Direction to look from.")] = "iso",
     save: Annotated[

@@ -1,9 +1,10 @@
 """A picture as a file: PNG, a page, a film, or parts with their fields for ParaView."""
 
+import os
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pyvista as pv
@@ -11,7 +12,9 @@ import pyvista as pv
 from fem.deformed import Parts
 from fem.figures import DeformedPicture, Medium, grid_of
 from fem.stress import pressure, von_mises
-from geometry.files import replacing
+from geometry.errors import NotWrittenError
+from geometry.files import replacing, scratch, write_bytes
+from geometry.vtk_file import vtk_content
 from studies.viewer.saved_page import own_page
 
 FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those of them that hold the whole load, and how many a second
@@ -56,12 +59,24 @@ def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     """Write an MP4 of the load rising from nothing; `done` is called after each frame."""
     import imageio
 
-    with replacing(path) as temporary, imageio.get_writer(temporary, fps=RATE, quality=8) as film:
-        for share in np.linspace(0.0, 1.0, FRAMES - HELD).tolist() + HELD * [1.0]:
-            picture.press(share)
-            picture.plotter.render()  # a screenshot alone takes the last picture again
-            film.append_data(picture.plotter.screenshot(return_img=True))
-            done()
+    with scratch() as folder:
+        made = folder / path.name
+        try:
+            with imageio.get_writer(made, fps=RATE, quality=8) as film:
+                for share in np.linspace(0.0, 1.0, FRAMES - HELD).tolist() + HELD * [1.0]:
+                    picture.press(share)
+                    picture.plotter.render()  # a screenshot alone takes the last picture again
+                    film.append_data(picture.plotter.screenshot(return_img=True))
+                    done()
+            content = made.read_bytes()
+        except OSError:  # ffmpeg's own page about it
+            content = b""
+        if b"moov" not in content:  # the table that ffmpeg writes last of all
+            raise NotWrittenError(
+                f"{path}: ffmpeg could not write the film in {folder.parent}: is that disk full, or the size of files "
+                "limited (ulimit -f)? Make room or set TMPDIR."
+            )
+    write_bytes(path, content)
 
 
 def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
@@ -69,14 +84,30 @@ def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
     blocks = pv.MultiBlock({name: pv.MultiBlock(_datasets(parts)) for name, parts in panels.items()})
     if len(panels) == 1:
         blocks = blocks[0]
-    folder = path.with_suffix("")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.stem}-") as temporary:
-        blocks.save(Path(temporary) / path.name)
+    with replacing(path) as temporary:
+        folder = Path(os.path.realpath(path)).with_suffix("")
+        parts = temporary.parent / "parts"
+        parts.mkdir()
+        index = ElementTree.Element("VTKFile", type="vtkMultiBlockDataSet", version="1.0")
+        _write_blocks(blocks, ElementTree.SubElement(index, "vtkMultiBlockDataSet"), parts, folder.name)
+        temporary.write_bytes(ElementTree.tostring(index, xml_declaration=True))
         if folder.exists():
             shutil.rmtree(folder)
-        (Path(temporary) / folder.name).replace(folder)
-        (Path(temporary) / path.name).replace(path)
+        parts.replace(folder)
+
+
+def _write_blocks(blocks: pv.MultiBlock, parent: ElementTree.Element, parts: Path, folder: str) -> None:
+    """Write each grid as a file into `parts` and its name, as one in `folder`, under the XML element `parent`."""
+    for number, name in enumerate(blocks.keys()):
+        block = blocks[number]
+        if isinstance(block, pv.MultiBlock):
+            inner = ElementTree.SubElement(parent, "Block", index=str(number), name=str(name))
+            _write_blocks(block, inner, parts, folder)
+        else:
+            kind = "vtp" if isinstance(block, pv.PolyData) else "vtu"
+            file = parts / f"{len(list(parts.iterdir()))}.{kind}"
+            file.write_bytes(vtk_content(block))
+            ElementTree.SubElement(parent, "DataSet", index=str(number), name=str(name), file=f"{folder}/{file.name}")
 
 
 def _datasets(parts: Parts) -> dict[str, pv.DataSet]:

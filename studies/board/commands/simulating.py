@@ -63,7 +63,7 @@ def simulate(
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets.")] = 0,
     serial: Annotated[int, typer.Option(help="Serial number of the board.")] = 0,
     seconds: SecondsOption = math.inf,
-    truth: Annotated[Path | None, typer.Option(help="NetCDF file to write the true forces of one period to.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="NetCDF file to write: the true forces of one period.")] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,

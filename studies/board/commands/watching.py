@@ -67,7 +67,9 @@ def live(
     model: ModelOption,
     calibration: CalibrationOption = None,
     seconds: SecondsOption = math.inf,
-    rate: Annotated[int | None, typer.Option(help="Number of scans a second to ask the board for.")] = None,
+    rate: Annotated[
+        int | None, typer.Option(help="Number of scans a second to ask the board for; default: its own.")
+    ] = None,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
     json_: LinesOption = False,

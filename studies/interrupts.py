@@ -1,0 +1,107 @@
+"""Ctrl-C and a termination: the process ends at any moment within two seconds, in one line, and leaves nothing behind.
+
+It ends itself instead of raising an exception: libraries swallow those (`except BaseException` while they load), crash
+when one passes through them, or compute on for minutes. A thread that waits for nothing else does it where compiled
+code runs. Only the commands of a board and the served page, which end so every day, take Ctrl-C themselves.
+
+This is loaded before anything else: standard library only.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, NoReturn
+
+GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: processes started by others warn of what their parent left to them when it was killed, and remove it
+_SILENT = "ignore:resource_tracker:UserWarning"
+
+_rung: list[int] = []  #: the end of a pipe that wakes the thread
+_ending = threading.Lock()
+_last_words = ["interrupted."]
+
+
+def install() -> None:
+    """Take the signals over, once."""
+    if _rung or threading.current_thread() is not threading.main_thread():
+        return
+    warnings = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = f"{warnings},{_SILENT}" if warnings else _SILENT
+    heard, rung = os.pipe()
+    os.set_blocking(rung, False)
+    _rung.append(rung)
+    for number in SIGNALS:
+        signal.signal(number, _end)
+    signal.set_wakeup_fd(rung, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(heard,), daemon=True, name="Ctrl-C").start()
+
+
+def leave_to_finish() -> None:
+    """Ignore signals from now on: all is done, only the interpreter is to be closed."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def last_words(said: str) -> Iterator[None]:
+    """What is said if the process is interrupted meanwhile."""
+    _last_words.append(said)
+    try:
+        yield
+    finally:
+        _last_words.pop()
+
+
+def _end(number: int, _: FrameType | None = None) -> NoReturn:
+    if not _ending.acquire(blocking=False):
+        time.sleep(60)  # the other thread is at it
+    unfinished = sys.modules.get("geometry.unfinished")
+    if unfinished is not None:
+        unfinished.remove_unfinished()
+    _end_children()
+    shown_again = "\x1b[?25h\n" if os.isatty(2) else ""  # the cursor, which bars hide
+    with suppress(OSError):  # nobody reads any more
+        os.write(2, f"{shown_again}tripillar: {_last_words[-1]}\n".encode())
+    os._exit(128 + number)
+
+
+def _watch(heard: int) -> None:
+    """End the process where its main thread does not come to it."""
+    while True:
+        number = os.read(heard, 1)[0]
+        if number not in SIGNALS:
+            continue
+        handler: Any = signal.getsignal(number)
+        end_s = time.monotonic() + GRACE_S
+        while hasattr(handler, "before") and time.monotonic() < end_s:  # held back
+            time.sleep(0.02)
+            handler = signal.getsignal(number)
+        while hasattr(handler, "before"):
+            handler = handler.before
+        if handler is _end:
+            _end(number)
+
+
+def _end_children() -> None:
+    """Kill what this process started; remove what Intel's OpenMP keeps of each in shared memory."""
+    try:
+        import psutil
+
+        children = psutil.Process().children(recursive=True)
+    except Exception:  # such as an import of the main thread's that is half done
+        children = []
+    ended = [os.getpid()]
+    for child in children:
+        with suppress(psutil.Error):
+            if not any("resource_tracker" in word for word in child.cmdline()):  # it removes what the others left
+                child.kill()
+                ended.append(child.pid)
+    for number in ended:
+        with suppress(OSError):
+            os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
