@@ -96,26 +96,38 @@ def draw_electrode_grid(
         force = (np.asarray(traction_mpa) * design.pad.size_mm**2).reshape(shape)
         moved = np.tensordot(response.influence_mm_per_n[:, :, 0], force, axes=3)
     now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
-    figure = Figure(figsize=(8.0, 5.2), layout="constrained")
-    axes = figure.add_subplot(projection="3d")
+    wide = 7.6 if traction_mpa is None else 9.2  # inches, with room for the colour bar
+    figure = Figure(figsize=(wide, 5.4))
+    axes = figure.add_axes((0.0, -0.12, 7.0 / wide, 1.26), projection="3d", computed_zorder=False)
+    for at in rest.reshape(-1, 3):  # a stem down to the base shows how high each one is
+        axes.plot(*np.array([at, at * (1, 1, 0)]).T, color="#b9c2ca", linewidth=0.8, zorder=1)
     for lines in (now, now.swapaxes(0, 1)):
         for line in lines:
-            axes.plot(*line.T, color="#5f7486", linewidth=1)
-    axes.scatter(*rest.reshape(-1, 3).T, s=26, facecolors="none", edgecolors="black", label="at rest", depthshade=False)
+            axes.plot(*line.T, color="#33658a", linewidth=1.6, zorder=2)
+    axes.scatter(
+        *rest.reshape(-1, 3).T, s=52, facecolors="white", edgecolors="black", linewidths=1.4, label="at rest",
+        depthshade=False, zorder=3,
+    )  # fmt: skip
     if traction_mpa is not None:
         dots = axes.scatter(
-            *now.reshape(-1, 3).T, c=far.ravel(), s=30, cmap="viridis", vmin=0.0, label="loaded", depthshade=False
-        )
-        bar = figure.colorbar(dots, ax=axes, shrink=0.6, pad=0.1)
-        bar.set_label("displacement of the electrode [mm]")
+            *now.reshape(-1, 3).T, c=far.ravel(), s=52, cmap="viridis", vmin=0.0, label="loaded", depthshade=False,
+            zorder=4,
+        )  # fmt: skip
+        bar = figure.colorbar(dots, cax=figure.add_axes((0.86, 0.22, 0.025, 0.6)))
+        bar.set_label("displacement of the electrode [mm]", fontsize=13)
+        bar.ax.tick_params(labelsize=12)
         times = "" if scale == 1 else f", displacement drawn {scale:g} times"
-        axes.legend(loc="upper left", title=f"electrodes U1{times}", frameon=False)
+        figure.legend(loc="upper left", title=f"electrodes U1{times}", frameon=False, fontsize=12, title_fontsize=13)
     reach = np.abs(np.concatenate([rest, now])[..., :2]).max() * 1.05
     low = min(0.0, float(now[..., 2].min()))
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    axes.set_box_aspect((1, 1, 0.35), zoom=1.05)  # more would cut the corners off
-    axes.view_init(elev=24, azim=-58)
+    axes.set_zticks([0, height / 2, height])
+    axes.set_xlabel("x [mm]", fontsize=13, labelpad=14)
+    axes.set_ylabel("y [mm]", fontsize=13, labelpad=10)
+    axes.set_zlabel("z [mm]", fontsize=13, labelpad=2)
+    axes.tick_params(labelsize=12)
+    axes.set_box_aspect((1, 1, 0.35), zoom=0.97)
+    axes.view_init(elev=30, azim=-58)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=160)
 
