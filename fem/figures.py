@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyvista as pv
@@ -98,7 +98,7 @@ def draw_electrode_grid(
     now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
     wide = 7.6 if traction_mpa is None else 9.2  # inches, with room for the colour bar
     figure = Figure(figsize=(wide, 5.4))
-    axes = figure.add_axes((0.0, -0.12, 7.0 / wide, 1.26), projection="3d", computed_zorder=False)
+    axes: Any = figure.add_axes((0.0, -0.12, 7.0 / wide, 1.26), projection="3d", computed_zorder=False)
     for at in rest.reshape(-1, 3):  # a stem down to the base shows how high each one is
         axes.plot(*np.array([at, at * (1, 1, 0)]).T, color="#b9c2ca", linewidth=0.8, zorder=1)
     for lines in (now, now.swapaxes(0, 1)):

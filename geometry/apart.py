@@ -1,5 +1,6 @@
 """Compiled code that may crash, or does not let Ctrl-C through, in a process of its own."""
 
+import ctypes
 import os
 import pickle
 import signal
@@ -12,6 +13,7 @@ from typing import Any, NoReturn, TypeVar
 from geometry.errors import GeometryError
 
 T = TypeVar("T")
+PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
 def apart(function: Callable[..., T], *arguments: Any, name: str) -> T:
@@ -63,6 +65,8 @@ def apart(function: Callable[..., T], *arguments: Any, name: str) -> T:
 def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], writer: int) -> NoReturn:
     """In the copy: leave Ctrl-C to the original, hand over what came out, and end without any tidying up."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it ends with the original, however that is killed
     code = 1
     try:
         try:

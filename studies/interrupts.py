@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
+TIDY_S = 0.4  #: left to processes started by this one to remove what they were writing
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 #: processes started by others warn of what their parent left to them when it was killed, and remove it
 _SILENT = "ignore:resource_tracker:UserWarning"
@@ -48,6 +49,11 @@ def leave_to_finish() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
+def ending() -> bool:
+    """Whether the process is about to end: whoever starts processes anew must not, now."""
+    return _ending.locked()
+
+
 @contextmanager
 def last_words(said: str) -> Iterator[None]:
     """What is said if the process is interrupted meanwhile."""
@@ -61,13 +67,14 @@ def last_words(said: str) -> Iterator[None]:
 def _end(number: int, _: FrameType | None = None) -> NoReturn:
     if not _ending.acquire(blocking=False):
         time.sleep(60)  # the other thread is at it
+    _end_children()
     unfinished = sys.modules.get("geometry.unfinished")
     if unfinished is not None:
         unfinished.remove_unfinished()
-    _end_children()
     shown_again = "\x1b[?25h\n" if os.isatty(2) else ""  # the cursor, which bars hide
     with suppress(OSError):  # nobody reads any more
-        os.write(2, f"{shown_again}tripillar: {_last_words[-1]}\n".encode())
+        if not _is_worker():
+            os.write(2, f"{shown_again}tripillar: {_last_words[-1]}\n".encode())
     os._exit(128 + number)
 
 
@@ -88,20 +95,29 @@ def _watch(heard: int) -> None:
             _end(number)
 
 
+def _is_worker() -> bool:
+    """Whether another of our processes started this one: that one has the word."""
+    multiprocessing = sys.modules.get("multiprocessing.process")
+    return multiprocessing is not None and multiprocessing.parent_process() is not None
+
+
 def _end_children() -> None:
-    """Kill what this process started; remove what Intel's OpenMP keeps of each in shared memory."""
+    """End what this process started; remove what Intel's OpenMP keeps of each in shared memory."""
     try:
         import psutil
 
         children = psutil.Process().children(recursive=True)
     except Exception:  # such as an import of the main thread's that is half done
         children = []
-    ended = [os.getpid()]
+    ended = []
     for child in children:
         with suppress(psutil.Error):
             if not any("resource_tracker" in word for word in child.cmdline()):  # it removes what the others left
-                child.kill()
-                ended.append(child.pid)
-    for number in ended:
+                child.terminate()
+                ended.append(child)
+    for child in psutil.wait_procs(ended, timeout=TIDY_S)[1] if ended else []:
+        with suppress(psutil.Error):
+            child.kill()
+    for number in (os.getpid(), *(child.pid for child in ended)):
         with suppress(OSError):
             os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")

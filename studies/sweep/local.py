@@ -4,14 +4,13 @@ import os
 import signal
 import sys
 import tempfile
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker
+from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker, util
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
 from threading import Thread
 from time import monotonic
 from types import TracebackType
@@ -20,7 +19,9 @@ from typing import Any, Self
 import psutil
 
 from decoupler.crossval import deaf_to_interrupts, one_thread_each
-from geometry.files import cache_folder
+from geometry.files import cache_folder, scratch
+from geometry.unfinished import remove_at_end
+from studies import interrupts
 from studies.sweep.judge import failed_row, row_of
 from studies.sweep.rows import Row
 from studies.sweep.sampling import Sample
@@ -63,8 +64,7 @@ class LocalWorkers:
     def __enter__(self) -> Self:
         self._log.parent.mkdir(parents=True, exist_ok=True)
         self._log.touch()
-        scratch = TemporaryDirectory(prefix="tripillar-sweep-", ignore_cleanup_errors=True)
-        self._scratch = self._stack.enter_context(scratch)
+        self._scratch = self._stack.enter_context(scratch())
         self._stack.enter_context(one_thread_each())
         for _ in range(self.count):
             Thread(target=self._attend, daemon=True).start()
@@ -118,6 +118,8 @@ class LocalWorkers:
                         worker = worker or self._start()
                         outcome = self._outcome(worker, sample, judging)
                     except WorkerLost as error:
+                        if interrupts.ending():
+                            return
                         worker = None
                         lost.append(error)
                         self._losses.append(str(error))
@@ -133,8 +135,9 @@ class LocalWorkers:
         context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
         if context.get_start_method() == "forkserver":
             context.set_forkserver_preload(["__main__", __name__, "xarray", "netCDF4"])
+            remove_at_end(Path(util.get_temp_dir()))  # where the server's socket will be
         ours, theirs = context.Pipe()
-        environment = {"TRIPILLAR_CACHE": str(cache_folder().absolute()), "TMPDIR": self._scratch}
+        environment = {"TRIPILLAR_CACHE": str(cache_folder().absolute()), "TMPDIR": str(self._scratch)}
         process = context.Process(target=_serve, args=(theirs, self._log.absolute(), environment), daemon=True)
         try:
             process.start()
@@ -151,7 +154,7 @@ class LocalWorkers:
         try:
             worker.pipe.send((sample, judging))
             while not worker.pipe.poll(LOOK_S):
-                if psutil.Process(worker.process.pid).memory_info().rss > self._memory_bytes:
+                if _memory_bytes(worker.process) > self._memory_bytes:
                     raise self._lost(worker, f"took more than {self._memory_bytes / 2**30:.1f} GiB")
                 if monotonic() - begun > LIMIT_S:
                     raise self._lost(worker, f"took more than {LIMIT_S:.0f} s")
@@ -160,8 +163,10 @@ class LocalWorkers:
         except (EOFError, ConnectionError, psutil.NoSuchProcess):
             worker.process.join(1.0)
             code = worker.process.exitcode or 0
-            why = f"ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-            raise self._lost(worker, why, killed=-code in (signal.SIGKILL, signal.SIGTERM)) from None
+            number = -code if code < 0 else code - 128
+            by_signal = number in signal.valid_signals()
+            why = f"ended by {signal.Signals(number).name}" if by_signal else f"ended with exit code {code}"
+            raise self._lost(worker, why, killed=number in (signal.SIGKILL, signal.SIGTERM)) from None
 
     def _lost(self, worker: "_Worker", why: str, killed: bool = False) -> WorkerLost:
         worker.process.kill()
@@ -176,9 +181,19 @@ class _Worker:
     pipe: Connection
 
 
+def _memory_bytes(process: BaseProcess) -> int:
+    """What a worker and its mesher, a process of its own, take."""
+    worker = psutil.Process(process.pid)
+    taken: int = worker.memory_info().rss
+    for child in worker.children():
+        with suppress(psutil.NoSuchProcess):
+            taken += child.memory_info().rss
+    return taken
+
+
 def _serve(pipe: Connection, log: Path, environment: dict[str, str]) -> None:
     """What a worker does: take designs from its pipe, return their rows, until it is ended or its parent is gone."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # files half-written are removed
+    interrupts.install()  # to remove half-written files when it is ended
     Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(environment)
     tempfile.tempdir = None  # it is looked up once, and that was before
