@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from decoupler.decoupler import Decoupler
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
-from hardware.calibration import Electronics, SensorCalibration, read_calibration
+from hardware.calibration import SensorCalibration, read_calibration
 from hardware.correction import Corrector
 from hardware.crossbar import Crossbar
 from hardware.live import ForceReader, Forces
@@ -117,15 +117,13 @@ def ended_by_signal() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def mean_resistances(scanner: Scanner, electronics: Electronics, seconds: float) -> tuple[FloatArray, float]:
-    """`averaged` of the scans of some seconds from now.
+def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
+    """Counts of the scans of some seconds from now, (n, n_crossings).
 
     Raises
     ------
     ScannerError
-        If no scan comes.
-    FileFormatError
-        As `averaged` does.
+        If no scan comes, or the board is lost meanwhile.
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
@@ -134,9 +132,10 @@ def mean_resistances(scanner: Scanner, electronics: Electronics, seconds: float)
         scan = scanner.get(timeout=min(BATCH_S, left_s))
         if scan is not None:
             taken.append(scan.frame.counts)
-    if not taken:
-        raise ScannerError(f"no scan within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
-    return averaged(np.array(taken), electronics.crossbar(scanner.info))
+    if not taken or scanner.trouble:
+        came = f"{len(taken)} scans" if taken else "no scan"
+        raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
+    return np.array(taken)
 
 
 def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:

@@ -12,6 +12,7 @@ from studies.board.commands.options import (
     TIMEOUT_S,
     BaudOption,
     CalibrationOption,
+    ForceOption,
     LineOption,
     PortArgument,
     SwitchOption,
@@ -35,19 +36,24 @@ def tare(
     seconds: Annotated[float, typer.Option(help="Time to average over [s].")] = 2.0,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
+    force: ForceOption = False,
     json_: JsonOption = False,
 ) -> None:
     """Zero a sensor: take what it shows now, with nothing on it, as its rest."""
     import numpy as np
 
     from hardware.calibration import write_calibration
-    from studies.board.session import board_on, mean_resistances
+    from studies.board.session import averaged, board_on, counts_within
+    from studies.board.stillness import require_still
 
     require_positive(seconds=seconds, timeout=timeout)
     require_unused(out, calibration)
     with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
         electronics = electronics_of(known.electronics, switch_ohm, line_ohm)
-        measured_ohm, noise = mean_resistances(scanner, electronics, seconds)
+        crossbar, counts = electronics.crossbar(scanner.info), counts_within(scanner, seconds)
+        if not force:
+            require_still(counts, crossbar, scanner.info.rate_hz, seconds)
+        measured_ohm, noise = averaged(counts, crossbar)
         tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
     write_calibration(tared, out)
     if json_:
@@ -82,6 +88,7 @@ def calibrate(
     seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
+    force: ForceOption = False,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
@@ -103,14 +110,14 @@ def calibrate(
     known = None if calibration is None else read_calibration(calibration).electronics
     electronics = electronics_of(known, switch_ohm, line_ohm)
     if not Path(port).is_file():
-        pairs = measured_live(port, loads, sensor, electronics, seconds, baud=baud, timeout=timeout)
+        pairs = measured_live(port, loads, sensor, electronics, seconds, force, baud=baud, timeout=timeout)
     elif loads is not None:
-        pairs = measured_in_recording(Path(port), loads, sensor, electronics)
+        pairs = measured_in_recording(Path(port), loads, sensor, electronics, force)
     else:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     with progress_bars(verbosity) as bars:
         _, solved = respond(sensor, bars)
-    found, residual = calibrated(pairs, solved, electronics, noise)
+    found, residual = calibrated(pairs, solved, electronics, noise, force)
     write_calibration(found, out)
     figures = {
         "loads": len(pairs.names),

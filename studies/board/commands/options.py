@@ -24,6 +24,9 @@ SecondsOption = Annotated[
 BaudOption = Annotated[int, typer.Option("--baud", help="Speed of the serial port [bit/s].")]
 TimeoutOption = Annotated[float, typer.Option("--timeout", help="Time to wait for the board's answer [s].")]
 LinesOption = Annotated[bool, typer.Option("--json", help="Print one JSON object a line on stdout, for pipes.")]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Write the file even if the readings cannot be what they should be.")
+]
 SwitchOption = Annotated[
     float | None, typer.Option("--switch-ohm", help="Resistance of a closed switch [Ω]; default: 25.")
 ]

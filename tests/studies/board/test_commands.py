@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from dataset.imperfections import Imperfections
-from hardware.calibration import read_calibration
+from hardware.calibration import SensorCalibration, read_calibration
 from hardware.recording import read_recording
 from hardware.simavr_board import find_tools
 from tests.house import House
@@ -231,17 +231,43 @@ def test_nobody_at_the_sensor_calibrates_nothing(house, port):
 
 
 def test_typed_weights_calibrate_and_nonsense_is_asked_again(house):
+    """Nothing lies on the simulated sensor, whatever is typed: that is refused, and taken only by force."""
+    command = [
+        sys.executable,
+        "-m",
+        "tripillar",
+        "calibrate",
+        "--weights",
+        "--design",
+        "small.toml",
+        "-o",
+        "typed.json",
+    ]
     with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
-        command = [sys.executable, "-m", "tripillar", "calibrate", port, "--weights", "--design", "small.toml"]
-        done = subprocess.run(
-            [*command, "-o", "typed.json", "--seconds", "0.3", "--json", "-q"], input="\nspam\n0 0 0\n\n",
-            cwd=house.folder, env=house.environment, capture_output=True, text=True,
+        refused, forced = (
+            subprocess.run(
+                [*command, port, "--seconds", "0.3", "--json", "-q", *flags], input="\nspam\n0 0 9000\n\n",
+                cwd=house.folder, env=house.environment, capture_output=True, text=True,
+            )
+            for flags in ([], ["--force"])
         )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "'spam' is no weight" in done.stderr
-    told = json.loads(done.stdout)
-    assert told["loads"] == 2
-    assert 0.85 < told["gain"][0] < told["gain"][1] < 1.15
+    assert refused.returncode == 2
+    assert "load '0 0 9000' changed the resistances 0" in refused.stderr.splitlines()[-1]
+    assert forced.returncode == 0, forced.stderr
+    assert "'spam' is no weight" in forced.stderr
+    assert json.loads(forced.stdout)["loads"] == 2
+
+
+def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
+    """The script presses and slides every 2 s; the calibration that is to be tared stays as it was."""
+    (house.folder / "kept.json").write_text(SensorCalibration.as_designed(1, 2).to_json())
+    before = (house.folder / "kept.json").read_bytes()
+    said = house.refusal("tare", port, "--calibration", "kept.json", "-o", "kept.json", *WHOLE_SECOND)
+    assert "the sensor moves: pillar " in said
+    assert "--force" in said
+    assert (house.folder / "kept.json").read_bytes() == before
+    house.result("tare", port, "--calibration", "kept.json", "-o", "kept.json", "--force", *WHOLE_SECOND)
+    assert read_calibration(house.folder / "kept.json").rest_ohm is not None
 
 
 def test_bench_measures_the_link(house, port):
