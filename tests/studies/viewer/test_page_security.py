@@ -15,33 +15,11 @@ from contextlib import asynccontextmanager, suppress
 import aiohttp
 import pytest
 
-from fem.array_field import array_field
-from fem.array_response import array_response
-from geometry.design import Array, SensorDesign
 from studies.viewer.page import serving
-from studies.viewer.page.page import Subject
-from studies.viewer.page.sensing import SensorModel
 from studies.viewer.page.serving import MOST_BROWSERS, MOST_BYTES, Server
 from studies.viewer.page.session import BURST_S, MOST_A_SECOND
-from studies.viewer.page.superposition import Superposition
 
-DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 PATIENT_S = 20.0  # for a busy machine
-
-
-class Echo:
-    """No decoupler: the forces are the resistances."""
-
-    name = "nothing"
-
-    def forces(self, resistance_ohm):
-        return resistance_ohm
-
-
-@pytest.fixture(scope="module")
-def subject():
-    response, _, _ = array_response(DESIGN)
-    return Subject(loads=Superposition(array_field(DESIGN)), sensor=SensorModel(response), source=Echo())
 
 
 @pytest.fixture(autouse=True)
