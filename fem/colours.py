@@ -14,7 +14,7 @@ from geometry.layout import FloatArray
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 
 MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
-ROOM = 0.1  #: of a scale, that a label takes
+ROOM = 0.15  #: of a scale, that a label takes
 SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
 BELOW = ("#053061", "#3f8ec0", "#ffffff")  #: from the least value to 0
 ABOVE = ("#ffffff", "#d6604d", "#67001f")  #: from 0 to the largest

@@ -49,6 +49,17 @@ def directions(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return right, up
 
 
+def unit_names(rows: int, cols: int, pitch_mm: float) -> pv.PolyData:
+    """Names of an array's rows and columns as numbered in files, on the ground right of it and before it."""
+    letter = LETTER * pitch_mm * max(rows, cols)
+    x, y = (pitch_mm * (np.arange(n) - (n - 1) / 2) for n in (cols, rows))
+    right, up = directions("iso")
+    edge, front = pitch_mm * cols / 2, -pitch_mm * rows / 2
+    places = [(f"col {j}" if j == 0 else f"{j}", (at, front - 1.2 * letter)) for j, at in enumerate(x)]
+    places += [(f"row {i}" if i == 0 else f"{i}", (edge + 1.6 * letter, at)) for i, at in enumerate(y)]
+    return pv.merge([_word(text, np.array([*place, 0.0]), letter, right, up) for text, place in places])
+
+
 def bar_length(width_mm: float) -> float:
     """A round length of about a quarter of a width [mm].
 

@@ -92,7 +92,7 @@ def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
         "scale": Choice(start=1, among=SCALES, titles=tuple(f"{scale} ×" for scale in SCALES)),
         "noise": Choice(start=0.0, among=tuple(NOISES), titles=tuple(NOISES.values())),
         "dark": Choice(start=False, among=(True, False)),
-        "tab": Choice(start="maps", among=("maps", "table")),  # of the numbers
+        "tab": Choice(start="maps", among=("maps", "table", "time")),  # of the numbers
     }
 
 

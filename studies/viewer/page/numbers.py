@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from fem.colours import Bar
 from geometry.layout import AXES, PILLARS, FloatArray
 
 UP, DOWN = (214, 69, 65), (47, 110, 186)  #: red above, blue below 0
@@ -67,6 +68,19 @@ def unit_rows(
     return {"pillars": pillars, "forces": forces}
 
 
+def legend(bar: Bar) -> dict[str, Any]:
+    """A colour bar: its title, colours from low to high, and labels with their places as fractions of it."""
+    span = bar.high - bar.low
+    labels = [[(value - bar.low) / span, words] for value, words in bar.labels.items()]
+    return {"title": bar.title, "colours": [*bar.colours[::15], bar.colours[-1]], "labels": labels}
+
+
+def sample(change: FloatArray, force_n: FloatArray) -> list[list[float | None]]:
+    """For a plot over time: of each unit its forces x, y, z [N] and the changes of its pillars z, x, y [%]."""
+    values = np.concatenate([force_n, 100.0 * change], axis=2).reshape(-1, 6)
+    return [[None if math.isnan(number) else round(number, 3) for number in unit] for unit in values.tolist()]
+
+
 def text(value: float, digits: int) -> str:
     """A number with so many decimals, a dash where there is none."""
     if math.isnan(value):
@@ -83,8 +97,3 @@ def colour(share: float) -> str:
         return "transparent"
     red, green, blue = UP if share > 0 else DOWN
     return f"rgba({red},{green},{blue},{min(abs(share), 1.0):.3f})"
-
-
-def short(value: float) -> str:
-    """A round number without needless decimals."""
-    return f"{value:.3g}".replace("-", "−")

@@ -1,7 +1,9 @@
 // The page in the browser: its controls go to the server, what the server says is shown. It keeps nothing of its own but
 // what was said last, from which a lost connection goes on.
 
+import { loadState, save, savePicture } from "./files.js";
 import { watchPicture } from "./picture.js";
+import { Plot } from "./plot.js";
 
 const all = (selector, within = document) => [...within.querySelectorAll(selector)];
 const byId = id => document.getElementById(id);
@@ -38,11 +40,14 @@ function hear(message) {
     byId("trouble").textContent = "";
     picture.resize();
   }
+  if (message.file) save(message.file.name, message.file.text);
   if (message.refused) byId("trouble").textContent = message.refused;
   if (message.show) {
     Object.assign(controls, message.show.controls);
+    const isFirst = !said.state;
     Object.assign(said, message.show);
     showControls();
+    if (isFirst && matchMedia("(prefers-color-scheme: dark)").matches) set("dark", true);
     for (const [name, value] of Object.entries(message.show)) showers[name]?.(value);
   }
 }
@@ -73,6 +78,13 @@ function lay(given) {
     }
   }
   for (const button of all("[data-do]")) button.onclick = () => send({ do: button.dataset.do });
+  for (const button of all("[data-file]")) button.onclick = () => send({ file: button.dataset.file });
+  byId("save-picture").onclick = () => savePicture(byId("picture"), said, document.documentElement);
+  byId("save-state").onclick = () => save("tripillar-state.json", JSON.stringify(said.state));
+  byId("load-state").onchange = event => loadState(event.target, state => send({ restore: state }));
+  byId("save-plot").onclick = () => save("tripillar-time.csv", plot.csv());
+  plot.lay(facts, byId("plotted"), byId("plotted-pads"), byId("clear-plot"));
+  for (const place of [byId("pads"), byId("plotted-pads")]) number(place);
 }
 
 function showControls() {
@@ -94,8 +106,9 @@ function showControls() {
     part.hidden = !values.split("|").includes(controls[name]);
   }
   const kind = controls.source === "sensor" ? "decoupled pressure" : "pressure";
-  byId("pads-caption").textContent = `${kind} on each pad [MPa]`;
+  byId("pads-caption").textContent = `${kind} on pads [MPa]`;
   document.documentElement.classList.toggle("dark", controls.dark);
+  plot.show(controls.tab === "time", controls.pad);
   for (const cell of all("[data-unit-number]")) cell.classList.toggle("chosen", +cell.dataset.unitNumber === controls.pad);
 }
 
@@ -118,11 +131,16 @@ const showers = {
   ended: ended => (byId("play-again").hidden = !ended),
   strain_share: share => (document.querySelector(".gauge div").style.width = `${share}%`),
   strain_over: over => document.querySelector(".gauge div").classList.toggle("over", over),
-  legend: ({ title, low, high, colours }) => {
-    const [left, right, name] = all("#legend span");
-    text(left, low), text(right, high), text(name, title);
-    document.querySelector("#legend .bar").style.background = colours;
-  },
+  sample: values => plot.add(values),
+  legend: bars => fill(byId("legend"), bars, "div", (element, { title, colours, labels }) => {
+    element.className = "key";
+    text(part(element, 0, "span"), title);
+    part(element, 1, "div").style.background = `linear-gradient(to right, ${colours.join()})`;
+    fill(part(element, 2, "p"), labels, "span", (label, [place, words]) => {
+      text(label, words);
+      label.style.left = `${100 * place}%`;
+    });
+  }),
 };
 for (const element of all("[data-text]")) {
   const name = element.dataset.text, before = showers[name];
@@ -132,9 +150,12 @@ for (const element of all("[data-text]")) {
 function showMaps(place, maps) {
   fill(place, maps, "div", (element, map) => {
     element.className = "map";
-    const caption = part(element, 0, "div"), cells = part(element, 1, "div");
+    const caption = part(element, 0, "div"), cells = element.querySelector(".cells") ?? part(element, 1, "div");
     caption.className = "caption";
-    cells.className = "cells";
+    if (!cells.className) {
+      cells.className = "cells";
+      number(cells);
+    }
     text(part(caption, 0, "b"), map.title);
     text(part(caption, 1, "span"), `± ${map.most} ${map.unit}`);
     fill(cells, map.cells, "div", (box, cell) => {
@@ -143,6 +164,18 @@ function showMaps(place, maps) {
       box.title = `${cell.text} ${map.unit}`;
     });
   });
+}
+
+// numbers of rows at the left of cells, from the last down as the array lies, and of columns below
+
+function number(cells) {
+  const around = document.createElement("div"), rows = document.createElement("ol"), cols = document.createElement("ol");
+  around.className = "numbered";
+  cells.replaceWith(around);
+  around.append(rows, cells, cols);
+  const numbers = n => [...Array(n).keys()];
+  fill(rows, numbers(facts.rows).reverse(), "li", (item, row) => text(item, `${row}`));
+  fill(cols, numbers(facts.cols), "li", (item, col) => text(item, `${col}`));
 }
 
 function asCell(element, { unit, colour }) {
@@ -171,6 +204,7 @@ function text(element, value) {
   if (element.textContent !== value) element.textContent = value;
 }
 
-const picture = watchPicture(document.querySelector(".middle"), byId("picture"), send);
+const plot = new Plot(byId("plot"));
+const picture = watchPicture(document.querySelector(".view"), byId("picture"), send);
 history.replaceState(null, "", location.pathname);  // the token is in the cookie now
 connect();

@@ -15,10 +15,11 @@ from geometry.errors import TriPillarError
 from geometry.layout import AXES, PILLARS, FloatArray
 from studies.viewer.page import numbers
 from studies.viewer.page.controls import ControlError, Range, controls_of, mapping, numbers_of, shortened, taken
+from studies.viewer.page.exports import csv_of, scene_of
 from studies.viewer.page.feed import SensorWatch
 from studies.viewer.page.loads import MOST_PRESSURE_MPA, MOST_SHEAR_MPA, Indenter, PadLoad
 from studies.viewer.page.pictures import Pictures
-from studies.viewer.page.scene import ArrayScene, Shown
+from studies.viewer.page.scene import PADS_BAR, ArrayScene, Shown
 from studies.viewer.page.sensing import ForceSource, Reading, SensorModel, by_unit, tractions
 from studies.viewer.page.superposition import Superposition
 
@@ -55,6 +56,7 @@ class Page:
         self._subject, self._design = subject, subject.design
         self._rest_ohm = rest_resistances(self._design)
         self._traction = np.zeros((self._design.n_units, 3))
+        self._reading: Reading | None = None  # as it is shown
         self._generator = np.random.default_rng(0)
         self._kinds = controls_of(self._design, subject.watch is not None)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
@@ -149,6 +151,22 @@ class Page:
         if self.controls["source"] == "sensor":
             self.is_changed.set()
 
+    def file(self, kind: object) -> dict[str, str]:
+        """What is shown as a file: its "name" and "text".
+
+        Raises
+        ------
+        ControlError
+            If there is no file of that kind, or nothing is shown yet.
+        """
+        if self._reading is None or kind not in ("csv", "scene"):
+            raise ControlError(f"there is no file {kind!r:.40}.")
+        if kind == "scene":
+            return {"name": "scene.toml", "text": scene_of(self._design, self._traction, self.controls["pad"])}
+        reading = self._reading
+        text = csv_of(self._design, self._traction, reading.resistance_ohm, self._applied_n(), reading.force_n)
+        return {"name": "tripillar.csv", "text": text}
+
     # what follows from it
 
     def update(self) -> dict[str, Any]:
@@ -161,7 +179,7 @@ class Page:
         """
         start = time.perf_counter()
         try:
-            reading = self._loaded()
+            reading = self._reading = self._loaded()
         except TriPillarError as error:
             return {"trouble": str(error)}
         change = reading.resistance_ohm / self._rest_ohm - 1.0
@@ -174,12 +192,8 @@ class Page:
         heard = {} if watch is None else {"link": watch.link, "ended": watch.ended}
         return self._numbers(reading, change) | heard | {
             "trouble": "" if watch is None else watch.trouble,
-            "legend": {
-                "title": legend.title,
-                "low": numbers.short(legend.low),
-                "high": numbers.short(legend.high),
-                "colours": f"linear-gradient(to right, {', '.join(legend.colours[::15])})",
-            },
+            "legend": [numbers.legend(bar) for bar in (legend, PADS_BAR)],
+            "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
             "state": {"controls": dict(controls), "traction_mpa": self._traction.ravel().round(4).tolist()},
         }  # fmt: skip
@@ -210,18 +224,23 @@ class Page:
         values = round(load.pressure_mpa, 2), round(load.shear_mpa, 2), float(round(load.angle_deg))
         self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
 
+    def _applied_n(self) -> FloatArray:
+        """Forces on the pads, (rows, cols, 3) [N]; NaN where a sensor does not say what acts on it."""
+        applied_n = by_unit(forces(self._traction, self._design), self._design)
+        return np.full_like(applied_n, np.nan) if self.controls["source"] == "sensor" else applied_n
+
     def _numbers(self, reading: Reading, change: FloatArray) -> dict[str, Any]:
         """The numbers beside the picture."""
         controls, design = self.controls, self._design
         cols = design.array.cols
-        applied_n = by_unit(forces(self._traction, design), design)
-        if controls["source"] == "sensor":
-            applied_n = np.full_like(applied_n, np.nan)  # a sensor does not say what acts on it
+        applied_n = self._applied_n()
         row, col = divmod(controls["pad"], cols)
         if controls["tab"] == "table":
             beside: dict[str, Any] = {
                 "rows": numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
             }
+        elif controls["tab"] == "time":
+            beside = {"sample": numbers.sample(change, reading.force_n)}
         else:
             maps = [
                 numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])

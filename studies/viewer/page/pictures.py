@@ -32,11 +32,12 @@ class Grade:
     seconds: float  #: for one, from drawing to JPEG
     quality: int  #: of JPEG
     pixels_per_s: float = 8e6  #: as measured
+    least_zoom: float = 0.0  #: however long it takes
 
     def zoom(self, wide: int, high: int) -> float:
         """Pixels to draw for one of a place's, along each side."""
         pixels = min(max(self.seconds * self.pixels_per_s, LEAST_PIXELS), MOST_PIXELS)
-        return min(math.sqrt(pixels / (wide * high)), MOST_ZOOM)
+        return min(max(math.sqrt(pixels / (wide * high)), self.least_zoom), MOST_ZOOM)
 
     def learn(self, pixels: int, seconds: float) -> None:
         """Take into account what one picture took."""
@@ -64,7 +65,7 @@ class Pictures:
         self._reader.SetInputBufferTypeToRGBA()
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
-        self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92)
+        self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92, least_zoom=1.0)
         self._is_wanted = asyncio.Event()
         self.draw_ms = 0.0  #: the last moving picture took, encoding included
 
@@ -117,5 +118,5 @@ class Pictures:
 
 def _jpeg(image: Image.Image, quality: int) -> bytes:
     written = io.BytesIO()
-    image.save(written, "JPEG", quality=quality)
+    image.save(written, "JPEG", quality=quality, subsampling=0)  # thin lines keep their colours
     return written.getvalue()

@@ -7,9 +7,10 @@ import numpy as np
 import pyvista as pv
 
 from fem.array_field import FieldState, Observer
-from fem.colours import QUANTITIES, Bar, Colour, bar_of, shades
+from fem.colours import QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
 from fem.deformed import APART_MM, Part, Surface, pillar_surface
 from fem.figures import draw_off_screen, place
+from fem.scenery import scenery, unit_names
 from fem.solution import QUADRILATERAL
 from geometry.layout import PILLARS, FloatArray, unit_centres
 from studies.viewer.page.camera import Gestures
@@ -20,10 +21,15 @@ RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page'
 TITLES = {name: quantity.title for name, quantity in QUANTITIES.items()} | {RESISTANCE: "change of resistance [%]"}
 LEAST_CHANGE = 1.0  #: [%], end of the colour bar of resistances at least
 SLICES = 8  #: of a pillar along its axis
+AMBIENT = 0.3  #: light on pillars from everywhere
 MOST_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
-BACKGROUND = {False: "#ffffff", True: "#14181d"}  #: by whether it is dark
+BACKGROUND = {False: "#ffffff", True: "#323b45"}  #: by whether it is dark; not so dark that dark pillars are lost
+LETTERS = {False: "#21292f", True: "#e4e9ed"}
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
-PADS = ("#93a1ad", "#d64541")  #: outlines, from unloaded to most pressed
+#: of the pads' outlines, grey where unloaded
+PADS_BAR = Bar(
+    title="traction on a pad [MPa]", low=0.0, high=MOST_PRESSED_MPA, colours=mixed(("#93a1ad", "#d64541"), SHADES)
+)
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 
 
@@ -118,6 +124,7 @@ class ArrayScene:
         self._pads.mesh["strength"] = np.repeat(strength, self._outline_size).astype(np.float32)
         self._mark.points = self._outline(shown.chosen)
         self.plotter.set_background(BACKGROUND[shown.dark])
+        self._letters.prop.color = LETTERS[shown.dark]
         if shown.colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
             most = max(float(np.abs(values).max()), LEAST_CHANGE)
@@ -142,9 +149,7 @@ class ArrayScene:
     def look_from_the_start(self) -> None:
         """Put the camera where it was at first: the undeformed array fills the window."""
         wide, high = self.plotter.render_window.GetSize()
-        x, y, z = self._field.design.slab_mm
-        corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
-        place(self.plotter.camera, corners, VIEW, (0.0, 0.0, 1.0), wide / high)
+        place(self.plotter.camera, self.reach_mm, VIEW, (0.0, 0.0, 1.0), wide / high)
         self.plotter.reset_camera_clipping_range()
         self._start = self.plotter.camera.position
         self.gestures = Gestures(self.plotter.camera)
@@ -185,16 +190,19 @@ class ArrayScene:
         self._pads.mesh["strength"] = np.zeros(self._pads.mesh.n_points, np.float32)
         plotter.add_mesh(self._faces.mesh, color=SLAB, opacity=0.18)
         plotter.add_mesh(self._edges.mesh, color=EDGE, line_width=2)
-        self._actor = plotter.add_mesh(self._pillars.mesh, scalars="shown", show_scalar_bar=False)
+        self._actor = plotter.add_mesh(
+            self._pillars.mesh, scalars="shown", show_scalar_bar=False, ambient=AMBIENT, diffuse=1.0 - AMBIENT
+        )
         plotter.add_mesh(
-            self._pads.mesh, scalars="strength", cmap=_shades(*PADS), clim=(0.0, MOST_PRESSED_MPA), line_width=2,
-            show_scalar_bar=False,
+            self._pads.mesh, scalars="strength", cmap=PADS_BAR.colours, clim=(PADS_BAR.low, PADS_BAR.high),
+            line_width=2, show_scalar_bar=False, lighting=False,
         )  # fmt: skip
+        x, y, z = self._field.design.slab_mm
+        corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
+        array = self._field.design.array
+        names = unit_names(array.rows, array.cols, array.pitch_mm)
+        beside = scenery(np.vstack([corners, names.points]), "iso")
+        self._letters = plotter.add_mesh(pv.merge([names, beside]), color=LETTERS[False], lighting=False)
+        self.reach_mm = np.vstack([corners, names.points, beside.points])
         plotter.add_mesh(self._mark, color=CHOSEN, line_width=4)
         self.look_from_the_start()
-
-
-def _shades(pale: str, strong: str, n: int = 64) -> list[str]:
-    """Colours from one to another."""
-    ends = np.array([pv.Color(colour).float_rgb for colour in (pale, strong)])
-    return [pv.Color(ends[0] + share * (ends[1] - ends[0])).hex_rgb for share in np.linspace(0.0, 1.0, n)]

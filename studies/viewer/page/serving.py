@@ -20,6 +20,8 @@ FILES = {
     "/page.css": "page.css",
     "/page.js": "page.js",
     "/picture.js": "picture.js",
+    "/plot.js": "plot.js",
+    "/files.js": "files.js",
 }  #: all that there is
 MOST_BROWSERS = 8  #: at once; each has a scene of its own, 40 MB
 MOST_CONNECTIONS = 64  #: at once, without those browsers; one more ends the oldest

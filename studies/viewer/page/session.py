@@ -21,14 +21,15 @@ class Session:
     """A page and the web socket of the browser that shows it.
 
     Messages are JSON objects of one name. From the browser: "set" {control: value}, "do" one of `calls`, "turn"
-    [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in pixels, and
-    "restore", a state. To it: "facts", "show" with what has changed, and "refused" with the reason. Pictures are the
-    binary messages.
+    [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in pixels,
+    "restore", a state, and "file", csv or scene. To it: "facts", "show" with what has changed, "file" with "name" and
+    "text", and "refused" with the reason. Pictures are the binary messages.
     """
 
     def __init__(self, page: Page, socket: web.WebSocketResponse) -> None:
         self._page, self._socket = page, socket
         self._shown: dict[str, Any] = {}  # as the browser has it
+        self._files: list[dict[str, str]] = []  # asked for and not sent yet
         self.calls: dict[str, Callable[[], None]] = {
             "reset": page.reset,
             "home": page.look_from_the_start,
@@ -42,6 +43,7 @@ class Session:
             "move": lambda said: page.scene.gestures.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
             "size": self._resize,
             "restore": page.restore,
+            "file": lambda said: self._files.append(page.file(said)),
         }
 
     async def run(self) -> None:
@@ -70,6 +72,8 @@ class Session:
                     await self._socket.pong(message.data)
                 elif message.type is WSMsgType.TEXT:
                     self._take(message.data)
+                    while self._files:
+                        await self._send({"file": self._files.pop()})
                 elif message.type is not WSMsgType.PONG:
                     raise ControlError("messages are text.")
             except ControlError as error:

@@ -1,5 +1,6 @@
 """The page in a real browser: loaded offline, its sliders moved, a board and a recording deforming the array."""
 
+import csv
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import pytest
+from PIL import Image
 
 from dataset.imperfections import Imperfections
 from dataset.simulate import DatasetSettings, measured_again, simulate
@@ -178,6 +180,83 @@ def test_the_mouse_turns_the_array(served, browser):
         page.mouse.move(x + 150, y, steps=10)
         page.mouse.up()
         assert changed(before, still_picture(page)) > 500
+
+
+def downloaded(page, button):
+    """The file that a button of the export menu gives."""
+    page.evaluate("document.querySelector('.export').open = true")
+    with page.expect_download(timeout=LONGEST_MS) as told:
+        page.click(button)
+    return told.value.path()
+
+
+def test_what_is_shown_can_be_taken_away_and_put_back(served, browser):
+    """The picture with its keys, numbers, a plot over time, and the state, which brings back the load."""
+    with looking_at(browser, served) as page:
+        page.click("#to-time")
+        page.click("#pad-0")
+        page.focus("#pressure input")
+        for _ in range(20):
+            page.keyboard.press("ArrowRight")
+        page.wait_for_function("document.querySelector('#pad-0').innerText.trim() == '1.0'", timeout=LONGEST_MS)
+        still_picture(page)
+        with Image.open(downloaded(page, "#save-picture")) as picture:
+            drawn = page.evaluate(
+                "[...document.querySelectorAll('#picture')].map(i => [i.naturalWidth, i.naturalHeight])"
+            )
+            assert picture.format == "PNG"
+            assert picture.width == drawn[0][0]
+            assert picture.height > drawn[0][1]
+        lines = list(csv.DictReader(downloaded(page, "[data-file=csv]").read_text().splitlines()))
+        assert [float(line["traction_z_mpa"]) for line in lines] == [-1.0, 0.0]
+        assert float(lines[0]["applied_fz_n"]) == pytest.approx(144.0)
+        plotted = list(csv.DictReader(downloaded(page, "#save-plot").read_text().splitlines()))
+        fz = [float(line["fz_n of row 0 col 0"]) for line in plotted]
+        assert fz[-1] == pytest.approx(144.0, abs=2.0)  # the inverse's own error
+        assert min(fz) < 30 < max(fz)
+        assert float(plotted[-1]["time_s"]) > 0
+        assert "[[load]]" in downloaded(page, "[data-file=scene]").read_text()
+        state = downloaded(page, "#save-state").read_bytes()
+        page.click("#reset")
+        page.wait_for_function("document.querySelector('#pad-0').innerText.trim() == ''", timeout=LONGEST_MS)
+        page.set_input_files("#load-state", {"name": "s.json", "mimeType": "application/json", "buffer": state})
+        page.wait_for_function("document.querySelector('#pad-0').innerText.trim() == '1.0'", timeout=LONGEST_MS)
+        page.set_input_files("#load-state", {"name": "s.json", "mimeType": "application/json", "buffer": b"no state"})
+        page.wait_for_function("document.querySelector('#trouble').innerText.includes('state')", timeout=LONGEST_MS)
+
+
+CONTRAST = """selectors => selectors.map(selector => {
+  const light = colour => {
+    const [r, g, b] = colour.match(/[0-9.]+/g).map(v => (v /= 255) <= 0.04 ? v / 12.9 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  let ground = document.querySelector(selector);
+  const ink = light(getComputedStyle(ground).color);
+  while (getComputedStyle(ground).backgroundColor === 'rgba(0, 0, 0, 0)') ground = ground.parentElement;
+  const behind = light(getComputedStyle(ground).backgroundColor);
+  return (Math.max(ink, behind) + 0.05) / (Math.min(ink, behind) + 0.05);
+})"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(390, 844), (768, 1024), (1280, 800)], ids=str)
+def test_the_page_suits_its_screen(served, browser, size, scheme):
+    """Nothing is cut off at the sides, rows and columns have numbers, text has a contrast of 4.5 and more."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+    page.goto(served)
+    page.wait_for_selector("#pads button", timeout=LONGEST_MS)
+    page.wait_for_selector("html.dark" if scheme == "dark" else "html:not(.dark)", timeout=LONGEST_MS)
+    page.wait_for_selector("#legend p span", timeout=LONGEST_MS)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    for selector in ("#pads", "#picture", "#legend", "#resistance-maps", "#unit-forces", "#peak, #pressure"):
+        box = page.query_selector(selector).bounding_box()
+        assert box["x"] >= 0, selector
+        assert box["x"] + box["width"] <= size[0], selector
+        assert box["width"] > 150, selector
+    numbers = page.evaluate("[...document.querySelectorAll('.left .numbered li')].map(item => item.innerText)")
+    assert numbers == ["0", "0", "1"]  # one row, two columns
+    assert min(page.evaluate(CONTRAST, [".caption", "header b", "#legend .key", "#scale", "th", "td"])) >= 4.5
+    page.close()
 
 
 def test_the_page_is_there_for_this_machine_alone(house, served):

@@ -39,3 +39,8 @@ def test_tables_pair_what_acts_with_what_is_found():
     first, second = numbers.table_rows(ohms, force, force + 0.5, cols=2)
     assert first == ["0, 0", "10.000", "10.000", "10.000", "0.0", "0.5", "1.0", "1.5", "2.0", "2.5"]
     assert second[0] == "0, 1"
+
+
+def test_a_sample_has_six_numbers_a_unit_and_none_for_what_is_unknown():
+    change, force = np.full((1, 2, 3), 0.01), np.array([[[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]]])
+    assert numbers.sample(change, force) == [[1.0, 2.0, None, 1.0, 1.0, 1.0], [4.0, 5.0, 6.0, 1.0, 1.0, 1.0]]

@@ -21,6 +21,7 @@ def test_more_time_and_a_quicker_machine_give_finer_pictures():
         grade.learn(pixels=10_000, seconds=1.0)
     assert grade.zoom(1000, 500) == pytest.approx((LEAST_PIXELS / 500_000) ** 0.5)
     assert Grade(10.0, quality=80).zoom(100, 100) == MOST_ZOOM
+    assert Grade(0.0, quality=92, least_zoom=1.0).zoom(1000, 500) == 1.0  # sharp when still, however slow the machine
 
 
 @pytest.fixture

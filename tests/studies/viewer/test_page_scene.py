@@ -90,8 +90,7 @@ def test_the_camera_sees_the_whole_array(scene):
     for size in ((600, 750), (1200, 500)):
         scene.plotter.render_window.SetSize(*size)
         scene.look_from_the_start()
-        x, y, z = DESIGN.slab_mm
-        corners = [(x * i / 2, y * j / 2, z * k) for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]
+        corners = scene.reach_mm  # with names of rows and columns, axes and scale bar
         renderer = scene.plotter.renderer
         seen = []
         for corner in corners:
