@@ -1,6 +1,6 @@
 """How quick the page is: `python -m studies.bench.page`, in headless Chromium on this machine.
 
-A key press moves the pressure slider by one step; measured are the times until the browser shows the new numbers and
+The pressure slider moves by one step; measured are the times until the browser shows the new numbers and
 until it shows a new picture, and what the server says that it took to compute and to draw.
 """
 

@@ -48,7 +48,7 @@ class Guard:
         """Answer a request, or refuse it with 403."""
         address, port = request.get_extra_info("sockname")[:2]
         hosts, origins = request.headers.getall("Host", []), request.headers.getall("Origin", [])
-        if len(hosts) != 1 or not self._is_ours(hosts[0], address):
+        if len(hosts) != 1 or not self.is_ours(hosts[0], address):
             raise web.HTTPForbidden(text="This server has no such name: open the address that it printed.\n")
         is_own = origins in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"])  # https: of a proxy before this server
         if not is_own and (origins or "Upgrade" in request.headers):
@@ -67,7 +67,7 @@ class Guard:
     def _is_token(self, said: str) -> bool:
         return hmac.compare_digest(said.encode(errors="replace"), self.token.encode())
 
-    def _is_ours(self, host: str, address: str) -> bool:
+    def is_ours(self, host: str, address: str) -> bool:
         """Whether a Host header names this server to a connection that came to an address."""
         name = host_name(host)
         here = ipaddress.ip_address(address.partition("%")[0])

@@ -16,6 +16,7 @@ import aiohttp
 import pytest
 
 from studies.viewer.page import serving
+from studies.viewer.page.guard import Guard
 from studies.viewer.page.serving import MOST_BROWSERS, MOST_BYTES, Server
 from studies.viewer.page.session import BURST_S, MOST_A_SECOND
 
@@ -177,6 +178,37 @@ def test_another_host_is_refused_with_the_token_too(subject):
     on_page(subject, trial)
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_other_machines_come_by_the_address_that_they_ask_for(subject, host):
+    """All of 127.0.0.0/8 are addresses of this machine, as those of its network are."""
+
+    async def trial():
+        server = Server(subject, host)
+        url = await server.start(host, 0)
+        try:
+            port = int(url.split("/")[2].rsplit(":", 1)[1])
+            for address, name, status in (
+                ("127.0.0.2", "127.0.0.2", 200), ("127.0.0.2", "127.0.0.3", 403), ("127.0.0.2", "evil.test", 403),
+                ("127.0.0.2", "0.0.0.0", 403), ("127.0.0.1", "127.0.0.1", 200),
+            ):  # fmt: skip
+                visitor = Visitor(f"http://{address}:{port}/?token={url.split('=')[1]}")
+                assert (await visitor.get(f"?token={visitor.token}", Host=f"{name}:{port}"))[0] == status, name
+                assert (await visitor.get("", Host=f"{name}:{port}"))[0] == 403  # without the token
+        finally:
+            await server.stop()
+
+    asyncio.run(trial())
+
+
+def test_a_name_that_the_user_gave_is_one_of_the_servers():
+    guard = Guard("Lab-PC.local")
+    assert guard.is_ours("lab-pc.local:8080", "192.0.2.7")
+    assert guard.is_ours("192.0.2.7:8080", "192.0.2.7")
+    assert guard.is_ours("[2001:db8::1]:8080", "2001:db8:0:0::1")
+    for name in ("lab-pc", "localhost:8080", "192.0.2.8", "2001:db8::1", ""):
+        assert not guard.is_ours(name, "192.0.2.7"), name
+
+
 def test_only_the_pages_files_are_served(subject):
     async def trial(visitor):
         async def status(request: str) -> int:
@@ -263,14 +295,17 @@ def test_each_browser_has_a_state_of_its_own(subject):
         async with visitor.browser() as one, visitor.browser() as other:
             for browser in (one, other):
                 await browser.heard("show")
-            await one.say(set={"source": "indenter", "colour": "mises", "dark": True, "peak": 5.0})
+            await one.say(set={"source": "indenter", "colour": "vertical", "dark": True, "peak": 5.0})
             await one.heard("show")
-            assert one.shown["state"]["controls"]["source"] == "indenter"
+            before = one.shown["state"]
+            assert before["controls"]["source"] == "indenter"
             await other.say(set={"pad": 0, "pressure": 2.0})
             await other.heard("show")
             assert other.shown["state"]["traction_mpa"] == [0, 0, -2.0, 0, 0, 0]
             assert other.shown["state"]["controls"]["colour"] == "displacement"
-            assert one.shown["state"]["controls"]["pad"] == 0 or one.shown["state"]["traction_mpa"][2] != -2.0
+            await one.say(set={"at_x": 1.0})
+            await one.heard("show")
+            assert one.shown["state"]["controls"] == before["controls"] | {"at_x": 1.0}
             kept = one.shown["state"]
         async with visitor.browser() as again:  # a browser that lost its connection goes on where it was
             await again.heard("show")
@@ -424,6 +459,19 @@ def test_who_reads_nothing_keeps_nobody_waiting(subject):
         return time.perf_counter() - start
 
     assert asyncio.run(trial()) < 5.0
+
+
+def test_a_browser_that_gives_no_sign_of_life_leaves_its_place(subject):
+    async def trial(visitor):
+        reader, writer = await visitor.raw_socket()  # answers no ping
+        async with asyncio.timeout(PATIENT_S):
+            while await reader.read(2**16):
+                pass
+        writer.close()
+        async with visitor.browser() as browser:
+            await browser.heard("show")
+
+    on_page(subject, trial, HEARTBEAT_S=1.0, MOST_BROWSERS=1)
 
 
 def test_connections_that_ask_nothing_end_and_hold_no_place(subject):
