@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from geometry import files
 from geometry.errors import TriPillarError
+from hardware.trust import require_own
 
 FIRMWARE = Path(__file__).parent / "firmware"  #: sources and Makefile of the firmware and of the simulated board
 PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
@@ -130,6 +131,7 @@ class SimavrBoard:
         damage: int | None = None,
         program: Path = PROGRAM,
     ) -> None:
+        self._program = program
         self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
         self._command += ["--link", str(link)] if link else []
         self._command += ["--seconds", str(seconds)] if seconds else []
@@ -140,6 +142,7 @@ class SimavrBoard:
         self.port = ""  #: the serial port's path, once started
 
     def __enter__(self) -> Self:
+        require_own(self._program, self._program.parent)
         self._messages = tempfile.TemporaryFile("w+")  # not a pipe, which would fill up unread
         try:
             self._process = subprocess.Popen(

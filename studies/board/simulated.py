@@ -17,6 +17,7 @@ from geometry.wiring import crossings
 from hardware.crossbar import Crossbar
 from hardware.frames import Info
 from hardware.simavr_board import FIRMWARE, SimavrBoard, SimavrError, find_tools, write_table
+from hardware.trust import require_own
 from hardware.virtual_board import VirtualBoard
 from studies.board.motion import STEP_S, Motion
 
@@ -53,7 +54,7 @@ def firmware_built(info: Info) -> Path:
     Raises
     ------
     SimavrError
-        If a tool is missing or the build fails; says which, and why.
+        If a tool is missing or the build fails; says which, and why. If others can write to the cache.
     """
     missing = find_tools()
     if missing:
@@ -66,10 +67,15 @@ def firmware_built(info: Info) -> Path:
         "RATE": info.rate_hz,
         "SERIAL": info.serial,
     }
-    folder = (cache_folder() / f"firmware-{digest(str(FIRMWARE), settings)}").absolute()
+    cache = cache_folder().absolute()
+    folder = cache / f"firmware-{digest(str(FIRMWARE), settings)}"
+    require_own(folder, cache)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}"]
     done = subprocess.run(
-        [*command, *(f"{name}={value}" for name, value in settings.items())], capture_output=True, text=True
+        [*command, *(f"{name}={value}" for name, value in settings.items())],
+        capture_output=True,
+        text=True,
+        umask=0o077,
     )
     if done.returncode:
         said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geometry.errors import DesignError, FileFormatError
+from geometry.files import require_file
 
 if TYPE_CHECKING:
     from hardware.calibration import Electronics
@@ -57,8 +58,7 @@ def require_positive(**values: float) -> None:
 
 
 def require_unused(out: Path, read: Path | None) -> None:
-    """Refuse to lose a file that the command did not read."""
-    if out.is_dir():
-        raise FileFormatError(f"{out} is a folder: give the name of a file in it.")
+    """Refuse to lose a file that the command did not read, or to begin what could not be written in the end."""
+    require_file(out)
     if out.exists() and (read is None or out.resolve() != read.resolve()):
         raise FileFormatError(f"{out}: the file exists: build on it by --calibration {out}, or give another name.")
