@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import Any, Literal
 
@@ -47,6 +48,7 @@ def draw_deformed(
     colour: Colour = "displacement",
     scale: float = 1.0,
     camera: Camera = "iso",
+    columns: int | None = None,
 ) -> None:
     """Write a PNG of a loaded array, as the paper's figure 7: one picture for each load, on one colour scale.
 
@@ -57,12 +59,12 @@ def draw_deformed(
         Traction on each pad, z negative pushing down [MPa]; the name stands above the picture.
     path : Path
         PNG file to write.
-    colour, scale, camera
+    colour, scale, camera, columns
         As in `DeformedPicture`.
     """
     stress = QUANTITIES[colour].of_stress
     panels = {name: sensor_parts(field, field.state(traction), stress) for name, traction in traction_mpa.items()}
-    picture = DeformedPicture(panels, colour, scale, camera)
+    picture = DeformedPicture(panels, colour, scale, camera, columns=columns)
     with replacing(path) as temporary:
         picture.plotter.screenshot(temporary)
     picture.plotter.close()
@@ -153,6 +155,8 @@ class DeformedPicture:
         bars: they add their own, by `names`, `bars`, `note` and `aspect`.
     over : sequence of parts, optional
         What the colour bars are to hold where the picture is to show more than its panels, by `load`.
+    columns : int, optional
+        Panels beside each other; default: all.
     """
 
     def __init__(
@@ -163,6 +167,7 @@ class DeformedPicture:
         camera: Camera = "iso",
         medium: Medium = "file",
         over: Sequence[Parts] | None = None,
+        columns: int | None = None,
     ) -> None:
         draw_off_screen()
         self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
@@ -172,25 +177,28 @@ class DeformedPicture:
         self.bars = (bar_of(self._quantity, held), *([] if pads is None else [pads]))
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
-        n, self._is_bare = len(panels), medium == "page"
+        self._is_bare = medium == "page"
         points = {name: reach(parts, scale) for name, parts in panels.items()}
         stage = {name: scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
         self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
-        self.plotter = self._plotter(n, medium)
+        columns = columns or len(panels)
+        rows = ceil(len(panels) / columns)
+        self.plotter = self._plotter(rows, columns, medium)
         self._titles: list[tuple[str, vtkTextActor]] = []
-        for column, (name, parts) in enumerate(panels.items()):
-            self.plotter.subplot(0 if self._is_bare else 1, column)
+        for number, (name, parts) in enumerate(panels.items()):
+            row, column = divmod(number, columns)
+            self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
             self._draw(name, parts)
             self.plotter.add_mesh(stage[name], color=INK, lighting=False)
             look(self.plotter.camera, seen[name], camera, self.aspect)
             self.plotter.reset_camera_clipping_range()
             if not self._is_bare:
-                self.plotter.subplot(0, column)
+                self.plotter.subplot(2 * row, column)
                 self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "centre", size=24)))
         if not self._is_bare:
-            self.plotter.subplot(2, 0)
+            self.plotter.subplot(2 * rows, 0)
             wide, _ = self.plotter.window_size
             draw_legend(self.plotter, self.bars, [self.note], wide, LEGEND_PX)
         self.press(1.0)
@@ -220,19 +228,20 @@ class DeformedPicture:
                 mesh["strength of full"] = strength_at_points(part)[mesh["point"]]
         self.press(1.0)
 
-    def _plotter(self, n: int, medium: Medium) -> pv.Plotter:
-        """An empty plotter for n pictures, each with its name above, and one legend below all of them."""
+    def _plotter(self, rows: int, columns: int, medium: Medium) -> pv.Plotter:
+        """An empty plotter for rows of pictures, each with its name above, and one legend below all of them."""
         off_screen = medium != "window"
-        least, most = WIDE_PX[min(n, 2)]
+        least, most = WIDE_PX[min(columns, 2)]
         wide = 16 * round(min(max(HIGH_PX * self.aspect, least), most) / 16)
         high = 16 * round(wide / self.aspect / 16)  # films want multiples of 16
-        rows = [NAME_PX, high, LEGEND_PX]
+        weights = [NAME_PX, high] * rows + [LEGEND_PX]
         if self._is_bare:
-            plotter = pv.Plotter(off_screen=off_screen, shape=(1, n), window_size=(n * wide, high), border=False)
+            window = (columns * wide, rows * high)
+            plotter = pv.Plotter(off_screen=off_screen, shape=(rows, columns), window_size=window, border=False)
         else:
             plotter = pv.Plotter(
-                off_screen=off_screen, shape=(3, n), groups=[(2, slice(None))], row_weights=rows,
-                window_size=(n * wide, sum(rows)), border=False,
+                off_screen=off_screen, shape=(2 * rows + 1, columns), groups=[(2 * rows, slice(None))],
+                row_weights=weights, window_size=(columns * wide, sum(weights)), border=False,
             )  # fmt: skip
             plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
         plotter.set_background("white", all_renderers=True)

@@ -4,7 +4,7 @@ It ends itself instead of raising an exception: libraries swallow those (`except
 when one passes through them, or compute on for minutes. A thread that waits for nothing else does it where compiled
 code runs. Only the commands of a board and the served page, which end so every day, take Ctrl-C themselves.
 
-This is loaded before anything else: standard library only.
+This is loaded before anything else: standard library and psutil only.
 """
 
 import os
@@ -41,6 +41,7 @@ def install() -> None:
         signal.signal(number, _end)
     signal.set_wakeup_fd(rung, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(heard,), daemon=True, name="Ctrl-C").start()
+    import psutil  # noqa: F401  # now, because at the end the main thread may hold the lock of imports
 
 
 def leave_to_finish() -> None:
@@ -103,11 +104,10 @@ def _is_worker() -> bool:
 
 def _end_children() -> None:
     """End what this process started; remove what Intel's OpenMP keeps of each in shared memory."""
+    psutil: Any = sys.modules.get("psutil")
     try:
-        import psutil
-
         children = psutil.Process().children(recursive=True)
-    except Exception:  # such as an import of the main thread's that is half done
+    except AttributeError:  # it is not loaded yet, or half: nothing has been started
         children = []
     ended = []
     for child in children:

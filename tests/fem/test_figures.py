@@ -43,12 +43,16 @@ def test_a_picture_is_written_with_the_body_in_the_middle(field, tmp_path):
     assert colours[height // 3 : 2 * height // 3, width // 4 : 3 * width // 4].std() > 15  # something drawn inside
 
 
-def test_several_loads_stand_side_by_side(field, tmp_path):
-    one, two = tmp_path / "one.png", tmp_path / "two.png"
+def test_several_loads_stand_side_by_side_or_below_each_other(field, tmp_path):
+    one, two, below = tmp_path / "one.png", tmp_path / "two.png", tmp_path / "below.png"
     loads = {f"{peak} MPa": bell_pressure(DESIGN, peak) for peak in (1.0, 3.0)}
     draw_deformed(field, loads, two, colour="vertical", camera="front")
     draw_deformed(field, {"3 MPa": loads["3.0 MPa"]}, one, colour="mises", camera="side")
     assert colours_of(two).shape[1] > colours_of(one).shape[1]
+    draw_deformed(field, loads, below, camera="side", columns=1)
+    high, wide = colours_of(below).shape[:2]
+    assert wide == colours_of(one).shape[1]
+    assert high > 1.5 * colours_of(one).shape[0]
 
 
 def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):

@@ -22,13 +22,16 @@ def draw_figure_6(response: ArrayResponse, path: Path) -> None:
 
 
 def draw_figure_7(design: SensorDesign, path: Path) -> None:
-    """Write a PNG: three by three of a design's units under 1, 3 and 5 MPa on the middle pad, true scale."""
+    """Write a PNG: three by three of a design's units under 1, 3 and 5 MPa on the middle pad, true scale.
+
+    They stand below each other: side by side they would be too small on a page.
+    """
     from fem.array_field import array_field
     from fem.figures import draw_deformed
 
     nine = replace(design, array=replace(design.array, rows=3, cols=3))
     loads = {f"{pressure:g} MPa": one_pad(nine, pressure) for pressure in PRESSURES_MPA}
-    draw_deformed(array_field(nine), loads, path)
+    draw_deformed(array_field(nine), loads, path, columns=1)
 
 
 def draw_figure_8(response: ArrayResponse, sample: Sample, path: Path) -> None:
