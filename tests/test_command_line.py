@@ -14,6 +14,8 @@ import psutil
 import pytest
 import typer.main
 
+from geometry.design import Array, SensorDesign
+from geometry.design_file import design_from_toml
 from tests.house import House
 from tripillar import app
 
@@ -78,6 +80,12 @@ def test_the_design_option_goes_with_every_command_that_needs_one():
     """DESIGN's contract: it solves or draws for a sensor, so it can be told which."""
     for name in ("cad", "mesh", "response", "dataset", "run", "view", "simulate", "calibrate", "train", "crossval"):
         assert "--design" in options(COMMANDS[name]), name
+
+
+def test_a_design_of_another_size_is_written_whole():
+    with redirect_stdout(StringIO()) as said:
+        app(["design", "--rows", "2", "--cols", "3"], standalone_mode=False)
+    assert design_from_toml(said.getvalue()) == SensorDesign(array=Array(rows=2, cols=3))
 
 
 def test_version(tmp_path):

@@ -319,7 +319,7 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
         (["bench", "board", "--seconds", "nan"], "--seconds nan must be above 0"),
         (["simulate", "--scene", "x.toml", "--pressure", "2"], "a scene has its own design and loads"),
         (["simulate", "--mode", "divider", "--bits", "40"], "bits=40 must be"),
-        (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be above 0"),
+        (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be from 0, at rest, to 10"),
     ],
     ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else None,
 )

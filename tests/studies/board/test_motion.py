@@ -34,7 +34,12 @@ def test_it_repeats():
     assert script.tractions(times + 2.0, design) == pytest.approx(script.tractions(times, design))
 
 
-@pytest.mark.parametrize("settings", [{"peak_mpa": 0.0}, {"peak_mpa": np.nan}, {"friction": -1.0}, {"seconds": 0.0}])
+def test_at_a_pressure_of_0_the_sensor_rests():
+    script = PressAndSlide(peak_mpa=0.0)
+    assert not script.tractions(np.linspace(0.0, script.seconds, 50), SensorDesign()).any()
+
+
+@pytest.mark.parametrize("settings", [{"peak_mpa": -1.0}, {"peak_mpa": np.nan}, {"friction": -1.0}, {"seconds": 0.0}])
 def test_a_script_that_makes_no_sense_is_refused(settings):
     with pytest.raises(DesignError, match=next(iter(settings))):
         PressAndSlide(**settings)
