@@ -32,6 +32,8 @@ from studies.console import (
     UnderHeadings,
     VerbosityOption,
     chosen,
+    output_file,
+    output_folder,
     progress_bars,
     require_other,
     require_suffix,
@@ -107,7 +109,9 @@ def root(
 
 @app.command(rich_help_panel=SOLVING)
 def design(
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; default: print it.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", callback=output_file, help="File to write; default: print it.")
+    ] = None,
     rows: Annotated[int, typer.Option(help="Number of units along y.")] = Array.rows,
     cols: Annotated[int, typer.Option(help="Number of units along x.")] = Array.cols,
     json_: JsonOption = False,
@@ -125,7 +129,7 @@ def design(
 
 @app.command(rich_help_panel=SOLVING)
 def cad(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for STEP and STL files.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_folder, help="Folder for STEP and STL files.")],
     design: DesignOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -170,7 +174,9 @@ def solve(
     tolerance: Annotated[
         float | None, typer.Option(help="Relative error wanted of the probes; default: the scene's.")
     ] = None,
-    vtu: Annotated[Path | None, typer.Option(help="VTU file for the displacement of the whole body.")] = None,
+    vtu: Annotated[
+        Path | None, typer.Option(callback=output_file, help="VTU file for the displacement of the whole body.")
+    ] = None,
     no_skip: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Name of a saving to do without; can be repeated.")
     ] = None,
@@ -216,7 +222,7 @@ def solve(
 
 @app.command(rich_help_panel=SOLVING)
 def response(
-    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="NetCDF file to write.")],
     design: DesignOption = None,
     tolerance: Annotated[
         float | None, typer.Option(help="Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.")
@@ -272,7 +278,7 @@ def dataset(
         ),
     ],
     samples: Annotated[int, typer.Option(help="Number of samples to make.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="NetCDF file to write.")],
     seed: Annotated[int, typer.Option(help="Seed of the random loads and noise.")] = 0,
     cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
@@ -364,7 +370,7 @@ def dataset(
 def train(
     data: Annotated[Path, typer.Option(help="Data set to train on.")],
     component: Annotated[Component, typer.Option(help="Forces that the network tells: along one axis, or all.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors).")],
     net: NetOption = "skip",
     hidden: Annotated[int, typer.Option(help="Number of hidden nodes.")] = 17,
     trainer: TrainerOption = "varpro",
@@ -513,7 +519,7 @@ def crossval(
 def fine_tune(
     model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
     data: Annotated[Path, typer.Option(help="Data set of measured resistances and forces of one sensor.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (safetensors).")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors).")],
     pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
     force: ForceOption = False,
     json_: JsonOption = False,
@@ -563,7 +569,9 @@ def fine_tune(
 @app.command(rich_help_panel=LEARNING)
 def export(
     model: Annotated[Path, typer.Option(help="Model file.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .onnx, or .h for a header in C.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", callback=output_file, help="File to write: .onnx, or .h for a header in C.")
+    ],
     precision: Annotated[
         Literal["float", "double"] | None,
         typer.Option(help="Precision of the numbers; default: double in .onnx, float in .h."),
@@ -588,7 +596,9 @@ def export(
 @app.command(rich_help_panel=STUDYING)
 def run(
     design: DesignOption = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all files.")] = Path("out"),
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_folder, help="Folder for all files.")] = Path(
+        "out"
+    ),
     until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage to run.")] = "table",
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,

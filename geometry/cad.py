@@ -12,7 +12,7 @@ from pathlib import Path
 from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
 
 from geometry.design import SensorDesign, Unit
-from geometry.files import write_bytes
+from geometry.files import replacing_in
 from geometry.layout import PILLARS, pillar_ends, pillar_sections, unit_centres
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
@@ -103,20 +103,18 @@ def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
     surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
     for name, surface in surfaces.items():
         check_surface(surface, solids[name].volume, name)
-    written = []
-    for name, solid in solids.items():
-        step, stl = folder / f"{name}.step", folder / f"{name}.stl"
-        _write_step(solid, name, step)
-        write_surface(surfaces[name], stl)
-        written += [step, stl]
-    return written
+    with replacing_in(folder) as temporary:
+        for name, solid in solids.items():
+            _write_step(solid, name, temporary / f"{name}.step")
+            write_surface(surfaces[name], temporary / f"{name}.stl")
+    return [folder / f"{name}.{kind}" for name in solids for kind in ("step", "stl")]
 
 
 def _write_step(solid: Shape, name: str, path: Path) -> None:
     solid.label = name
     step = BytesIO()  # the CAD kernel does not say when a disk is full
     export_step(solid, step, timestamp=STEP_TIME)
-    write_bytes(path, _with_own_numbering(step.getvalue().decode()).encode())
+    path.write_bytes(_with_own_numbering(step.getvalue().decode()).encode())
 
 
 def _with_own_numbering(step: str) -> str:

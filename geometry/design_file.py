@@ -1,6 +1,6 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +65,44 @@ def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
     return design_from_dict(tables_of(text, source, DesignError), source)
 
 
+def whole_design(text: str, source: object) -> SensorDesign:
+    """A design from the text of a design file, which must not have been cut off.
+
+    Raises
+    ------
+    DesignError
+        As `design_from_dict`; if a key is missing and the file does not say ``extends = "paper"``; if its last line has
+        no end.
+    """
+    table = tables_of(text, source, DesignError)
+    base = table.pop("extends", None)
+    design = design_from_dict(table, str(source))
+    if base not in (None, "paper"):
+        raise DesignError(f'{source}: extends = {base!r} is unknown; it can only be "paper".')
+    missing = [] if base else _missing(asdict(design), table)
+    if missing:
+        raise DesignError(
+            f"{source}: lacks {len(missing)} of a design's keys, such as {missing[0]}: was it cut off? Give all that "
+            "'tripillar design' writes, or begin the file with extends = \"paper\" to take the others from there."
+        )
+    if not text.endswith("\n"):
+        raise DesignError(f"{source}: its last line has no end, as if the file were cut off: add a line break to it.")
+    return design
+
+
+def _missing(whole: dict[str, Any], given: dict[str, Any], where: str = "") -> list[str]:
+    found = []
+    for key, value in whole.items():
+        if isinstance(value, dict):
+            found += _missing(value, given.get(key, {}), f" in [{key}]")
+        elif key not in given:
+            found.append(f"{key}{where}")
+    return found
+
+
 def read_design(path: Path) -> SensorDesign:
-    """Read a design file; `DesignError` if it is missing, not TOML or not a design."""
-    return design_from_toml(read_text(path, "write one with 'tripillar design'", DesignError), str(path))
+    """Read a design file; `DesignError` if it is missing, not TOML, not a design or cut off."""
+    return whole_design(read_text(path, "write one with 'tripillar design'", DesignError), path)
 
 
 def write_design(design: SensorDesign, path: Path) -> None:

@@ -64,19 +64,35 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     target = require_file(path)
-    missing = [folder for folder in target.parents if not folder.exists()]
+    with _reported(path, target), _filled(target.parent, target.stem) as folder:
+        temporary = folder / target.name
+        temporary.touch()
+        yield temporary
+        temporary.replace(target)
+
+
+@contextmanager
+def replacing_in(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder; move all its files into `folder` on success, none on any failure."""
+    require_folder(folder)
+    with _reported(folder, folder), _filled(folder, "files") as temporary:
+        yield temporary
+        for path in temporary.iterdir():
+            path.replace(folder / path.name)
+
+
+@contextmanager
+def _filled(folder: Path, name: str) -> Iterator[Path]:
+    """A hidden folder in `folder`, which is made if it is missing and removed again on any failure."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
-        with _reported(path, target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with unfinished(target.parent, target.stem) as folder:
-                temporary = folder / target.name
-                temporary.touch()
-                yield temporary
-                temporary.replace(target)
+        folder.mkdir(parents=True, exist_ok=True)
+        with unfinished(folder, name) as temporary:
+            yield temporary
     except BaseException:
-        for folder in missing:
+        for place in missing:
             with suppress(OSError):
-                folder.rmdir()
+                place.rmdir()
         raise
 
 
@@ -129,7 +145,7 @@ def keep(write: Callable[[Path], None], path: Path) -> None:
     """Write a file of the cache; where that fails one line says so, and what was computed is not lost for it."""
     try:
         write(path)
-    except OSError as error:
+    except (OSError, FileFormatError) as error:
         logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
 
 
@@ -145,8 +161,8 @@ def explained(error: OSError, path: Path | None = None) -> str:
             "nothing was written; raise the limit."
         )
     if error.errno in FULL:
-        place = next((str(folder) for folder in (path or Path()).absolute().parents if folder.exists()), ".")
-        free = f" ({_size(shutil.disk_usage(place).free)} free in {place})" if path else ""
+        place = next((folder for folder in (path or Path()).absolute().parents if folder.exists()), Path())
+        free = f" ({_size(shutil.disk_usage(place).free)} left in {place})" if path else ""
         return f"{named}: the disk is full{free}: nothing was written; make room or give another place."
     return f"{named}: cannot be written: {error.strerror or error}."
 

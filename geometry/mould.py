@@ -27,6 +27,7 @@ from build123d import Location, Solid
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
 from geometry.errors import DesignError
+from geometry.files import require_folder
 from geometry.layout import upper_electrodes
 
 
@@ -62,7 +63,9 @@ def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
 
 def write_cad(design: SensorDesign, folder: Path, mould: Mould | None = None) -> list[Path]:
     """Write STEP and STL of the sensor's parts and of the mould to cast it in; see `cad.write_solids`."""
-    return write_solids(sensor_solids(design) | mould_solids(design, mould or Mould()), folder)
+    require_folder(folder)
+    parts = mould_solids(design, mould or Mould())  # refuses pillars that are too thin to be drawn, too
+    return write_solids(sensor_solids(design) | parts, folder)
 
 
 def _block(design: SensorDesign, mould: Mould, bottom_mm: float, top_mm: float) -> Solid:

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import DesignError, FileFormatError
+from geometry.files import require_file, require_folder
 
 if TYPE_CHECKING:
     from studies.progress import Bars
@@ -69,6 +70,19 @@ def wrote(files: Iterable[Path]) -> None:
     """Name every file written, last of all, on stderr."""
     for path in files:
         print(path, file=sys.stderr)
+
+
+def output_file(path: Path | None) -> Path | None:
+    """Callback of an option that names a file to write: refused before anything is computed if it cannot be."""
+    if path is not None:
+        require_file(path)
+    return path
+
+
+def output_folder(path: Path) -> Path:
+    """The same for a folder."""
+    require_folder(path)
+    return path
 
 
 def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:

@@ -20,6 +20,7 @@ from studies.mistyped import in_one_line
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
     """Run a function as a program of its own, `python -m studies...`, as `typer.run` does."""
+    interrupts.install()
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command()(function)
     run(app)
@@ -27,7 +28,6 @@ def run_alone(function: Callable[..., None]) -> NoReturn:
 
 def run(app: typer.Typer) -> NoReturn:
     """Run the command that was asked for; a user's mistake ends with one line on stderr and exit code 2."""
-    interrupts.install()
     for folder in (cache_folder(), Path(tempfile.gettempdir())):
         remove_leftovers(folder)
     code = _run(app)

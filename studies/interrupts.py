@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, NoReturn
 
 GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
 TIDY_S = 0.4  #: left to processes started by this one to remove what they were writing
@@ -46,7 +45,7 @@ def install() -> None:
 
 def leave_to_finish() -> None:
     """Ignore signals from now on: all is done, only the interpreter is to be closed."""
-    for number in SIGNALS:
+    for number in SIGNALS if _rung else ():
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -65,7 +64,7 @@ def last_words(said: str) -> Iterator[None]:
         _last_words.pop()
 
 
-def _end(number: int, _: FrameType | None = None) -> NoReturn:
+def _end(number: int, _: FrameType | None = None) -> None:
     if not _ending.acquire(blocking=False):
         time.sleep(60)  # the other thread is at it
     _end_children()
@@ -85,7 +84,7 @@ def _watch(heard: int) -> None:
         number = os.read(heard, 1)[0]
         if number not in SIGNALS:
             continue
-        handler: Any = signal.getsignal(number)
+        handler: object = signal.getsignal(number)
         end_s = time.monotonic() + GRACE_S
         while hasattr(handler, "before") and time.monotonic() < end_s:  # held back
             time.sleep(0.02)
@@ -103,21 +102,46 @@ def _is_worker() -> bool:
 
 
 def _end_children() -> None:
-    """End what this process started; remove what Intel's OpenMP keeps of each in shared memory."""
-    psutil: Any = sys.modules.get("psutil")
-    try:
-        children = psutil.Process().children(recursive=True)
-    except AttributeError:  # it is not loaded yet, or half: nothing has been started
-        children = []
-    ended = []
-    for child in children:
-        with suppress(psutil.Error):
-            if not any("resource_tracker" in word for word in child.cmdline()):  # it removes what the others left
-                child.terminate()
-                ended.append(child)
-    for child in psutil.wait_procs(ended, timeout=TIDY_S)[1] if ended else []:
-        with suppress(psutil.Error):
-            child.kill()
-    for number in (os.getpid(), *(child.pid for child in ended)):
+    """End what this process started; remove what Intel's OpenMP keeps of each in shared memory.
+
+    Nothing may be imported here: the main thread may be in the middle of it, and wait.
+    """
+    ended = _descendants()
+    for number in ended:
+        _signal(number, signal.SIGTERM)
+    end_s = time.monotonic() + TIDY_S
+    while ended & _parents().keys() and time.monotonic() < end_s:
+        time.sleep(0.02)
+    for number in ended & _parents().keys():
+        _signal(number, signal.SIGKILL)
+    for number in {os.getpid(), *ended}:
         with suppress(OSError):
             os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
+
+
+def _signal(number: int, kind: signal.Signals) -> None:
+    with suppress(OSError):
+        os.kill(number, kind)
+
+
+def _descendants() -> set[int]:
+    """Processes that this one started, and those that they started."""
+    parents, found = _parents(), {os.getpid()}
+    while more := {number for number, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {os.getpid()}
+
+
+def _parents() -> dict[int, int]:
+    """The parent of every process, where the system tells by files, but for those that tidy up after killed ones."""
+    found = {}
+    for name in os.listdir("/proc") if os.path.isdir("/proc/self") else []:
+        with (
+            suppress(OSError, ValueError),
+            open(f"/proc/{int(name)}/stat") as stat,
+            open(f"/proc/{name}/cmdline") as words,
+        ):
+            state, parent = stat.read().rpartition(")")[2].split()[:2]
+            if state != "Z" and "resource_tracker" not in words.read():
+                found[int(name)] = int(parent)
+    return found

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SMALL = "[array]\nrows = 1\ncols = 2\n"
+SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
 
 
 class House:

@@ -120,7 +120,7 @@ view small.toml --serve --port board -> --port needs --model
 view small.toml --serve --http-port 99999 -> --http-port 99999 must be from 0
 view idle.toml --design small.toml --save x.png -> both say what to show: give one of them
 sweep missing.toml -> missing.toml: no such file
-sweep small.toml -> unknown key 'array'; known are design, sweep, vary, bounds
+sweep small.toml -> unknown key 'extends'; known are design, sweep, vary, bounds
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 optimize small.toml --trials 0 -> --trials 0 must be at least 1

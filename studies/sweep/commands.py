@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geometry.errors import DesignError
-from studies.console import STUDYING, JsonOption, VerbosityOption, progress_bars, say, show_json, wrote
+from studies.console import STUDYING, JsonOption, VerbosityOption, output_folder, progress_bars, say, show_json, wrote
 from studies.interrupts import last_words
 
 if TYPE_CHECKING:
@@ -22,7 +22,10 @@ commands = typer.Typer()
 
 SweepArgument = Annotated[Path, typer.Argument(help="Sweep file (TOML): what is varied, and how.")]
 OutOption = Annotated[
-    Path, typer.Option("--out", "-o", help="Folder for rows, tables and pictures, named after the sweep file.")
+    Path,
+    typer.Option(
+        "--out", "-o", callback=output_folder, help="Folder for rows, tables and pictures, named after the sweep file."
+    ),
 ]
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", help="Number of worker processes; default: one a core.")

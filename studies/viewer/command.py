@@ -12,7 +12,17 @@ import typer
 from typer.core import TyperCommand
 
 from geometry.errors import DesignError, FileFormatError
-from studies.console import STUDYING, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, show_json, wrote
+from studies.console import (
+    STUDYING,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    output_file,
+    progress_bars,
+    show_json,
+    wrote,
+)
 from studies.viewer.page.options import (
     HTTP_PORT,
     LOOPBACK,
@@ -106,7 +116,8 @@ def view(
     ] = "true",
     camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Direction to look from.")] = "iso",
     save: Annotated[
-        Path | None, typer.Option(help="File to write: .png, .html, .mp4 or .vtm; default: open a window.")
+        Path | None,
+        typer.Option(callback=output_file, help="File to write: .png, .html, .mp4 or .vtm; default: open a window."),
     ] = None,
     serve: ServeOption = False,
     host: HostOption = None,

@@ -12,7 +12,7 @@ from fem.scene import Scene
 from fem.scene_file import scene_from_dict
 from fem.scene_parts import scene_parts
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_dict
+from geometry.design_file import whole_design
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.text_file import read_text, tables_of
@@ -23,8 +23,9 @@ ROUND = (1.0, 2.0, 5.0)
 
 def read_body(path: Path) -> SensorDesign | Scene:
     """A scene if the file has a table [body], else a design; errors as those of their readers."""
-    tables = tables_of(read_text(path, "give a scene or a design", DesignError), path, DesignError)
-    return scene_from_dict(tables, str(path)) if "body" in tables else design_from_dict(tables, str(path))
+    text = read_text(path, "give a scene or a design", DesignError)
+    tables = tables_of(text, path, DesignError)
+    return scene_from_dict(tables, str(path)) if "body" in tables else whole_design(text, path)
 
 
 def panels_of(

@@ -1,5 +1,6 @@
 """Design files: what is written comes back, what is unknown is named, no mistake takes more than a line."""
 
+import time
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 
@@ -19,6 +20,7 @@ from geometry import (
     read_design,
     write_design,
 )
+from geometry.design_file import whole_design
 
 lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
@@ -144,3 +146,34 @@ def test_file_that_is_not_text_is_refused(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(DesignError, match=r"binary\.toml: not a text file"):
         read_design(tmp_path / "binary.toml")
+
+
+def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path):
+    """At every line and within the last one; whole it gives the design back, with Windows' line ends and mark too."""
+    whole = design_to_toml(SensorDesign())
+    lines = whole.splitlines(keepends=True)
+    kept = max(number for number, line in enumerate(lines) if "=" in line)
+    for text in ["".join(lines[:number]) for number in range(kept + 1)] + [whole[:-40], whole.rstrip("\n")]:
+        with pytest.raises(DesignError, match="cut off"):
+            whole_design(text, "my.toml")
+    (tmp_path / "windows.toml").write_bytes(b"\xef\xbb\xbf" + whole.replace("\n", "\r\n").encode())
+    assert read_design(tmp_path / "windows.toml") == SensorDesign()
+
+
+def test_a_file_may_say_that_the_paper_gives_the_rest():
+    assert whole_design('extends = "paper"\n[array]\nrows = 3\n', "my.toml") == SensorDesign(array=Array(rows=3))
+    with pytest.raises(DesignError, match="extends = 'mine' is unknown"):
+        whole_design("extends = 'mine'\n", "my.toml")
+
+
+@pytest.mark.parametrize("text", [".".join("a" * 20_000) + " = 1", "[" + ". ".join(["'q'"] * 20_000) + "]"])
+def test_a_key_of_thousands_of_parts_is_refused_before_it_takes_memory(text):
+    begin = time.perf_counter()
+    assert "a key has more than 16 parts" in refusal(text)
+    assert time.perf_counter() - begin < 1  # the parser takes 1.7 GB and minutes
+
+
+def test_a_huge_file_is_refused(tmp_path):
+    (tmp_path / "huge.toml").write_text("# " + "x" * 2_000_000)
+    with pytest.raises(DesignError, match=r"huge\.toml: larger than 2 MB"):
+        read_design(tmp_path / "huge.toml")

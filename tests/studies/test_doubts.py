@@ -11,7 +11,7 @@ from decoupler.model_file import read_model
 from geometry.netcdf import write_netcdf
 from tripillar import main
 
-DESIGN = "[array]\nrows = 2\ncols = 2\n"
+DESIGN = 'extends = "paper"\n[array]\nrows = 2\ncols = 2\n'
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,17 @@ from studies.board.commands.options import (
     require_positive,
     require_unused,
 )
-from studies.console import BOARD, DesignOption, JsonOption, VerbosityOption, chosen, progress_bars, show_json, wrote
+from studies.console import (
+    BOARD,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    output_file,
+    progress_bars,
+    show_json,
+    wrote,
+)
 
 commands = typer.Typer()
 
@@ -29,7 +39,7 @@ commands = typer.Typer()
 @commands.command(rich_help_panel=BOARD)
 def tare(
     port: PortArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
     calibration: CalibrationOption = None,
     switch_ohm: SwitchOption = None,
     line_ohm: LineOption = None,
@@ -69,7 +79,7 @@ def tare(
 @commands.command(rich_help_panel=BOARD)
 def calibrate(
     port: PortArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
     loads: Annotated[
         Path | None,
         typer.Option(help="CSV file: load,row,col,fx_n,fy_n,fz_n; in a recording with from_s,to_s, too."),

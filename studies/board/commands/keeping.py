@@ -21,7 +21,17 @@ from studies.board.commands.options import (
     TimeoutOption,
     require_positive,
 )
-from studies.console import BOARD, JsonOption, VerbosityOption, require_other, require_suffix, say, show_json, wrote
+from studies.console import (
+    BOARD,
+    JsonOption,
+    VerbosityOption,
+    output_file,
+    require_other,
+    require_suffix,
+    say,
+    show_json,
+    wrote,
+)
 
 if TYPE_CHECKING:
     from hardware.recording import Recording
@@ -37,7 +47,7 @@ MOST_NAMED = 3  #: places of damage in one line
 @commands.command(rich_help_panel=BOARD)
 def record(
     port: PortArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write; it ends in .frames.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="File to write; it ends in .frames.")],
     model: Annotated[
         Path | None, typer.Option(help="Model file that the recording is meant for: its hash goes along.")
     ] = None,
@@ -129,7 +139,12 @@ def replay(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="File for the forces of every frame: .nc, or .mcap with the counts beside."),
+        typer.Option(
+            "--out",
+            "-o",
+            callback=output_file,
+            help="File for the forces of every frame: .nc, or .mcap with the counts beside.",
+        ),
     ] = None,
     crosstalk: Annotated[bool, typer.Option(help="Correct the crossbar's crosstalk.")] = True,
     json_: JsonOption = False,

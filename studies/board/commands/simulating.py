@@ -23,6 +23,7 @@ from studies.console import (
     JsonOption,
     VerbosityOption,
     chosen,
+    output_file,
     progress_bars,
     require_suffix,
     say,
@@ -63,7 +64,9 @@ def simulate(
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets.")] = 0,
     serial: Annotated[int, typer.Option(help="Serial number of the board.")] = 0,
     seconds: SecondsOption = math.inf,
-    truth: Annotated[Path | None, typer.Option(help="NetCDF file to write: the true forces of one period.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(callback=output_file, help="NetCDF file to write: the true forces of one period.")
+    ] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,

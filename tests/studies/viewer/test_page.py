@@ -324,6 +324,6 @@ def test_what_cannot_be_served_is_refused(house, words, said):
 
 
 def test_a_model_of_another_array_is_refused(house, motion):
-    (house.folder / "paper.toml").write_text("[array]\nrows = 6\ncols = 6\n")
+    (house.folder / "paper.toml").write_text('extends = "paper"\n')
     said = house.refusal(*SERVE, "--model", MODEL, "--design", "paper.toml")
     assert "1 × 2 units, the design has 6 × 6" in said

@@ -214,7 +214,7 @@ def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height
 
 def test_a_table_named_body_makes_a_scene(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
-    (tmp_path / "design.toml").write_text("[array]\nrows = 2\n")
+    (tmp_path / "design.toml").write_text('extends = "paper"\n[array]\nrows = 2\n')
     assert read_body(tmp_path / "scene.toml").body.size_mm == (12.0, 12.0, 6.0)
     (tmp_path / "spaced.toml").write_text(SCENE.replace("[body]", "[ body ]"))
     assert read_body(tmp_path / "spaced.toml").body.size_mm == (12.0, 12.0, 6.0)
