@@ -116,7 +116,7 @@ def optimize(
     require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
     from geometry.files import replacing
     from studies.report import show
-    from studies.sweep.optimize import finished, open_study, search
+    from studies.sweep.optimize import finished, open_study, search, written
     from studies.sweep.rows import flat
     from studies.sweep.run import kept_rows
     from studies.sweep.table import best_table, ranked
@@ -126,14 +126,21 @@ def optimize(
     if trials is not None:
         asked = replace(asked, samples=trials)
     folder = out / f"{file.stem}-rows"
-    study = open_study(asked, out / f"{file.stem}-trials.log")
+    journal = out / f"{file.stem}-trials.log"
+    with written(journal):
+        study = open_study(asked, journal)
     done = finished(study, asked)
     kept = kept_rows(done, folder)
     rows = list(kept.values())
     left = max(0, asked.samples - len(done))
     if left or len(kept) < len({sample.recipe for sample in done}):
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as judges:
+        with (
+            written(journal),
+            stoppable(folder),
+            progress_bars(verbosity) as bars,
+            workers(count, scheduler, log) as judges,
+        ):
             rows = search(asked, study, judges, folder, shown(bars, "trials", left))
     best = ranked(rows, asked)
     if all(row.failed for row in rows):

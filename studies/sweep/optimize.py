@@ -1,12 +1,14 @@
 """The best design under given bounds, by a search whose every trial is kept: TPE of optuna, seeded and resumable."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geometry.files import digest
+from geometry.errors import NotWrittenError
+from geometry.files import FULL, digest, explained
 from studies.sweep.rows import Row
 from studies.sweep.run import judge_all, kept_rows
 from studies.sweep.sampling import Sample, sample_at
@@ -41,6 +43,17 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
         seed=(sweep.seed + done) % 2**32, multivariate=True, n_startup_trials=START
     )
     return study
+
+
+@contextmanager
+def written(journal: Path) -> Iterator[None]:
+    """Say that it is the journal that cannot be written: optuna's errors name no file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in FULL or error.filename is not None:
+            raise
+        raise NotWrittenError(explained(error, journal)) from None
 
 
 def _drop_torn_line(journal: Path) -> None:

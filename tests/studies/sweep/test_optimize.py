@@ -1,8 +1,12 @@
 """The search for the best design, with workers that need no time."""
 
+import errno
+
+import pytest
 from rich.console import Console
 
-from studies.sweep.optimize import open_study, search
+from geometry.errors import NotWrittenError
+from studies.sweep.optimize import open_study, search, written
 from studies.sweep.rows import Row
 from studies.sweep.sweep_file import sweep_from_dict
 from studies.sweep.table import best_table
@@ -44,3 +48,8 @@ def test_a_design_that_is_tried_again_is_listed_once(tmp_path):
     assert "The 2 designs of least error [N] of 2; 0 failed" in shown.get()
     assert sum(line.startswith("│") for line in shown.get().splitlines()) == 2
     assert "rows,columns" in "".join(line.split("┃")[1].strip() for line in shown.get().splitlines() if "┃" in line)
+
+
+def test_a_full_disk_is_said_of_the_journal(tmp_path):
+    with pytest.raises(NotWrittenError, match=r"trials\.log: the disk is full"), written(tmp_path / "trials.log"):
+        raise OSError(errno.ENOSPC, "No space left on device")
