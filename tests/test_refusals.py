@@ -131,7 +131,7 @@ info '' -> no port was named
 info missing -> missing: no such port; there are
 info dir -> dir: a folder, not a port
 info empty -> the file is empty
-info data.nc -> data.nc has no variable 'counts'
+info data.nc -> data.nc: not a recording
 info foo://bar -> there are no ports of the kind foo://; name a device as /dev/ttyUSB0, or socket://HOST:PORT
 info socket://localhost:x -> give socket://HOST:PORT of a running server
 info /dev/null -> no serial port

@@ -21,7 +21,6 @@ _COLUMNS = {  # variable: its attributes; on the dimension frame
     "received_s": {"long_name": "arrival at the host", "units": "seconds since 1970-01-01 00:00:00"},
     "run": {"long_name": "counts up where the board or the recorder began anew; nothing is lost from one to the next"},
 }
-_BEFORE_RUNS = [name for name in _COLUMNS if name != "run"]  # what files of version 1 have
 _COUNTED = [each.name for each in fields(Statistics) if each.name not in ("ok", "info", "lost")]
 
 
@@ -61,17 +60,19 @@ def read_netcdf_recording(path: Path) -> Recording:
         If its content is not the one it states the hash of, or not a recording's.
     """
     made_by = "tripillar convert"
-    wanted = {name: ("frame", "crossing") if name == "counts" else ("frame",) for name in _BEFORE_RUNS}
-    data = read_netcdf(path, wanted, made_by)
-    header = read_header(data.attrs, str(path))
-    counted = {name: max(0, int(data.attrs.get(name, 0))) for name in _COUNTED}
-    columns = {name: data[name].values for name in _BEFORE_RUNS}
-    if "first_record_at" in data.attrs:  # of version 1: NetCDF reads zeros behind the end of one that was cut short
-        there = (Path(path).stat().st_size - int(data.attrs["first_record_at"])) // _old_record_bytes(header)
+    attributes = read_netcdf(path, {}, made_by).attrs
+    header = read_header(attributes, str(path))
+    has_runs = int(attributes["version"]) > 1
+    names = [name for name in _COLUMNS if name != "run" or has_runs]
+    data = read_netcdf(
+        path, {name: ("frame", "crossing") if name == "counts" else ("frame",) for name in names}, made_by
+    )
+    counted = {name: max(0, int(attributes.get(name, 0))) for name in _COUNTED}
+    columns = {name: data[name].values for name in names}
+    if "first_record_at" in attributes:  # of version 1: NetCDF reads zeros behind the end of one that was cut short
+        there = (Path(path).stat().st_size - int(attributes["first_record_at"])) // _old_record_bytes(header)
         columns = {name: values[:there] for name, values in columns.items()}
-    if int(data.attrs["version"]) > 1:
-        columns["run"] = read_netcdf(path, {"run": ("frame",)}, made_by)["run"].values
-    else:
+    if not has_runs:
         columns["run"] = np.zeros(len(columns["sequence"]), dtype=np.uint32)
         counted["restarts"] = 0  # found in the sequence
     for name, values in columns.items():
