@@ -181,7 +181,7 @@ def _strange_changes(pairs: MeasuredLoads, modelled_ohm: FloatArray) -> str | No
     worst = int(off.argmax())
     name = pairs.names[int(np.flatnonzero(acts)[is_told][worst])]
     return (
-        f"load '{name}' changed the resistances {max(multiple[worst], 0.0):.2g} times as much as it should: is it on "
+        f"load '{name}' changed the resistances by {100 * max(multiple[worst], 0.0):.0f} % of what it should: is it on "
         "the sensor, on that pad, and in newtons (grams for a weight)?"
     )
 

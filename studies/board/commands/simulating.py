@@ -112,14 +112,13 @@ def simulate(
     counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), sensor)
     if truth is not None:
         write_truth(motion, truth)
-    with simulated(kind, told, counts, link) as running:
+    with simulated(kind, told, counts, link) as running, ended_by_signal() as is_ended:
         named = str(link or running.port)
         if json_:
             print(json.dumps({"port": named, "board": kind}), flush=True)
         else:
             print(f"{kind} on {named}; Ctrl-C ends it", flush=True)
-        with ended_by_signal() as is_ended:
-            end_s = time.monotonic() + seconds
-            while not is_ended() and time.monotonic() < end_s:
-                time.sleep(0.1)
+        end_s = time.monotonic() + seconds
+        while not is_ended() and time.monotonic() < end_s:
+            time.sleep(0.1)
     wrote([] if truth is None else [truth])

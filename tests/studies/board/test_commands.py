@@ -252,7 +252,7 @@ def test_typed_weights_calibrate_and_nonsense_is_asked_again(house):
             for flags in ([], ["--force"])
         )  # fmt: skip
     assert refused.returncode == 2
-    assert "load '0 0 9000' changed the resistances 0" in refused.stderr.splitlines()[-1]
+    assert "load '0 0 9000' changed the resistances by 0 % of what it should" in refused.stderr.splitlines()[-1]
     assert forced.returncode == 0, forced.stderr
     assert "'spam' is no weight" in forced.stderr
     assert json.loads(forced.stdout)["loads"] == 2
