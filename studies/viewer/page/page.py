@@ -160,7 +160,7 @@ class Page:
             If there is no file of that kind, or nothing is shown yet.
         """
         if self._reading is None or kind not in ("csv", "scene"):
-            raise ControlError(f"there is no file {kind!r:.40}.")
+            raise ControlError(f"there is no file {shortened(kind)}.")
         if kind == "scene":
             return {"name": "scene.toml", "text": scene_of(self._design, self._traction, self.controls["pad"])}
         reading = self._reading

@@ -36,8 +36,9 @@ class Grade:
 
     def zoom(self, wide: int, high: int) -> float:
         """Pixels to draw for one of a place's, along each side."""
-        pixels = min(max(self.seconds * self.pixels_per_s, LEAST_PIXELS), MOST_PIXELS)
-        return min(max(math.sqrt(pixels / (wide * high)), self.least_zoom), MOST_ZOOM)
+        pixels = max(self.seconds * self.pixels_per_s, LEAST_PIXELS)
+        wanted = max(math.sqrt(pixels / (wide * high)), self.least_zoom)
+        return min(wanted, MOST_ZOOM, math.sqrt(MOST_PIXELS / (wide * high)))
 
     def learn(self, pixels: int, seconds: float) -> None:
         """Take into account what one picture took."""

@@ -8,7 +8,7 @@ import pytest
 import pyvista as pv
 from PIL import Image
 
-from studies.viewer.page.pictures import LEAST_PIXELS, MOST_ZOOM, Grade, Pictures
+from studies.viewer.page.pictures import LEAST_PIXELS, MOST_PIXELS, MOST_ZOOM, Grade, Pictures
 
 
 def test_more_time_and_a_quicker_machine_give_finer_pictures():
@@ -21,6 +21,7 @@ def test_more_time_and_a_quicker_machine_give_finer_pictures():
         grade.learn(pixels=10_000, seconds=1.0)
     assert grade.zoom(1000, 500) == pytest.approx((LEAST_PIXELS / 500_000) ** 0.5)
     assert Grade(10.0, quality=80).zoom(100, 100) == MOST_ZOOM
+    assert Grade(10.0, quality=80, least_zoom=1.0).zoom(4000, 4000) == (MOST_PIXELS / 16e6) ** 0.5  # whoever asks
     assert Grade(0.0, quality=92, least_zoom=1.0).zoom(1000, 500) == 1.0  # sharp when still, however slow the machine
 
 

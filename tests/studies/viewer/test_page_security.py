@@ -252,7 +252,9 @@ WRONG_VALUES = {
 }
 WRONG_MESSAGES = [
     "", "no JSON", "[]", "1", "null", '"set"', "{", '{"set": ' + "[" * 30_000, '{"set": ' + 900 * "[" + 900 * "]" + "}",
+    '{"file": ' + 900 * "[" + 900 * "]" + "}",
     *(json.dumps(message) for message in (
+        {"file": "/etc/passwd"}, {"file": ["csv"]},
         {"application.exit": []}, {"wslink": "1.0", "id": "x", "method": "application.exit"}, {"set": None},
         {"set": []}, {"set": [["pad", 1]]}, {"do": "exit"}, {"do": ["reset"]}, {"do": None}, {"do": {}}, {"turn": 1},
         {"turn": [1]}, {"turn": [1, "2"]}, {"turn": [1e9, 0]}, {"nearer": 0}, {"nearer": float("nan")}, {"nearer": [2]},
