@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -105,12 +106,18 @@ def shades(name: str | None, low: float, high: float) -> list[str]:
     """
     share = np.linspace(0.0, 1.0, SHADES)
     if name is not None:
-        return [_hex(rgb) for rgb in colormaps[name](share)[:, :3]]
+        return [*_sequential(name)]
     most = max(-low, high)
     whole = np.array([_rgb(c) for c in mixed(BELOW, SHADES) + mixed(ABOVE, SHADES)[1:]])
     at = np.linspace(-1.0, 1.0, len(whole))
     values = (low + share * (high - low)) / most
-    return [_hex([np.interp(value, at, whole[:, k]) for k in range(3)]) for value in values]
+    return [_hex(rgb) for rgb in np.column_stack([np.interp(values, at, channel) for channel in whole.T]).tolist()]
+
+
+@cache
+def _sequential(name: str) -> tuple[str, ...]:
+    """Colours of a map of matplotlib from its first to its last."""
+    return tuple(_hex(rgb) for rgb in colormaps[name](np.linspace(0.0, 1.0, SHADES))[:, :3].tolist())
 
 
 def mixed(colours: tuple[str, ...], n: int) -> list[str]:
@@ -125,7 +132,7 @@ def _rgb(colour: str) -> list[float]:
 
 
 def _hex(rgb: Iterable[float]) -> str:
-    return "#" + "".join(f"{round(255 * float(part)):02x}" for part in rgb)
+    return "#" + bytes(round(255 * part) for part in rgb).hex()
 
 
 def colour_ticks(low: float, high: float) -> FloatArray:

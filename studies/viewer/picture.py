@@ -11,7 +11,7 @@ from studies.entry import run_alone
 from studies.viewer.page.browser import page_in_chromium
 
 STEP = 5  #: of 255 levels of a colour: nobody sees it, and the file is half as large
-SETTLED_MS = 2500  #: after the last click: the fine picture has come
+SETTLED_MS = 2500  #: without news: the fine picture has come
 
 
 def draw(out: Path) -> None:
@@ -24,7 +24,10 @@ def draw(out: Path) -> None:
             for _ in range(steps):
                 page.keyboard.press("ArrowRight")
         page.mouse.click(640, 760)  # takes the focus off the slider
-        page.wait_for_timeout(SETTLED_MS)
+        said = None
+        while (now := page.inner_text("#times")) != said:
+            said = now
+            page.wait_for_timeout(SETTLED_MS)
         with Image.open(io.BytesIO(page.screenshot())) as screen:
             levels = np.rint(np.asarray(screen.convert("RGB")) / STEP) * STEP
         with replacing(out) as temporary:

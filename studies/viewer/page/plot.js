@@ -80,8 +80,8 @@ export class Plot {
     let low = Math.min(0, ...seen), high_ = Math.max(0, ...seen);
     if (high_ - low < 1e-9) high_ = low + 1;
     const step = round((high_ - low) / 4), left = 44, bottom = high - 30, top = 20;
-    low = step * Math.floor(low / step + 1e-9);
-    high_ = step * Math.ceil(high_ / step - 1e-9);
+    low = step * Math.floor(low / step + 0.05);  // noise about 0 needs no room
+    high_ = step * Math.ceil(high_ / step - 0.05);
     const x = t => left + (wide - left - 8) * (1 - (now - t) / SECONDS);
     const y = value => bottom - (bottom - top) * (value - low) / (high_ - low);
     context.lineWidth = 1;
