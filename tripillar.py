@@ -537,7 +537,7 @@ def fine_tune(
     from decoupler.metrics import evaluate as errors_on
     from decoupler.model_file import read_model, require_same_sensor, write_model
     from decoupler.plausibility import doubt
-    from studies.doubts import heed, joint_model, mention
+    from studies.doubts import heed, joint_model, mention, mention_another_sensor
     from studies.suited import known_response
 
     if pairs is not None and pairs < 1:
@@ -553,6 +553,7 @@ def fine_tune(
     judge = joint_model(solved) if decoupler.inverse is None else decoupler.inverse.forward
     forced = heed(data, doubt(measured, decoupler.component, judge), force)
     mention(data, measured, decoupler.component, joint_model(solved))
+    mention_another_sensor(data, measured, decoupler.component, judge)
     tuned = fine_tuned(decoupler, measured, solved)
     write_model(replace(tuned, made_from=tuned.made_from | forced), out)
     before, after = (errors_on(one, measured) for one in (decoupler, tuned))

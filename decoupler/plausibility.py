@@ -162,6 +162,21 @@ def disturbance(data: LabelledData, component: Component, forward: ForwardModel 
     )
 
 
+def explained(data: LabelledData, component: Component, forward: ForwardModel) -> float | None:
+    """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
+
+    Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
+    """
+    data = _some(data, component)
+    moved, _ = _motions(data, component, forward, NONE)
+    left = _left(data, component, forward)
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)
+    columns = columns[:, readable_columns(component, data.dead, columns.shape[1])]
+    noise = float((0.25 * (reading_deviation(columns, data.noise, data.bits) / columns) ** 2).sum())
+    signal = float((moved**2).sum()) - noise
+    return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+
+
 def _some(data: LabelledData, component: Component) -> LabelledData:
     data = distinct(data, component)
     if len(data.force_n) <= MOST_JUDGED:

@@ -7,7 +7,8 @@ from decoupler.components import COMPONENTS, Component
 from decoupler.decoupler import Decoupler
 from decoupler.errors import SampleError
 from decoupler.forward_model import ForwardModel
-from decoupler.plausibility import disturbance, doubt
+from decoupler.model_inverse import LEAST_EXPLAINED
+from decoupler.plausibility import disturbance, doubt, explained
 from decoupler.samples import distinct, selected
 from fem.response import ArrayResponse
 from studies.console import say
@@ -42,6 +43,16 @@ def mention(file: Path, data: LabelledData, component: Component, forward: Forwa
     repeated = len(data.force_n) - len(distinct(data, component).force_n)
     if repeated:
         say(f"{file}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
+
+
+def mention_another_sensor(file: Path, data: LabelledData, component: Component, forward: ForwardModel | None) -> None:
+    """Say that pairs seem to be of another sensor than the model's, where it explains too little of them."""
+    share = None if forward is None else explained(data, component, forward)
+    if share is not None and share < LEAST_EXPLAINED:
+        say(
+            f"{file}: the model's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's "
+            f"{LEAST_EXPLAINED:.0%} and more: are they of another?"
+        )
 
 
 def warn_of_test(

@@ -9,7 +9,7 @@ import pytest
 from dataset import Imperfections
 from decoupler.components import COMPONENTS, component_named
 from decoupler.forward_model import ForwardModel
-from decoupler.plausibility import disturbance, doubt, nothing_to_learn
+from decoupler.plausibility import disturbance, doubt, explained, nothing_to_learn
 from decoupler.samples import selected
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -114,3 +114,17 @@ def test_there_is_nothing_to_learn_from_what_never_changes():
     assert "every resistance is the same" in (nothing_to_learn(WRONG["constant"][0], ALL) or "")
     pressed = labelled(SENSOR, "z", n_samples=5, seed=0)
     assert "every force is 0 N" in (nothing_to_learn(pressed, COMPONENTS["fx"]) or "")
+
+
+def test_another_sensor_is_explained_less():
+    """One whose pads pass on to their neighbours what they keep themselves here; noise is no other sensor."""
+    assert explained(PAIRS, ALL, JOINT) > 0.99
+    noisy = read(labelled(SENSOR, "xyz", n_samples=30, seed=1), Imperfections(noise=0.01, gain_spread=0.1))
+    assert explained(noisy, ALL, JOINT) > 0.95
+    faint = lighter(labelled(SENSOR, "xyz", n_samples=30, seed=1), 0.001)
+    assert explained(read(faint, Imperfections(noise=0.01)), ALL, JOINT) is None
+    influence = np.roll(response(SENSOR).influence_mm_per_n, 1, axis=4)
+    other = ForwardModel.of(
+        replace(response(SENSOR), influence_mm_per_n=0.5 * influence + 0.5 * np.roll(influence, -1, 4)), ALL
+    )
+    assert explained(PAIRS, ALL, other) < 0.9
