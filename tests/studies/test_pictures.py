@@ -1,12 +1,16 @@
 """The drawings of the documentation: made of the design's own places, and written whole."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from geometry.design import SensorDesign
 from geometry.figures import prism_faces
 from geometry.layout import pillar_ends, pillar_sections, pillar_volumes
 from studies.pictures import draw
+from studies.viewer.documented import tour
 
 
 def volume_of(faces):
@@ -27,3 +31,25 @@ def test_the_drawings_are_written(tmp_path):
     draw(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"build.png", "protocols.png"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in tmp_path.iterdir())
+
+
+def test_the_readme_s_moving_picture_moves_and_is_small():
+    """Pressed, dragged once round and lifted: it ends about where it begins; no picture of arrays is above 1 MB."""
+    docs = Path(__file__).parents[2] / "docs"
+    with Image.open(docs / "deforming-array.webp") as picture:
+        frames = []
+        for number in (0, picture.n_frames // 2, picture.n_frames - 1):
+            picture.seek(number)
+            frames.append(np.asarray(picture.convert("L"), dtype=float))
+    first, middle, last = frames
+    assert np.abs(middle - first).mean() > 3 * np.abs(last - first).mean()
+    assert all(path.stat().st_size < 1e6 for path in docs.glob("*array.*"))
+
+
+def test_the_tour_presses_drags_and_lifts():
+    loads = np.array(tour(SensorDesign()))
+    pressed, shear = -loads[..., 2].min(axis=1), np.linalg.norm(loads[..., :2], axis=2).max(axis=1)
+    assert pressed[0] == pressed[-1] == 0.0
+    assert 4.0 < pressed.max() <= 5.0
+    assert (shear <= 0.2 * pressed + 1e-12).all()  # within friction
+    assert shear.max() > 0.7
