@@ -42,7 +42,7 @@ FILES = {
 REFUSED = """
 designs -> No such command 'designs'. Did you mean 'design'?
 --nonsense -> No such option: --nonsense.
-design extra -> See 'tripillar design --help'.
+design extra -> unexpected extra argument(s) (extra). See '
 design --out -> '--out' requires an argument
 design --out dir -> dir is a folder: give the name of a file in it
 cad -> Missing option '--out'
@@ -124,8 +124,8 @@ sweep small.toml -> unknown key 'extends'; known are design, sweep, vary, bounds
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 optimize small.toml --trials 0 -> --trials 0 must be at least 1
-doctor extra -> See 'tripillar doctor --help'.
-ports extra -> See 'tripillar ports --help'.
+doctor extra -> unexpected extra argument(s) (extra). See '
+ports extra -> unexpected extra argument(s) (extra). See '
 info -> Missing argument 'PORT'
 info '' -> no port was named
 info missing -> missing: no such port; there are
