@@ -31,9 +31,9 @@ static void on_sent(avr_irq_t *irq, uint32_t byte, void *unused)
 }
 
 // A real serial port holds two bytes and a third in its shift register, simavr's 64. What comes then is lost, and the
-// next byte that is not says so in the status register. One more is let in here, since simavr hands bytes over up to one
-// byte time late.
-#define HELD 4
+// next byte that is not says so in the status register. More are let in here: simavr hands over one byte a byte time at
+// most, so what once waits goes on waiting until a burst ends, where a real port's interrupt catches up at once.
+#define HELD 32
 #define PLACES (sizeof ((avr_uart_t *)0)->input.buffer / sizeof *((avr_uart_t *)0)->input.buffer)
 static bool is_behind_gap[PLACES];
 static bool is_gap;
