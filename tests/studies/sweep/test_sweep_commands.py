@@ -142,5 +142,6 @@ def test_ctrl_c_keeps_the_rows_and_leaves_no_worker(house):
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 130
-    assert said.splitlines() == ["stopped; the rows in out/pads-rows are kept: give the same command again to go on."]
+    words = "tripillar: stopped; the rows in out/pads-rows are kept: give the same command again to go on."
+    assert said.splitlines() == [words]
     assert not psutil.wait_procs(workers, timeout=20)[1]
