@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     cls=UnderHeadings,
-    no_args_is_help=True,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # which would take a unit in brackets, [s], for markup
     context_settings={"max_content_width": 120},
@@ -97,6 +97,7 @@ def show_version(asked: bool) -> None:
 
 @app.callback()
 def root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
@@ -105,6 +106,8 @@ def root(
 
     `tripillar COMMAND --help` explains a command. New here? Begin with `tripillar doctor`, then `tripillar design`.
     """
+    if context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 @app.command(rich_help_panel=SOLVING)

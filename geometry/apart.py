@@ -4,77 +4,75 @@ import ctypes
 import os
 import pickle
 import signal
+import subprocess
 import sys
-import threading
-import warnings
-from collections.abc import Callable
-from typing import Any, NoReturn, TypeVar
+from importlib import import_module
+from typing import Any
 
 from geometry.errors import GeometryError
 
-T = TypeVar("T")
 PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
-def apart(function: Callable[..., T], *arguments: Any, name: str) -> T:
-    """What a function gives that is run in a copy of this process.
+def apart(place: str, *arguments: Any, **named: Any) -> Any:
+    """What a function gives that is loaded and run in a new process.
 
-    On Windows there is no such copy, and in a thread locks of other threads might stay closed in it: there it is run in
-    this process.
+    A copy of this process (fork) would be quicker to have, but the mesher crashes in a copy of one that has used TBB.
 
     Parameters
     ----------
-    function : callable
-        Must give what can be pickled, and use no threads that run already.
-    name : str
-        What it is, for the message of its failure.
+    place : str
+        Module and name of the function, "geometry.mesher:tetrahedralize".
+    arguments, named
+        Its arguments; they, and what it gives, must be such that they can be pickled.
 
     Raises
     ------
     GeometryError
-        If the copy crashed, or was ended for want of memory.
+        If the process crashed, or was ended for want of memory.
     """
-    if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
-        return function(*arguments)
-    reader, writer = os.pipe()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of Python 3.12, about locks of other threads
-        child = os.fork()
-    if child == 0:
-        _answer(function, arguments, writer)
-    os.close(writer)
-    try:
-        with open(reader, "rb") as answers:
-            answer = answers.read()
-    except BaseException:  # Ctrl-C
-        os.kill(child, signal.SIGKILL)
-        raise
-    finally:
-        _, status = os.waitpid(child, 0)
-    if not answer:
-        why = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"exit code {os.WEXITSTATUS(status)}"
-        raise GeometryError(f"{name} crashed ({why}): is there enough memory and room on the disk?")
+    asked = pickle.dumps((place, arguments, named), pickle.HIGHEST_PROTOCOL)
+    with subprocess.Popen(
+        [sys.executable, "-m", "geometry.apart"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment()
+    ) as process:
+        try:
+            answer, _ = process.communicate(asked)
+        except BaseException:  # Ctrl-C
+            process.kill()
+            raise
+    code = process.returncode
+    if code:
+        why = f"signal {-code}" if code < 0 else f"exit code {code}"
+        culprit = place.partition(":")[0].rpartition(".")[2]
+        raise GeometryError(f"the {culprit} crashed ({why}): is there enough memory and room on the disk?")
     given, error = pickle.loads(answer)
     if error is not None:
         raise error
     return given
 
 
-def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], writer: int) -> NoReturn:
-    """In the copy: leave Ctrl-C to the original, hand over what came out, and end without any tidying up."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+def _environment() -> dict[str, str]:
+    """This process's, and the places that it takes modules from."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(place for place in sys.path if place)}
+
+
+def _answer() -> None:
+    """In the new process: leave Ctrl-C to the one that began it, and hand over what came out."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it ends with the original, however that is killed
-    code = 1
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it ends with the other, however that is ended
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever prints, prints elsewhere
+    place, arguments, named = pickle.load(sys.stdin.buffer)
+    module, _, function = place.partition(":")
     try:
-        try:
-            answer = pickle.dumps((function(*arguments), None), pickle.HIGHEST_PROTOCOL)
-        except Exception as error:
-            answer = pickle.dumps((None, error))
-        with open(writer, "wb") as answers:
-            answers.write(answer)
-        code = 0
-    finally:
-        os._exit(code)
+        outcome: tuple[Any, Exception | None] = (getattr(import_module(module), function)(*arguments, **named), None)
+    except Exception as error:
+        outcome = (None, error)
+    pickle.dump(outcome, answers, pickle.HIGHEST_PROTOCOL)
+    answers.close()
+
+
+if __name__ == "__main__":
+    _answer()

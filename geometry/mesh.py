@@ -5,15 +5,10 @@ So plane faces are snapped back onto their planes, regions are found from the ge
 held against the CAD's, and meshes are cached by the hash of what made them.
 """
 
-import os
-import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import chdir, contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,39 +233,24 @@ def fill(
     -------
     points, shape (n, 3) [mm], and cells, shape (m, 4)
     """
-    import pytetwild  # noqa: F401, before the copy is made: each would have to load it
-
     offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     vertices = np.vstack([surface.vertices for surface in surfaces])
     triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
     low, high = bounds(surfaces)
     with scratch() as folder:
-        return apart(
-            partial(
-                _tetrahedralize,
-                folder,
-                vertices,
-                triangles.astype(np.int32),
-                edge_length_abs=float(edge_mm.max()),
-                epsilon=envelope_mm / float(np.linalg.norm(high - low)),
-                bg_vertices=np.ascontiguousarray(background_mm),
-                bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
-                bg_values=edge_mm,
-                disable_filtering=keep_outside,
-            ),
-            name="the mesher",
+        points, cells = apart(
+            "geometry.mesher:tetrahedralize",
+            folder.absolute(),
+            vertices,
+            triangles.astype(np.int32),
+            edge_length_abs=float(edge_mm.max()),
+            epsilon=envelope_mm / float(np.linalg.norm(high - low)),
+            bg_vertices=np.ascontiguousarray(background_mm),
+            bg_tets=np.ascontiguousarray(background_cells, dtype=np.int32),
+            bg_values=edge_mm,
+            disable_filtering=keep_outside,
         )
-
-
-def _tetrahedralize(
-    folder: Path, vertices: FloatArray, triangles: NDArray[np.int32], **settings: Any
-) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Run the mesher in a folder: it prints, drops a file where it stands, and no signal gets through to Python."""
-    import pytetwild
-
-    with _stdout_to_stderr(), chdir(folder):
-        points, cells = pytetwild.tetrahedralize(vertices, triangles, **settings)
-    return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    return points, cells
 
 
 def bounds(surfaces: Sequence[Surface]) -> tuple[FloatArray, FloatArray]:
@@ -362,16 +342,3 @@ def read_mesh(path: Path) -> TetMesh:
         if isinstance(error, FileFormatError):
             raise
         raise FileFormatError(f"{path}: truncated or not a mesh of this program; delete it to mesh again.") from None
-
-
-@contextmanager
-def _stdout_to_stderr() -> Iterator[None]:
-    """Send what compiled code prints to stderr: stdout belongs to results."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)

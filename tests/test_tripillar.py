@@ -200,7 +200,7 @@ def test_a_bad_design_is_one_line(house, tmp_path, text, says):
     [
         (["frobnicate"], "No such command 'frobnicate'"),
         (["train"], "Missing option"),
-        (["dataset", "--protocol", "poke", "--samples", "3", "--out", "x.nc"], "'poke' is not one of"),
+        (["dataset", "--protocol", "poke", "--samples", "3", "--out", "x.nc"], "--protocol poke must be one of"),
         (["dataset", "--protocol", "contact", "--samples", "many", "--out", "x.nc"], "--samples"),
         (["dataset", "--protocol", "contact", "--samples", "0", "--out", "x.nc"], "samples=0 must be"),
         (["dataset", "--protocol", "contact", "--samples", "9", "--cap", "2", "--out", "x.nc"], "cap=2 must be"),

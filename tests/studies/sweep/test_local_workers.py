@@ -3,6 +3,7 @@
 import logging
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -36,7 +37,11 @@ def own_temporary_folder(tmp_path, monkeypatch):
 
 def workers_of(process: psutil.Process) -> list[psutil.Process]:
     """The grandchildren of a process: copies of the server that its child is."""
-    return [worker for server in process.children() for worker in server.children()]
+    found = []
+    for server in process.children():
+        with suppress(psutil.NoSuchProcess):  # it ends meanwhile
+            found += server.children()
+    return found
 
 
 def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
@@ -46,10 +51,8 @@ def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
 
         def kill(row: Row) -> None:
             done.append(row)
-            me = psutil.Process()
-            for process in (workers_of(me), [k for k in me.children() if workers_of(me) and k.children()], [])[
-                min(len(done), 3) - 1
-            ]:
+            workers = workers_of(psutil.Process())
+            for process in {1: workers, 2: {worker.parent() for worker in workers}}.get(len(done), []):
                 process.kill()
 
         rows = judge_all(SAMPLES, SWEEP.judging, judges, tmp_path / "rows", kill)
