@@ -89,7 +89,7 @@ def _filled(folder: Path, name: str) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         with unfinished(folder, name) as temporary:
             yield temporary
-    except BaseException:
+    except BaseException:  # Ctrl-C as well: no empty folder stays behind
         for place in missing:
             with suppress(OSError):
                 place.rmdir()
