@@ -26,11 +26,11 @@ dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
 picture: $(READY)  ## draw the pictures of the README and of docs/ again
-	$(BIN)/python -m studies.viewer.documented docs
-	$(BIN)/python -m studies.board.picture docs/live.svg
-	$(BIN)/python -m studies.pictures docs
+	$(BIN)/python -m studies.pictures.arrays docs
+	$(BIN)/python -m studies.pictures.live docs/live.svg
+	$(BIN)/python -m studies.pictures.drawings docs
 	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
-	$(BIN)/python -m studies.viewer.picture docs/page.png
+	$(BIN)/python -m studies.pictures.page docs/page.png
 
 paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
 	$(BIN)/python -m studies.paper --out $(OUT)/paper
@@ -43,7 +43,7 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
 
 stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
-	$(BIN)/python -m studies.stress --out $(OUT)/stress
+	$(BIN)/python -m studies.edge_cases --out $(OUT)/stress
 
 robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
 	$(BIN)/python -m studies.robustness --out $(OUT)/robustness

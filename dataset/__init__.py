@@ -7,9 +7,9 @@ and resistances of any number of samples, in memory (`SimulatedData`) and as a N
 """
 
 from dataset.imperfections import OPEN_OHM, Imperfections
-from dataset.labelled import LabelledData, SimulatedData, read_labelled, write_dataset
 from dataset.measurement import Readout, counts_from_resistance, measured, resistance_from_counts
 from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
+from dataset.samples import LabelledData, SimulatedData, read_labelled, write_dataset
 
 __all__ = [
     "OPEN_OHM",

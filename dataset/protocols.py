@@ -18,9 +18,9 @@ TANGENTIAL_MPA = (0.2, 1.0)  #: the same for shear
 NORMAL_PRELOAD_MPA = 0.5  #: light pressure on pads that no indenter touches: a tenth of the largest
 TANGENTIAL_PRELOAD_MPA = 0.1  #: the same for shear
 FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
-MOST_INDENTERS = 3
+MAX_INDENTERS = 3
 LIGHT_N = 10.0  #: largest force of a light touch, the paper's smallest range
-MOST_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
+MAX_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
 INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
 
 Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
@@ -63,7 +63,7 @@ def _contact_fx(generator: np.random.Generator, n: int, design: SensorDesign) ->
 
 def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
     pressure = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
-    drag = _in_disc(generator, (n, MOST_INDENTERS)) * FRICTION
+    drag = _in_disc(generator, (n, MAX_INDENTERS)) * FRICTION
     traction = np.empty((n, design.n_units, 3))
     traction[..., :2] = pressure.transpose(0, 2, 1) @ drag  # summed over indenters
     traction[..., 2] = -NORMAL_PRELOAD_MPA - pressure.sum(axis=1)
@@ -99,8 +99,8 @@ def _light(generator: np.random.Generator, n: int, design: SensorDesign) -> Floa
 
 
 def _touches(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    """Tractions of 0 to `LIGHT_N` on none to `MOST_TOUCHED` pads of each sample, shape (n, n_units) [MPa]."""
-    number = generator.integers(0, MOST_TOUCHED + 1, (n, 1))
+    """Tractions of 0 to `LIGHT_N` on none to `MAX_TOUCHED` pads of each sample, shape (n, n_units) [MPa]."""
+    number = generator.integers(0, MAX_TOUCHED + 1, (n, 1))
     rank = generator.random((n, design.n_units)).argsort(axis=1)
     return (rank < number) * generator.uniform(0.0, LIGHT_N, rank.shape) / design.pad.size_mm**2
 
@@ -112,18 +112,18 @@ def _indenters(
     peak_mpa: tuple[float, float],
     preload_mpa: float,
 ) -> FloatArray:
-    """What one to three round indenters add to each pad's preload, shape (n, MOST_INDENTERS, n_units) [MPa].
+    """What one to three round indenters add to each pad's preload, shape (n, MAX_INDENTERS, n_units) [MPa].
 
     An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the
     array. Where several meet, they are weakened together so that no pad passes the largest peak. Indenters
     that a sample does not have add 0.
     """
     x, y, _ = design.slab_mm
-    centre = generator.uniform(-0.5, 0.5, (n, MOST_INDENTERS, 1, 2)) * (x, y)
-    width = generator.uniform(*INDENTER_WIDTH_MM, (n, MOST_INDENTERS, 1))
-    strength = generator.uniform(*peak_mpa, (n, MOST_INDENTERS, 1)) - preload_mpa
-    number = generator.integers(1, MOST_INDENTERS + 1, (n, 1, 1))
-    present = np.arange(MOST_INDENTERS)[:, None] < number
+    centre = generator.uniform(-0.5, 0.5, (n, MAX_INDENTERS, 1, 2)) * (x, y)
+    width = generator.uniform(*INDENTER_WIDTH_MM, (n, MAX_INDENTERS, 1))
+    strength = generator.uniform(*peak_mpa, (n, MAX_INDENTERS, 1)) - preload_mpa
+    number = generator.integers(1, MAX_INDENTERS + 1, (n, 1, 1))
+    present = np.arange(MAX_INDENTERS)[:, None] < number
     dx, dy = (unit_centres(design)[:, axis] - centre[..., axis] for axis in (0, 1))  # each (n, indenters, units)
     squared = dx * dx + dy * dy
     traction = present * strength * np.exp(-squared / (2 * width**2))

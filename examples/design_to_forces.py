@@ -6,9 +6,9 @@
 from dataclasses import replace
 
 from dataset import Imperfections
-from dataset.simulate import DatasetSettings, measured_again, simulate
+from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler import NetworkConfig, TrainingConfig, assess
-from decoupler.training import train
+from decoupler.training.trainer import train
 from fem import array_response
 from geometry import Array, SensorDesign
 

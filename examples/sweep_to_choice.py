@@ -5,15 +5,15 @@ designs than these use ``tripillar sweep FILE``, which shares the work among pro
 """
 
 from dataset import Imperfections
-from dataset.simulate import DatasetSettings, measured_again, simulate
+from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler import NetworkConfig, TrainingConfig, assess
-from decoupler.training import train
+from decoupler.training.trainer import train
 from fem import ResponseSettings, array_response
 from geometry import design_from_toml
-from studies.sweep.judge import row_of
-from studies.sweep.sampling import samples_of
-from studies.sweep.sweep_file import sweep_from_dict
-from studies.sweep.table import ranked
+from tripillar.sweep.judge import row_of
+from tripillar.sweep.sampling import samples_of
+from tripillar.sweep.sweep_file import sweep_from_dict
+from tripillar.sweep.table import ranked
 
 NOISE, BITS = 0.001, 12  # of the readings
 

@@ -7,15 +7,15 @@ arrays; `array_field.py` and `scene_parts.py` for displacement and stress anywhe
 the elements (`high_order.py` on `kronecker.py`, `hexahedra.py`, `elasticity.py`) and the solvers (`linear_solver.py`).
 """
 
-from fem.array_response import ResponseSettings, array_response, solve_response
-from fem.elasticity import ElasticBody, displacement_form, taylor_hood
-from fem.linear_solver import SolverError
-from fem.patch import PatchError, patch_integrals, patch_means
-from fem.response import ArrayResponse, read_response, write_response
-from fem.scene import Scene, SceneError
-from fem.scene_file import read_scene
-from fem.solution import Solution
-from fem.solve import solve_scene
+from fem.array.response import ArrayResponse, read_response, write_response
+from fem.array.solving import ResponseSettings, array_response, solve_response
+from fem.discretization.elasticity import ElasticBody, displacement_form, taylor_hood
+from fem.discretization.patch import PatchError, patch_integrals, patch_means
+from fem.linear.linear_solver import SolverError
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Scene, SceneError
+from fem.scene.scene_file import read_scene
+from fem.scene.solution import Solution
 
 __all__ = [
     "ArrayResponse",

@@ -12,8 +12,8 @@ from pathlib import Path
 from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
 
 from geometry.design import SensorDesign, Unit
-from geometry.files import replacing_in
 from geometry.layout import PILLARS, pillar_ends, pillar_sections, unit_centres
+from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
 Point = Sequence[float]

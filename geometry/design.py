@@ -71,7 +71,7 @@ class Unit:
         return self.span_mm + max(self.oblique_width_mm, self.electrode_mm)
 
 
-MOST_UNITS = 255  #: along x or y: what a board's frames can state
+MAX_UNITS = 255  #: along x or y: what a board's frames can state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +85,8 @@ class Array:
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "rows", "cols", "pitch_mm")
-        if max(self.rows, self.cols) > MOST_UNITS:
-            raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MOST_UNITS} each.")
+        if max(self.rows, self.cols) > MAX_UNITS:
+            raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MAX_UNITS} each.")
 
 
 @dataclass(frozen=True, kw_only=True)

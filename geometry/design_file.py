@@ -6,8 +6,8 @@ from typing import Any
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.files import replacing
-from geometry.text_file import read_text, tables_of
+from geometry.storage.files import replacing
+from geometry.storage.text_file import read_text, tables_of
 
 
 def design_to_toml(design: SensorDesign) -> str:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from geometry.apart import apart
 from geometry.design import SensorDesign, quantity, require_numbers, require_positive
 from geometry.errors import DesignError, FileFormatError, GeometryError
-from geometry.files import cache_folder, digest, keep, scratch, write_bytes
 from geometry.layout import FloatArray, inside_pillars
-from geometry.seal import BLANK, require_intact, say_made_anew, sealed
+from geometry.storage.files import cache_folder, digest, keep, scratch, write_bytes
+from geometry.storage.seal import BLANK, require_intact, say_made_anew, sealed
+from geometry.storage.vtk_file import vtk_content
 from geometry.surface import Surface, check_surface
-from geometry.vtk_file import vtk_content
 
 REGIONS = ("matrix", "pillar")  #: meaning of a cell's region number
 METHOD = 1  #: raise when the same settings give another kind of mesh, so that cached ones are not reused

@@ -27,8 +27,8 @@ from build123d import Location, Solid
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
 from geometry.errors import DesignError
-from geometry.files import require_folder
 from geometry.layout import upper_electrodes
+from geometry.storage.files import require_folder
 
 
 @dataclass(frozen=True, kw_only=True)

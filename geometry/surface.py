@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geometry.errors import GeometryError
-from geometry.files import replacing
 from geometry.layout import FloatArray
+from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     from build123d import Shape

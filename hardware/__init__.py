@@ -7,9 +7,8 @@ over time (`ForceReader`, `replay`). Open `docs/frames.md` for what is on the wi
 """
 
 from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
-from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
-from hardware.crossbar import Crossbar
-from hardware.frames import (
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import (
     PROTOCOL,
     Frame,
     FrameDecoder,
@@ -19,9 +18,13 @@ from hardware.frames import (
     Statistics,
     encode,
 )
-from hardware.live import ForceModel, ForceReader, Forces
-from hardware.ports import PortError, list_ports, open_port
-from hardware.readout import CrossbarReadout
+from hardware.link.scanner import Scanner, ScannerError
+from hardware.link.serial_ports import PortError, list_ports, open_port
+from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar_readout import CrossbarReadout
+from hardware.readout.live import ForceModel, ForceReader, Forces
+from hardware.readout.replaying import Replay, replay, write_forces
 from hardware.recording import (
     Recording,
     parse_recording,
@@ -29,9 +32,6 @@ from hardware.recording import (
     recording_from_resistances,
     write_recording,
 )
-from hardware.replay import Replay, replay, write_forces
-from hardware.scanner import Scanner, ScannerError
-from hardware.virtual_board import VirtualBoard
 
 __all__ = [
     "PROTOCOL",

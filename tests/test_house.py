@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FLOORS = ["geometry", "fem", "dataset", "decoupler", "hardware", "studies", "tripillar"]  #: each imports only leftwards
+FLOORS = ["geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies"]  #: each imports only leftwards
 HEAVY = ["build123d", "torch", "pyvista", "skfem", "xarray", "scipy", "trimesh"]
 
 
@@ -25,7 +25,7 @@ def imports(path: Path) -> set[str]:
 
 def sources() -> list[tuple[str, Path]]:
     files = [(floor, path) for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
-    return [*files, ("tripillar", ROOT / "tripillar.py")]
+    return [*files, ("tripillar", ROOT / "tripillar/cli/app.py")]
 
 
 @pytest.mark.parametrize(("floor", "path"), sources(), ids=lambda value: getattr(value, "stem", value))

@@ -9,12 +9,12 @@ from textwrap import fill
 import numpy as np
 
 from dataset.measurement import SENSE_OHM
-from decoupler.calibration import LEAST_OHM
-from decoupler.components import DEAD_OHM
-from decoupler.decoupler import Decoupler
-from decoupler.errors import ExportError
+from decoupler.data.components import DEAD_OHM
+from decoupler.data.errors import ExportError
+from decoupler.data.resting import HALF_STEP, MOST
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.resting import HALF_STEP, MOST
+from decoupler.model.calibration import MIN_OHM
+from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
@@ -226,7 +226,7 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "least_ohm": _literal(dtype(LEAST_OHM)),
+        "least_ohm": _literal(dtype(MIN_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
         "sense": _literal(dtype(SENSE_OHM)),
         "half": _literal(dtype(HALF_STEP)),

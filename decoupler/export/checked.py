@@ -7,18 +7,18 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from decoupler.decoupler import Decoupler
-from decoupler.errors import ExportError
+from decoupler.data.errors import ExportError
 from decoupler.export.c_header import c_header, compiled_forces
 from decoupler.export.portable import dead_inputs, places
+from decoupler.model.decoupler import Decoupler
 from geometry.errors import DesignError
-from geometry.files import replacing
 from geometry.layout import PILLARS, FloatArray
+from geometry.storage.files import replacing
 
 Precision = Literal["float", "double"]
 USUAL: dict[str, Precision] = {".onnx": "double", ".h": "float"}  #: precision by suffix
 SAMPLES = 64  #: that the check computes both ways
-MOST_DEVIATION: dict[str, float] = {"double": 1e-6, "float": 1e-4}  #: of full scale; see `export_model`
+MAX_DEVIATION: dict[str, float] = {"double": 1e-6, "float": 1e-4}  #: of full scale; see `export_model`
 _TYPES: dict[str, type[np.floating]] = {"float": np.float32, "double": np.float64}
 
 
@@ -47,7 +47,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     DesignError
         If the suffix or the precision is another.
     ExportError
-        If ONNX is not installed, a C compiler refuses the header, or a force deviates by more than `MOST_DEVIATION`;
+        If ONNX is not installed, a C compiler refuses the header, or a force deviates by more than `MAX_DEVIATION`;
         nothing is written then.
 
     Notes
@@ -84,10 +84,10 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
             except ImportError:
                 return Exported(precision=precision, deviation=None, unchecked="onnxruntime is not installed")
         deviation = float(np.abs(found - expected).max() / np.abs(expected).max())
-        if not deviation <= MOST_DEVIATION[precision]:
+        if not deviation <= MAX_DEVIATION[precision]:
             raise ExportError(
                 f"{path} is not written: its forces deviate from the model's by {deviation:.1e} of full scale, "
-                f"more than {MOST_DEVIATION[precision]:g}: use --precision double, or report it."
+                f"more than {MAX_DEVIATION[precision]:g}: use --precision double, or report it."
             )
     return Exported(precision=precision, deviation=deviation)
 

@@ -7,12 +7,12 @@ import onnx
 from onnx import helper, numpy_helper
 
 from dataset.measurement import SENSE_OHM
-from decoupler.calibration import LEAST_OHM
-from decoupler.components import DEAD_OHM
-from decoupler.decoupler import Decoupler
+from decoupler.data.components import DEAD_OHM
+from decoupler.data.resting import HALF_STEP, MOST, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.model_inverse import ModelInverse
-from decoupler.resting import HALF_STEP, MOST, Resting
+from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.model.calibration import MIN_OHM
+from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one
@@ -45,7 +45,7 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     if decoupler.calibration is not None:
         modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
         modelled = graph.add("Div", modelled, decoupler.calibration.gain)
-        x = graph.add("Max", modelled, np.array(LEAST_OHM))
+        x = graph.add("Max", modelled, np.array(MIN_OHM))
     if decoupler.inverse is not None:
         x = _inverse(graph, x, decoupler.inverse)
     elif decoupler.network.feature == "root":

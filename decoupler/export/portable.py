@@ -5,10 +5,10 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.components import readable_columns
-from decoupler.decoupler import Decoupler
-from geometry.files import digest
+from decoupler.data.components import readable_columns
+from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
+from geometry.storage.files import digest
 
 
 def places(decoupler: Decoupler) -> NDArray[np.int64]:

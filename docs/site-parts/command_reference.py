@@ -7,8 +7,8 @@ from typing import Any
 
 import typer
 
-from studies.console import HEADINGS
-from tripillar import app
+from tripillar.cli.app import app
+from tripillar.terminal.console import HEADINGS
 
 PAGE = Path(__file__).parents[1] / "commands.md"
 

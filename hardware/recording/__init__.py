@@ -1,6 +1,7 @@
 """Recordings: raw counts as they came, kept by `Recorder`, read by `read_recording`, given other forms by `convert`.
 
-Resistances and forces are computed from them, by `hardware.replay`. `docs/recordings.md` has the format; `recorder.py`
+Resistances and forces are computed from them, by
+`hardware.readout.replaying`. `docs/recordings.md` has the format; `recorder.py`
 and `reader.py` are its two ends, `recorded.py` says what a recording is.
 """
 

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from geometry import files
 from geometry.layout import FloatArray
-from hardware.calibration import Electronics
-from hardware.frames import Frame, Info, encode
+from geometry.storage import files
+from hardware.link.frames import Frame, Info, encode
+from hardware.readout.calibration import Electronics
 from hardware.recording.recorded import Recording, frames_of
 
 

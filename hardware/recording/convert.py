@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 
 from geometry.errors import FileFormatError
-from geometry.files import replacing
+from geometry.storage.files import replacing
 from hardware.recording.mcap_file import write_mcap
 from hardware.recording.netcdf import write_netcdf_recording
 from hardware.recording.recorded import Recording
@@ -33,7 +33,7 @@ def convert(recording: Recording, path: Path) -> None:
 def csv_text(recording: Recording) -> str:
     """A line a frame: Unix time of arrival (empty if unknown), board's clock, counters, then the counts.
 
-    >>> from hardware.frames import Info
+    >>> from hardware.link.frames import Info
     >>> from hardware.recording import parse_recording, recording_from_resistances
     >>> import numpy as np
     >>> stream = recording_from_resistances(np.full((1, 1, 1, 3), 10e3), Info(rows=1, cols=1))

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from geometry.errors import FileFormatError
-from hardware.frames import FrameError, Info, ScanMode
+from hardware.link.frames import FrameError, Info, ScanMode
 
 FORMAT, VERSION = "tripillar recording", 2
 MADE_FROM = ("model_recipe", "design_hash")  #: what may be said of a recording's origin

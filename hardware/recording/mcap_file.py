@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geometry.errors import FileFormatError, TriPillarError
-from geometry.files import replacing
-from hardware.frames import Statistics
+from geometry.storage.files import replacing
+from hardware.link.frames import Statistics
 from hardware.recording.header import Header, read_header
 from hardware.recording.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
 from hardware.recording.recorded import Recording, assemble
 
 if TYPE_CHECKING:
-    from hardware.replay import Replay
+    from hardware.readout.replaying import Replay
 
 MAGIC = b"\x89MCAP0\r\n"
 _STATISTICS = "tripillar statistics"  # name of the metadata at the end

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from geometry.errors import FileFormatError
-from geometry.netcdf import read_netcdf, write_netcdf
-from hardware.frames import Statistics
+from geometry.storage.netcdf import read_netcdf, write_netcdf
+from hardware.link.frames import Statistics
 from hardware.recording.header import Header, read_header
 from hardware.recording.recorded import Recording, assemble
 

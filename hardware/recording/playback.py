@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from hardware.frames import encode
+from hardware.link.frames import encode
 from hardware.recording.recorded import Recording, frames_of, is_restart
 
 _CAPACITY = 4096  # bytes that wait at most, as in a serial driver; here the others wait behind them and are not lost
@@ -39,7 +39,7 @@ class PlaybackPort:
 
     Examples
     --------
-    >>> from hardware.frames import FrameDecoder, Info
+    >>> from hardware.link.frames import FrameDecoder, Info
     >>> from hardware.recording import parse_recording, recording_from_resistances
     >>> stream = recording_from_resistances(np.full((5, 1, 2, 3), 10e3), Info(rows=1, cols=2))
     >>> with PlaybackPort(parse_recording(stream), speed=np.inf) as port:

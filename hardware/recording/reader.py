@@ -9,8 +9,8 @@ from typing import IO, Any
 import numpy as np
 
 from geometry.errors import FileFormatError
-from geometry.text_file import why_unreadable
-from hardware.frames import PROTOCOL, Info, packed_dtype, unpack
+from geometry.storage.text_file import why_unreadable
+from hardware.link.frames import PROTOCOL, Info, packed_dtype, unpack
 from hardware.recording.header import Header, read_header
 from hardware.recording.mcap_file import MAGIC as MCAP
 from hardware.recording.mcap_file import read_mcap

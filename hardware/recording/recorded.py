@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from hardware.frames import Frame, Info, ScanMode, Statistics
+from hardware.link.frames import Frame, Info, ScanMode, Statistics
 from hardware.recording.header import Header
 
 

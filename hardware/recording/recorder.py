@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Self
 
 from geometry.errors import FileFormatError, TriPillarError
-from geometry.files import FULL, require_file, uninterrupted
-from hardware.frames import Frame, Info, Statistics, missing_between, pack
+from geometry.storage.files import FULL, require_file, uninterrupted
+from hardware.link.frames import Frame, Info, Statistics, missing_between, pack
 from hardware.recording.header import Header
 from hardware.recording.reader import read_header_of
 from hardware.recording.recorded import require_same_board

@@ -10,7 +10,7 @@ from typing import IO
 
 from cobs import cobs
 
-from hardware.frames import unpack
+from hardware.link.frames import unpack
 
 SESSION, FRAME, END = b"s", b"f", b"e"  #: JSON: what follows comes from; time of arrival and a frame; JSON: statistics
 BOARD_FRAME, BOARD_INFO, BOARD_ERRORS = b"D", b"I", b"E"
@@ -33,7 +33,7 @@ def record(kind: bytes, content: bytes) -> bytes:
 def content_of(chunk: bytes) -> tuple[bytes, bytes]:
     """Kind and content of what stands between two zero bytes; of a damaged one no kind and what is wrong with it.
 
-    The content of a board's frame is `hardware.frames.pack` of it.
+    The content of a board's frame is `hardware.link.frames.pack` of it.
     """
     try:
         body = cobs.decode(chunk)

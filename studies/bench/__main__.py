@@ -8,16 +8,16 @@ from typing import Annotated
 import typer
 
 from studies.bench.contenders import CONTENDERS
-from studies.bench.figures import draw_work_precision
 from studies.bench.reference import has_reference
 from studies.bench.scenes import all_scenes, hard_scenes
 from studies.bench.table import ratio_table, work_precision_table
 from studies.bench.work_precision import Settings, as_plain, measure_scene
-from studies.console import say, wrote
-from studies.entry import run_alone
-from studies.report import show
+from studies.bench.work_precision_chart import draw_work_precision
 from studies.surroundings import surroundings
-from studies.writing import write_json
+from tripillar.terminal.console import say, wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
 
 SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")

@@ -16,19 +16,19 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from fem.array_field import array_field
-from fem.scene import Sensor
-from fem.solution import largest_error
+from fem.fields.array_field import array_field
+from fem.scene.scene import Sensor
+from fem.scene.solution import largest_error
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import FloatArray, pad_squares
-from studies.bench.memory import peak_mib
 from studies.bench.reference import read_reference
 from studies.bench.scenes import small_array_scenes
 from studies.bench.whole_grid import whole_grid_response
-from studies.console import wrote
-from studies.entry import run_alone
-from studies.report import show
-from studies.writing import write_json
+from tripillar.sweep.memory import peak_mib
+from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
 
 REFERENCES = Path(__file__).with_name("references.json")
 #: name, units a side, settings of the response (or the level of one grid of the whole slab), matrix's modulus [MPa]
@@ -74,7 +74,7 @@ def errors(influence: FloatArray, name: str = "response") -> dict[str, float]:
 
 
 def field_error(name: str) -> float:
-    """Largest relative error of `fem.array_field` at the stored points inside a small array, of the scene's name."""
+    """Largest relative error of `array_field` at the stored points inside a small array, of the scene's name."""
     scene = small_array_scenes()[name]
     assert isinstance(scene.body, Sensor)
     design = scene.body.design
@@ -90,7 +90,7 @@ def field_error(name: str) -> float:
 
 def measure_one(number: int) -> None:
     """Compute one case here and print what it took, as JSON."""
-    from fem.array_response import ResponseSettings, solve_response
+    from fem.array.solving import ResponseSettings, solve_response
 
     _, units, settings, matrix_mpa = CASES[number]
     design = designed(units, matrix_mpa)

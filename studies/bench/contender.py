@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fem.scene import Scene, Sensor
+from fem.scene.scene import Scene, Sensor
 from geometry.layout import FloatArray
 
 

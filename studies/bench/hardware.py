@@ -15,27 +15,27 @@ import typer
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from decoupler.decoupler import Decoupler
+from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from hardware.calibration import Electronics, SensorCalibration
-from hardware.correction import Corrector
-from hardware.crossbar import Crossbar
-from hardware.frames import Frame, FrameDecoder, Info, ScanMode
-from hardware.live import ForceReader
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
+from hardware.link.scanner import Scanner
+from hardware.readout.calibration import Electronics, SensorCalibration
+from hardware.readout.correction import Corrector
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.live import ForceReader
 from hardware.recording import recording_from_resistances
-from hardware.scanner import Scanner
-from hardware.virtual_board import VirtualBoard
-from studies.board.link import milliseconds
-from studies.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
-from studies.board.paper_sensor import board_info, joint_net
-from studies.board.session import Session, scans
-from studies.board.simulated import CHIP_BITS
-from studies.console import wrote
-from studies.entry import run_alone
-from studies.pipeline import respond
-from studies.progress import Bars
-from studies.report import plain_table, show
-from studies.writing import write_json
+from tripillar.board.link import milliseconds
+from tripillar.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
+from tripillar.board.paper_sensor import board_info, joint_net
+from tripillar.board.session import Session, scans
+from tripillar.board.simulated import CHIP_BITS
+from tripillar.pipeline.run import respond
+from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.progress import Bars
+from tripillar.terminal.tables import plain_table, show
+from tripillar.terminal.writing import write_json
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches

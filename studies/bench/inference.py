@@ -12,17 +12,17 @@ from rich.markup import escape
 from rich.table import Table
 
 from dataset import Imperfections, LabelledData
-from dataset.simulate import DatasetSettings, measured_again, simulate
+from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate
-from decoupler.training import train
-from fem.array_response import array_response
-from fem.response import ArrayResponse
+from decoupler.training.trainer import train
+from fem.array.response import ArrayResponse
+from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from studies.console import wrote
-from studies.entry import run_alone
-from studies.report import show
-from studies.writing import write_json
+from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
 
 SAMPLES = {"train": (2000, 1), "test": (500, 2)}  #: number and seed
 MANY = 10_000  #: scans of a batch

@@ -10,8 +10,8 @@ import sys
 from importlib import import_module
 
 from studies.bench.contenders import contender
-from studies.bench.memory import peak_mib
 from studies.bench.scenes import all_scenes
+from tripillar.sweep.memory import peak_mib
 
 
 def main(name: str, scene: str, resolution: str) -> None:

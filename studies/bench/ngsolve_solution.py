@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fem.scene import Prism, Scene
+from fem.scene.scene import Prism, Scene
 from geometry.design import Material
 from geometry.layout import FloatArray
 

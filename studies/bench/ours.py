@@ -6,10 +6,10 @@ from time import perf_counter
 
 import numpy as np
 
-from fem.halfspace import mean_compliance
-from fem.layer import layer_mean_compliance
-from fem.scene import Scene
-from fem.solve import solve_scene
+from fem.array.halfspace import mean_compliance
+from fem.array.layer import layer_mean_compliance
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Scene
 from geometry.layout import FloatArray
 from studies.bench.contender import Answer, Contender, any_scene
 

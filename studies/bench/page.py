@@ -13,9 +13,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from geometry.files import replacing
-from studies.entry import run_alone
-from studies.viewer.page.browser import page_in_chromium
+from geometry.storage.files import replacing
+from studies.pictures.browser import page_in_chromium
+from tripillar.terminal.entry import run_alone
 
 WARM_UP, STEPS = 4, 30
 #: moves the slider once; gives the times [ms] until numbers and picture are new, and what the server says

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from fem.scene import Scene
-from fem.solution import relative_errors
-from geometry.files import replacing
+from fem.scene.scene import Scene
+from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
+from geometry.storage.files import replacing
 from studies.bench.ngsolve_solution import Grading, NgsolveSolution, solve_by_ngsolve
 from studies.bench.scenes import all_scenes
 
@@ -55,7 +55,7 @@ class Reference:
 
     probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
     energy_mj: float
-    uncertainties: dict[str, float]  #: relative error of each probe; see `fem.solution.relative_errors`
+    uncertainties: dict[str, float]  #: relative error of each probe; see `fem.scene.solution.relative_errors`
 
     @property
     def uncertainty(self) -> float:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene, Sensor
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene, Sensor
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares
 

@@ -4,12 +4,12 @@ from time import perf_counter
 
 import numpy as np
 
-from fem.grid import Grid
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_means
-from fem.response import ArrayResponse
-from fem.substructured import cell_grid
+from fem.array.response import ArrayResponse
+from fem.array.substructured import cell_grid
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.patch import patch_means
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 

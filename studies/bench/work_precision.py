@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fem.scene import Scene
-from fem.solution import relative_errors
+from fem.scene.scene import Scene
+from fem.scene.solution import relative_errors
 from studies.bench.contender import Contender
 from studies.bench.reference import Reference, read_reference
 

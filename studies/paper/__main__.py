@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from fem.response import ArrayResponse
+from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
-from geometry.files import replacing
-from studies.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
-from studies.entry import run_alone
+from geometry.storage.files import replacing
 from studies.paper.deformation import deformation
 from studies.paper.document import Report, as_markdown, rich_table
 from studies.paper.drawing import draw_pictures
@@ -20,10 +18,12 @@ from studies.paper.page import as_html
 from studies.paper.report import Computed, report_of
 from studies.paper.results import Results, read_results, write_results
 from studies.paper.spacing import Asked, Spacing, read_spacing, spacing_recipe, study_spacing, write_spacing
-from studies.pipeline import respond
-from studies.progress import Bars
-from studies.report import show
-from studies.writing import write_text
+from tripillar.pipeline.run import respond
+from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.progress import Bars
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_text
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
 

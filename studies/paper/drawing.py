@@ -4,15 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import fem
-from geometry.files import digest
+import fem.pictures
+from geometry.storage.files import digest
 from studies.paper.figures.decoupling import draw_figure_9, draw_figure_10, draw_figure_11
 from studies.paper.figures.deformation import draw_figure_6, draw_figure_7, draw_figure_8
 from studies.paper.figures.spacing import draw_spacing
 from studies.paper.pictures import drawn
 from studies.paper.report import Computed
 from studies.paper.sections import decoupling, deformation, spacing
-from studies.progress import Bars
+from tripillar.terminal.progress import Bars
 
 
 def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
@@ -22,7 +22,7 @@ def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
     )  # fmt: skip
     design = response.design
     layer = (design.unit.height_mm, design.matrix_material)
-    pen = Path(str(fem.__file__)).with_name("figures.py").read_bytes()  # it draws figures 6 to 8
+    pen = Path(str(fem.pictures.__file__)).with_name("deformation.py").read_bytes()  # it draws figures 6 to 8
     wanted: list[tuple[str, str, Callable[..., None], tuple[Any, ...]]] = [
         (deformation.FIGURE_6, digest(design, pen), draw_figure_6, (response,)),
         (deformation.FIGURE_7, digest(design, pen), draw_figure_7, (design,)),

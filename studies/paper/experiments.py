@@ -10,21 +10,21 @@ import numpy as np
 
 from dataset import LabelledData
 from dataset.resistance import pillar_strains
-from dataset.simulate import DatasetSettings, dataset_recipe, measured_again, simulate
-from decoupler.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
-from decoupler.components import component_named, force_columns
-from decoupler.crossval import Fold, Job, fold, in_parallel, jobs_of, selected, split_folds
-from decoupler.floor import pca_floor
-from decoupler.metrics import ForceErrors, component_errors
-from decoupler.model_file import METHOD
-from decoupler.settings import NetworkConfig, TrainingConfig
-from fem.response import ArrayResponse
-from geometry.files import digest
+from dataset.simulation import DatasetSettings, dataset_recipe, measured_again, simulate
+from decoupler.data.components import component_named, force_columns
+from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, selected, split_folds
+from decoupler.evaluation.floor import pca_floor
+from decoupler.evaluation.metrics import ForceErrors, component_errors
+from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
+from decoupler.model.model_file import METHOD
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
+from geometry.storage.files import digest
 from studies.paper.printed import MEAN_OVER_WIDTHS
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import DataSet, Result, Results, Shown, Trial
-from studies.progress import Bars
+from tripillar.terminal.progress import Bars
 
 VERSION = 2  #: raise when the same settings give other trials
 FIGURE_9, TABLE_2 = "figure 9", "table 2"
@@ -206,7 +206,7 @@ def decoupled_forces(
     shown: np.ndarray,
 ) -> FloatArray:
     """Train on some samples and give the forces of others [N]; for another process, like `crossval.fold`."""
-    from decoupler.training import train  # loads torch: in the processes that train, and only there
+    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
 
     model, _ = train(selected(data, trained_on), component, network, training, response=response)
     return model.forces(data.resistance_ohm[shown])

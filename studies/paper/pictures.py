@@ -8,7 +8,7 @@ from typing import Any
 from PIL import Image  # of Matplotlib's own dependencies
 from PIL.PngImagePlugin import PngInfo
 
-from geometry.files import digest, replacing
+from geometry.storage.files import digest, replacing
 
 RECIPE = "recipe"  #: name of the PNG's text that holds it
 LARGEST_BYTES = 300_000  #: of a picture in all its colours; a larger one gets 256

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from fem.response import ArrayResponse
-from geometry.files import digest
+from fem.array.response import ArrayResponse
+from geometry.storage.files import digest
 from studies.paper.deformation import Deformation
 from studies.paper.document import Report
 from studies.paper.results import Results

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from geometry.seal import opened_json, say_made_anew, sealed_json
-from studies.writing import write_text
+from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from tripillar.terminal.writing import write_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,9 @@ class Trial:
     component: str
     cap: float  #: largest strain of a pillar in the data
     samples: int  #: for training and test together
-    network: str  #: its name in `experiments.NETWORKS`; `experiments.FLOOR`; or that of a mark in `decoupler.baseline`
+    network: (
+        str  #: its name in `experiments.NETWORKS`; `experiments.FLOOR`; or that of a mark in `decoupler.model.baseline`
+    )
     hidden: int  #: nodes; 0 where there are none
     fold: int = 0  #: from 1; 0 where there are none
 

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from decoupler.components import component_named
-from decoupler.forward_model import ForwardModel
-from decoupler.limits import cramer_rao
-from fem.array_response import ResponseSettings, array_response, response_recipe
-from fem.layer import decay_length_mm, layer_mean_compliance
-from fem.response import ArrayResponse
+from decoupler.data.components import component_named
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import cramer_rao
+from fem.array.layer import decay_length_mm, layer_mean_compliance
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, array_response, response_recipe
 from geometry.design import Array, SensorDesign
-from geometry.files import digest
 from geometry.layout import (
     AXES,
     ELECTRODES,
@@ -35,8 +34,9 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
-from geometry.seal import opened_json, say_made_anew, sealed_json
-from studies.writing import write_text
+from geometry.storage.files import digest
+from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from tripillar.terminal.writing import write_text
 
 VERSION = 1  #: raise when the same settings give other numbers
 LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored

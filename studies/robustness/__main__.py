@@ -6,15 +6,15 @@ from typing import Annotated
 import typer
 
 from geometry.design import SensorDesign
-from studies.console import wrote
-from studies.entry import run_alone
-from studies.pipeline import respond
-from studies.progress import Bars
-from studies.report import show
-from studies.robustness.figures import draw_dead, draw_pairs, draw_readings
+from studies.robustness.noise_charts import draw_dead, draw_pairs, draw_readings
 from studies.robustness.study import BITS, NETS, NOISES, Found, Sizes, dead_cases, sensor_under_load, study
 from studies.robustness.table import robustness_table
-from studies.writing import write_json
+from tripillar.pipeline.run import respond
+from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.progress import Bars
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
 
 CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset import Imperfections, LabelledData, SimulatedData
-from dataset.simulate import DatasetSettings, measured_again, simulate
+from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named, fine_tune
-from decoupler.components import force_columns, readable_columns
-from decoupler.crossval import in_parallel, selected
-from decoupler.forward_model import ForwardModel
-from decoupler.limits import bayes
-from decoupler.metrics import evaluate
-from decoupler.settings import Feature
-from fem.response import ArrayResponse
+from decoupler.data.components import force_columns, readable_columns
+from decoupler.evaluation.crossval import in_parallel, selected
+from decoupler.evaluation.metrics import evaluate
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import bayes
+from decoupler.model.settings import Feature
+from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 
 HIDDEN = 17  #: the paper's best
@@ -183,7 +183,7 @@ def trained(
 def _trained(
     data: LabelledData, test: LabelledData, feature: Feature, response: ArrayResponse, usual_n: FloatArray
 ) -> Trained:
-    from decoupler.training import train  # loads torch: in the processes that train, and only there
+    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
 
     model, _ = train(data, "all", NetworkConfig(hidden=HIDDEN, feature=feature), TrainingConfig(), response=response)
     return Trained(model=model, assessed=assess(model, test, response), bayes_n=unit_bayes(response, test, usual_n))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fem.response import ArrayResponse
+from fem.array.response import ArrayResponse
 from geometry import Array, SensorDesign
 from geometry.layout import unit_centres, upper_electrodes
 

@@ -9,10 +9,10 @@ import pytest
 import xarray as xr
 
 from dataset import OPEN_OHM, Imperfections, SimulatedData, read_labelled, write_dataset
-from dataset.labelled import is_current
-from dataset.simulate import DatasetSettings, simulate
+from dataset.samples import is_current
+from dataset.simulation import DatasetSettings, simulate
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
-from geometry.netcdf import write_netcdf
+from geometry.storage.netcdf import write_netcdf
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import OPEN_OHM, Imperfections
-from dataset.labelled import VARIABLES
 from dataset.protocols import PROTOCOLS
-from dataset.simulate import (
+from dataset.samples import VARIABLES
+from dataset.simulation import (
     BLOCK,
-    MOST_ROUNDS,
+    MAX_ROUNDS,
     DatasetSettings,
     LoadError,
     dataset_recipe,
@@ -150,7 +150,7 @@ def test_a_perfect_specimen_changes_no_bit(response, noise, bits):
     expected = 4000.0 / (4.0 * np.array([10.0, np.sqrt(200), np.sqrt(200)])) * data.length_mm**2
     for number, start in enumerate((0, BLOCK)):
         part = expected[start : start + BLOCK]
-        part *= 1.0 + noise * np.random.default_rng([4, number, MOST_ROUNDS]).standard_normal(part.shape)
+        part *= 1.0 + noise * np.random.default_rng([4, number, MAX_ROUNDS]).standard_normal(part.shape)
     if bits:
         counts = np.rint((2**bits - 1) * 1e4 / (expected + 1e4))
         expected = 1e4 * ((2**bits - 1) / counts - 1.0)
@@ -219,7 +219,7 @@ def test_redrawn_counts_only_the_samples_that_are_kept(response):
 
 
 def test_impossible_cap_is_refused_in_one_line(response, monkeypatch):
-    monkeypatch.setattr("dataset.simulate.MOST_ROUNDS", 20)  # 1000 would take a second
+    monkeypatch.setattr("dataset.simulation.MAX_ROUNDS", 20)  # 1000 would take a second
     with pytest.raises(LoadError) as caught:
         simulated(response, "independent-fz", 3, cap=1e-6)
     assert isinstance(caught.value, TriPillarError)
@@ -231,7 +231,7 @@ def test_impossible_cap_is_refused_in_one_line(response, monkeypatch):
 
 
 def test_broken_response_reaches_no_dataset(response, monkeypatch):
-    monkeypatch.setattr("dataset.simulate.MOST_ROUNDS", 20)
+    monkeypatch.setattr("dataset.simulation.MAX_ROUNDS", 20)
     influence = response.influence_mm_per_n.copy()
     influence[0, 0, 0, 2, 0, 0, 2] = np.nan
     with pytest.raises(ValueError, match=r"length_mm has a value of nan|draws on end"):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from decoupler.decoupler import Decoupler
 from decoupler.export.portable import output_weights_n
+from decoupler.model.decoupler import Decoupler
 from geometry.layout import FloatArray
 
 HALF_BIT = 2.0**-24  #: of a float: the largest relative error of one rounding

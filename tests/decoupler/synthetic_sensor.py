@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from dataset import LabelledData, pillar_lengths, pillar_resistances
-from fem.response import ArrayResponse
+from fem.array.response import ArrayResponse
 from geometry import Array, SensorDesign
-from geometry.files import digest
 from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
+from geometry.storage.files import digest
 
 #: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
 _OWN = np.array(

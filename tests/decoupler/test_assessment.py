@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from decoupler import LeastSquares, NetworkConfig, TrainingConfig, assess, component_errors, component_named, evaluate
-from decoupler.assessment import as_plain
-from decoupler.baseline import hooke_forces
-from decoupler.components import force_columns
-from decoupler.forward_model import ForwardModel
-from decoupler.limits import cramer_rao
-from decoupler.training import train
+from decoupler.data.components import force_columns
+from decoupler.evaluation.assessment import as_plain
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import cramer_rao
+from decoupler.model.baseline import hooke_forces
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)

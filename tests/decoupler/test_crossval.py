@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate
-from decoupler.crossval import jobs_of, over_folds, selected, split_folds, summary
-from decoupler.training import train
+from decoupler.evaluation.crossval import jobs_of, over_folds, selected, split_folds, summary
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig
-from decoupler.network import Network
-from decoupler.training import train
+from decoupler.training.network import Network
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)

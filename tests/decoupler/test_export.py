@@ -8,23 +8,22 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, write_model
-from decoupler.calibration import Calibration
-from decoupler.errors import ExportError
+from decoupler.data.errors import ExportError
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, c_header, compiled_forces
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from decoupler.export.portable import output_weights_n
-from decoupler.training import train
+from decoupler.model.calibration import Calibration
+from decoupler.training.trainer import train
 from geometry import DesignError
-from geometry.files import digest
+from geometry.storage.files import digest
 from tests.decoupler.rounding import float_rounding_n
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -181,7 +180,7 @@ def test_on_the_command_line(tmp_path):
     write_model(trained("fz", "inverse", "skip")[0], tmp_path / "model.safetensors")
 
     def tripillar(*words):
-        command = [sys.executable, Path(__file__).parents[2] / "tripillar.py", "export", *words]
+        command = [sys.executable, "-m", "tripillar", "export", *words]
         return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=os.environ, check=False)
 
     done = tripillar("--model", "model.safetensors", "--out", "model.onnx")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune
-from decoupler.calibration import Calibration
-from decoupler.crossval import selected
-from decoupler.training import train
+from decoupler.evaluation.crossval import selected
+from decoupler.model.calibration import Calibration
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from decoupler import component_named
-from decoupler.components import force_columns, pillar_columns
-from decoupler.forward_model import ForwardModel
+from decoupler.data.components import force_columns, pillar_columns
+from decoupler.inverse.forward_model import ForwardModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from decoupler.gauss_newton import GaussNewton, Samples
-from decoupler.network import Network
-from decoupler.settings import NetworkConfig
+from decoupler.model.settings import NetworkConfig
+from decoupler.training.gauss_newton import GaussNewton, Samples
+from decoupler.training.network import Network
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 40, 4, 3, 5
 

@@ -5,9 +5,9 @@ import pytest
 
 from dataset.measurement import reading_deviation
 from decoupler import SampleError, component_named
-from decoupler.components import force_columns, pillar_columns
-from decoupler.forward_model import ForwardModel
-from decoupler.limits import bayes, cramer_rao, model_inverse
+from decoupler.data.components import force_columns, pillar_columns
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import bayes, cramer_rao, model_inverse
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)

@@ -17,9 +17,9 @@ from decoupler import (
     require_same_sensor,
     write_model,
 )
-from decoupler.training import train
+from decoupler.training.trainer import train
 from geometry import Array, FileFormatError
-from geometry.seal import BLANK, MARK, sealed
+from geometry.storage.seal import BLANK, MARK, sealed
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)

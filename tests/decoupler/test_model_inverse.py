@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate
-from decoupler.components import force_columns, pillar_columns
-from decoupler.forward_model import ForwardModel
-from decoupler.model_inverse import ModelInverse, explaining, suited_feature
-from decoupler.training import train
+from decoupler.data.components import force_columns, pillar_columns
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.model_inverse import ModelInverse, explaining, suited_feature
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)

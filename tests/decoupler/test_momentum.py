@@ -2,7 +2,7 @@
 
 import torch
 
-from decoupler.momentum import Momentum
+from decoupler.training.momentum import Momentum
 
 
 def test_follows_eq_15():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from dataset import Imperfections
-from decoupler.components import COMPONENTS, component_named
-from decoupler.forward_model import ForwardModel
-from decoupler.plausibility import disturbance, doubt, explained, nothing_to_learn
-from decoupler.samples import selected
+from decoupler.data.components import COMPONENTS, component_named
+from decoupler.data.selection import selected
+from decoupler.evaluation.plausibility import disturbance, doubt, explained, nothing_to_learn
+from decoupler.inverse.forward_model import ForwardModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 ALL = component_named("all")

@@ -7,11 +7,11 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, read_model, write_model
+from decoupler.data.resting import Resting
 from decoupler.export.c_header import c_header, compiled_forces
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
-from decoupler.resting import Resting
-from decoupler.training import train
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tests.decoupler.test_export import CC, ROUNDING, deviation, in_roundings, needs_cc
 

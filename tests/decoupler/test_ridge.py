@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from decoupler.ridge import RIDGES, best_ridge
+from decoupler.training.ridge import RIDGES, best_ridge
 
 
 def scores(A, T):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler.components import COMPONENTS, component_named, force_columns, pillar_columns
-from decoupler.errors import SampleError
-from decoupler.forward_model import ForwardModel
-from decoupler.samples import distinct, load_numbers, over_loads, selected, without_stuck
-from decoupler.scaling import Scaling
+from decoupler.data.components import COMPONENTS, component_named, force_columns, pillar_columns
+from decoupler.data.errors import SampleError
+from decoupler.data.scaling import Scaling
+from decoupler.data.selection import distinct, load_numbers, over_loads, selected, without_stuck
+from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import PILLARS
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 

@@ -18,9 +18,9 @@ from decoupler import (
     pca_floor,
     training,
 )
-from decoupler.components import force_columns, pillar_columns
-from decoupler.training import train
-from decoupler.varpro import train_varpro
+from decoupler.data.components import force_columns, pillar_columns
+from decoupler.training.trainer import train
+from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -112,7 +112,7 @@ def test_the_samples_that_judge_are_drawn_from_all(monkeypatch):
         seen.append(samples.targets[len(samples.targets) - held_out :].numpy().copy())
         return train_varpro(samples, hidden, ridge, held_out, *others)
 
-    monkeypatch.setattr("decoupler.training.train_varpro", spy)
+    monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
     for seed in (1, 1, 2):
         decoupler, _ = train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
     last = decoupler.output_scaling.scale(force_columns(TRAIN.force_n, FX)[-30:])
@@ -132,7 +132,7 @@ def test_readings_of_one_load_judge_together_or_not_at_all(monkeypatch):
         sides.append((samples.targets[: len(samples.targets) - held_out], samples.targets[-held_out:]))
         return train_varpro(samples, hidden, ridge, held_out, *others)
 
-    monkeypatch.setattr("decoupler.training.train_varpro", spy)
+    monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
     factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *TRAIN.resistance_ohm.shape))
     often = replace(
         TRAIN,

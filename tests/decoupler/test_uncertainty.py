@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig
-from decoupler.crossval import selected
-from decoupler.training import train
+from decoupler.evaluation.crossval import selected
+from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from decoupler.gauss_newton import Samples
-from decoupler.network import Network
-from decoupler.settings import NetworkConfig, TrainingConfig
-from decoupler.varpro import Projected, projected, train_varpro
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.training.gauss_newton import Samples
+from decoupler.training.network import Network
+from decoupler.training.varpro import Projected, projected, train_varpro
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 60, 4, 3, 5
 RIDGE = 0.1

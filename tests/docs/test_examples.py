@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from studies.sweep.sampling import samples_of
-from studies.sweep.sweep_file import read_sweep
 from tests.docs.terminal import ROOT
+from tripillar.sweep.sampling import samples_of
+from tripillar.sweep.sweep_file import read_sweep
 
 
 def printed_by(name, folder):

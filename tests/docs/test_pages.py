@@ -12,7 +12,7 @@ from geometry.design_file import design_from_toml, design_to_toml
 from geometry.layout import PILLARS, electrode_squares, pillar_ends, unit_centres
 from geometry.wiring import crossings, pillar_of_crossing
 from tests.docs.terminal import ROOT
-from tripillar import app
+from tripillar.cli.app import app
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = typer.main.get_command(app)

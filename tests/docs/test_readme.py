@@ -9,14 +9,14 @@ import sys
 import pytest
 
 from tests.docs.terminal import ROOT, Command, Terminal, indented_commands
-from tripillar import main
+from tripillar.cli.app import main
 
 README = ROOT / "README.md"
 TYPED = indented_commands(README, "tripillar", "make", "kill")
 
 #: commands that are too long for a test as they stand, or need a board or what they would set up: where each is tested
 ELSEWHERE = {
-    "make train": "tests/test_tripillar.py::test_the_pipeline_beats_the_paper_and_the_marks",
+    "make train": "tests/tripillar/test_tripillar.py::test_the_pipeline_beats_the_paper_and_the_marks",
     "make test": "",  # runs this
     "make setup": "",  # what all tests need
     "make -C hardware/firmware SCAN_MODE=2 SENSE_OHM=4700": (
@@ -30,7 +30,7 @@ ELSEWHERE = {
         "tests/studies/paper/test_paper_report.py::test_the_command_writes_the_whole_report_and_again_nothing"
     ),
     "make bench": "tests/studies/test_bench_peers.py::test_a_run_in_a_process_of_its_own",
-    "make stress": "tests/studies/test_stress.py::test_the_table_is_stored_and_a_wrong_answer_is_the_exit_status",
+    "make stress": "tests/studies/test_edge_cases.py::test_the_table_is_stored_and_a_wrong_answer_is_the_exit_status",
     "make robustness": "tests/studies/test_robustness.py::test_table_json_and_pictures_are_written",
     "make hardware-test": "",  # these tests are among the others
     "make check": "",  # what CI runs
@@ -103,7 +103,7 @@ def test_the_map_names_every_folder():
     hidden = {path.name for path in ROOT.iterdir() if path.name.startswith(".") or f"{path.name}/" in ignored}
     folders = {path.name for path in ROOT.iterdir() if path.is_dir() and f"/{path.name}/" not in ignored} - hidden
     folders = {name for name in folders if not name.endswith((".egg-info", "__pycache__"))}
-    assert folders | {"tripillar.py"} == named
+    assert folders | {"tripillar/cli/app.py"} == named
     for folder, first in re.findall(r"^\| `([\w]+)/` \|.*\| ([^|]+) \|$", table, re.MULTILINE):
         for name in re.findall(r"`([\w./]+)`", first):
             assert (ROOT / folder / name).exists(), f"{folder}/{name}"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
 from geometry.design import Material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))

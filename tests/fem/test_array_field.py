@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array import CoupledArray
-from fem.array_field import MESH_DEGREE, array_field
-from fem.array_response import solve_response
-from fem.cell import condense
-from fem.cell_field import cell_interior
-from fem.grid import Grid
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.ports import PortModes
-from fem.substructured import condensed_cell
+from fem.array.cell import condense
+from fem.array.coupled_cells import CoupledArray
+from fem.array.port_modes import PortModes
+from fem.array.solving import solve_response
+from fem.array.substructured import condensed_cell
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.fields.array_field import MESH_DEGREE, array_field
+from fem.fields.cell_field import cell_interior
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares, upper_electrodes
@@ -122,7 +122,7 @@ def test_the_inside_belongs_to_the_condensed_cell():
 def test_pillars_of_another_rubber_are_seen(tmp_path, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
     monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
-    monkeypatch.setattr("fem.array_field.MESH_LEVEL", 0.6)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.fields.array_field.MESH_LEVEL", 0.6)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))

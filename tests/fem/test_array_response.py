@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fem.array_response import ResponseSettings, array_response, response_recipe, solve_response
-from fem.substructured import block_error, influence_range, unrolled
+from fem.array.solving import ResponseSettings, array_response, response_recipe, solve_response
+from fem.array.substructured import block_error, influence_range, unrolled
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.mesh import MeshSettings

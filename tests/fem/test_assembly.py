@@ -5,7 +5,7 @@ import pytest
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, asm
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
-from fem.assembly import SparsePattern, elastic_blocks
+from fem.discretization.assembly import SparsePattern, elastic_blocks
 
 
 @pytest.mark.parametrize("element", [ElementTetP1, ElementTetP2])

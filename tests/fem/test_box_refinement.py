@@ -6,15 +6,15 @@ from itertools import product
 import numpy as np
 import pytest
 
-from fem.box_mesh import AxisTree, BoxMesh
-from fem.box_refinement import ORDER, first_mesh, marked
-from fem.box_system import BoxSystem
-from fem.kronecker import lobatto_points
-from fem.linear_solver import factorized
-from fem.plan import make_plan
-from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
-from fem.solution import largest_error
-from fem.solve import solve_scene
+from fem.discretization.box_mesh import AxisTree, BoxMesh
+from fem.discretization.box_system import BoxSystem
+from fem.discretization.kronecker import lobatto_points
+from fem.linear.linear_solver import factorized
+from fem.methods.box_refinement import ORDER, first_mesh, marked
+from fem.methods.plan import make_plan
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.solution import largest_error
 from geometry.design import Material
 
 STEEP = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))

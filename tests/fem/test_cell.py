@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array import CoupledArray
-from fem.cell import condense, condense_by_parity
-from fem.grid import Grid
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_means
-from fem.ports import PARITIES, PortModes, lobatto
+from fem.array.cell import condense, condense_by_parity
+from fem.array.coupled_cells import CoupledArray
+from fem.array.port_modes import PARITIES, PortModes, lobatto
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.patch import patch_means
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
 
 RUBBER = [Material()]
@@ -49,8 +49,10 @@ def test_four_parities_of_a_quarter_are_the_whole_cell(cell, whole_cell):
 def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
     solved = []
-    monkeypatch.setattr("fem.cell._is_square", lambda grid: False)
-    monkeypatch.setattr("fem.cell.grid_body", lambda *of, mirrors: solved.append(mirrors) or grid_body(*of, mirrors))
+    monkeypatch.setattr("fem.array.cell._is_square", lambda grid: False)
+    monkeypatch.setattr(
+        "fem.array.cell.grid_body", lambda *of, mirrors: solved.append(mirrors) or grid_body(*of, mirrors)
+    )
     basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
     four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
     assert solved == list(PARITIES)

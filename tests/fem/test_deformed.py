@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fem.array_field import array_field
-from fem.deformed import electrode_surface, pillar_surface, sensor_parts
+from fem.fields.array_field import array_field
+from fem.fields.deformed import electrode_surface, pillar_surface, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 

@@ -5,9 +5,9 @@ import pytest
 import scipy.sparse as sp
 from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
 
-from fem.elasticity import ElasticBody, displacement_form, taylor_hood
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_integrals
+from fem.discretization.elasticity import ElasticBody, displacement_form, taylor_hood
+from fem.discretization.patch import patch_integrals
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fem.array_field import array_field
-from fem.colours import QUANTITIES, bar_of, pads_bar
-from fem.deformed import sensor_parts
-from fem.figures import VIEWS, DeformedPicture, draw_deformed, draw_electrode_grid, look, reach
-from fem.layer import layer_response
-from fem.pad_loads import bell_pressure, uniform_pressure
+from fem.array.layer import layer_response
+from fem.fields.array_field import array_field
+from fem.fields.deformed import sensor_parts
+from fem.fields.pad_loads import bell_pressure, uniform_pressure
+from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
+from fem.pictures.deformation import VIEWS, DeformedPicture, draw_deformed, draw_electrode_grid, look, reach
 from geometry.design import Array, SensorDesign
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))

@@ -9,11 +9,11 @@ from numpy.lib.array_utils import byte_bounds
 from numpy.polynomial.legendre import leggauss
 from skfem import MeshTet
 
-from fem.elasticity import taylor_hood
-from fem.halfspace import HalfspaceError, halfspace_response, mean_compliance, patch_compliance, point_compliance
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_integrals
-from fem.response import read_response, write_response
+from fem.array.halfspace import HalfspaceError, halfspace_response, mean_compliance, patch_compliance, point_compliance
+from fem.array.response import read_response, write_response
+from fem.discretization.elasticity import taylor_hood
+from fem.discretization.patch import patch_integrals
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.factors import SolverError
-from fem.high_order import LEVELS, box_part
-from fem.plan import make_plan
-from fem.scene import Block, Load, Probe, Scene
-from fem.solution import largest_error
-from fem.solve import solve_scene
+from fem.linear.factors import SolverError
+from fem.methods.high_order import LEVELS, box_part
+from fem.methods.plan import make_plan
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Load, Probe, Scene
+from fem.scene.solution import largest_error
 from geometry.design import Material
 from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
@@ -59,7 +59,7 @@ def test_a_load_that_rounding_puts_on_an_edge_adds_no_line():
 
 
 def test_a_body_too_big_is_refused_in_a_line(monkeypatch):
-    monkeypatch.setattr("fem.high_order.MOST_UNKNOWNS", 100)
+    monkeypatch.setattr("fem.methods.high_order.MAX_UNKNOWNS", 100)
     with pytest.raises(SolverError, match="the limit is 100"):
         solve_scene(patch_scene())
 

@@ -5,9 +5,16 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.factors import SolverError
-from fem.grid import geometric_line
-from fem.kronecker import Term, conjugate_gradients, elastic_tensors, line_integral, line_nodes, line_values
+from fem.discretization.grid import geometric_line
+from fem.discretization.kronecker import (
+    Term,
+    conjugate_gradients,
+    elastic_tensors,
+    line_integral,
+    line_nodes,
+    line_values,
+)
+from fem.linear.factors import SolverError
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)

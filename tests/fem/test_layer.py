@@ -8,11 +8,11 @@ import scipy.sparse as sp
 from scipy.linalg import expm
 from skfem import MeshTet
 
-from fem.elasticity import taylor_hood
-from fem.halfspace import HalfspaceError, halfspace_response, mean_compliance
-from fem.layer import decay_length_mm, layer_mean_compliance, layer_response, layer_spectrum
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_integrals
+from fem.array.halfspace import HalfspaceError, halfspace_response, mean_compliance
+from fem.array.layer import decay_length_mm, layer_mean_compliance, layer_response, layer_spectrum
+from fem.discretization.elasticity import taylor_hood
+from fem.discretization.patch import patch_integrals
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, SensorDesign
 
 RUBBER = Material()

@@ -12,10 +12,10 @@ import pytest
 import scipy.sparse as sp
 from skfem import ElementTetP2
 
-from fem import factors, linear_solver
-from fem.elasticity import displacement_form, taylor_hood
-from fem.factors import CholmodFactor, Factor, FactorMemoryError, PardisoFactor
-from fem.linear_solver import (
+from fem.discretization.elasticity import displacement_form, taylor_hood
+from fem.linear import factors, linear_solver
+from fem.linear.factors import CholmodFactor, Factor, FactorMemoryError, PardisoFactor
+from fem.linear.linear_solver import (
     RESIDUAL_LIMIT,
     SolverError,
     checked_solve,
@@ -24,7 +24,7 @@ from fem.linear_solver import (
     solver_name,
     solver_plan,
 )
-from fem.multigrid import MultigridFactor, rigid_body_modes
+from fem.linear.multigrid import MultigridFactor, rigid_body_modes
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

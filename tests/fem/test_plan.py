@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from fem.plan import SAVINGS, make_plan
-from fem.scene import Load, Probe, Scene, SceneError, Sensor
-from fem.scene_file import scene_from_toml
-from fem.solve import solve_scene
+from fem.methods.plan import SAVINGS, make_plan
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Load, Probe, Scene, SceneError, Sensor
+from fem.scene.scene_file import scene_from_toml
 from geometry.design import Material, SensorDesign
 from tests.fem.scenes import ARRAY, BLOCK, PILLAR
 

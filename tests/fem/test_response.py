@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.response import ArrayResponse, read_response, write_response
+from fem.array.response import ArrayResponse, read_response, write_response
 from geometry.design import Array, SensorDesign
 from geometry.errors import FileFormatError
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from fem.scene import Block, Inclusion, Pillar, Prism, SceneError, Sensor
-from fem.scene_file import read_scene, scene_from_toml
+from fem.scene.scene import Block, Inclusion, Pillar, Prism, SceneError, Sensor
+from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import inside_pillars
 from tests.fem.scenes import ARRAY, BLOCK, EXAMPLES, PILLAR

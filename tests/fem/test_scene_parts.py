@@ -7,17 +7,17 @@ import pytest
 from skfem import MeshTet
 from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
-from fem.array_field import array_field
-from fem.deformed import sensor_parts
-from fem.elasticity import taylor_hood
-from fem.elements import Elements
-from fem.linear_solver import checked_solve, factorized
-from fem.scene import Block, Inclusion, Load, Probe, Scene, Sensor
-from fem.scene_parts import elements_of, merged, scene_parts
-from fem.solution import QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON
-from fem.solve import solve_scene
-from fem.stress import projected_pressure
-from fem.structured import VTK_PLACES
+from fem.discretization.elasticity import taylor_hood
+from fem.discretization.elements import Elements
+from fem.fields.array_field import array_field
+from fem.fields.deformed import sensor_parts
+from fem.fields.scene_parts import elements_of, merged, scene_parts
+from fem.fields.stress import projected_pressure
+from fem.linear.linear_solver import checked_solve, factorized
+from fem.methods.solving import solve_scene
+from fem.methods.structured import VTK_PLACES
+from fem.scene.scene import Block, Inclusion, Load, Probe, Scene, Sensor
+from fem.scene.solution import QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON
 from geometry.design import Array, Material, SensorDesign
 
 BLOCK = Scene(

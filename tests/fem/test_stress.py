@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from skfem import Basis, ElementTetP1, ElementTetP2
 
-from fem.elements import Elements
-from fem.grid import Grid
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_means
-from fem.stress import corner_numbers, corner_stress, pressure, von_mises
+from fem.discretization.elements import Elements
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.patch import patch_means
+from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)

@@ -7,13 +7,13 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.convergence import error_after, next_level
-from fem.grid import Attractor, Grid, graded_lines
-from fem.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.linear_solver import checked_solve, factorized
-from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
-from fem.solution import largest_error
-from fem.solve import solve_scene
+from fem.discretization.grid import Attractor, Grid, graded_lines
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.linear.linear_solver import checked_solve, factorized
+from fem.methods.richardson import error_after, next_level
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.solution import largest_error
 from geometry.design import Material
 
 LINES = {"x": np.array([0.0, 1.0, 3.0]), "y": np.array([0.0, 2.0, 2.5]), "z": np.array([0.0, 1.5, 4.0])}

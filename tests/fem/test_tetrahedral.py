@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from skfem import ElementTetP1, ElementTetP2
 
-from fem.convergence import estimated_errors
-from fem.elasticity import displacement_form, lame_of_regions, taylor_hood
-from fem.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
-from fem.plan import make_plan
-from fem.scene import Block, Inclusion, Load, Prism, Probe, Scene, Sensor
-from fem.scene_file import scene_from_toml
-from fem.scene_mesh import prism_of_cells, scene_mesh
-from fem.solution import Solution, largest_error
-from fem.solve import solve_scene
-from fem.tetrahedral import point_row, with_edges_across
+from fem.discretization.elasticity import displacement_form, lame_of_regions, taylor_hood
+from fem.discretization.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
+from fem.discretization.scene_mesh import prism_of_cells, scene_mesh
+from fem.methods.plan import make_plan
+from fem.methods.richardson import estimated_errors
+from fem.methods.solving import solve_scene
+from fem.methods.tetrahedral import point_row, with_edges_across
+from fem.scene.scene import Block, Inclusion, Load, Prism, Probe, Scene, Sensor
+from fem.scene.scene_file import scene_from_toml
+from fem.scene.solution import Solution, largest_error
 from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
@@ -130,7 +130,7 @@ def test_a_mesh_is_made_once_and_can_be_made_anew(tmp_path):
 
 def test_more_than_the_limit_is_not_tried(monkeypatch):
     """A tolerance out of reach ends at the limit, with an estimate that says so."""
-    monkeypatch.setattr("fem.tetrahedral.MOST_UNKNOWNS", 9000)
+    monkeypatch.setattr("fem.methods.tetrahedral.MAX_UNKNOWNS", 9000)
     scene = replace(scene_from_toml(PILLAR), tolerance=1e-5)
     solution = solved(scene)
     assert solution.steps[-1] == "stopped at the limit of 9000 unknowns, short of the tolerance 1e-05"

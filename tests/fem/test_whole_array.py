@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.linear_solver import checked_solve, factorized
-from fem.patch import patch_means
-from fem.whole_array import elastic_body, whole_response
+from fem.array.whole_array import elastic_body, whole_response
+from fem.discretization.patch import patch_means
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import pad_squares
 from geometry.mesh import TetMesh

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geometry import Array, Material, SensorDesign
-from geometry.files import cache_folder, digest, replacing, uninterrupted
+from geometry.storage.files import cache_folder, digest, replacing, uninterrupted
 
 
 def write_half(path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from geometry import FileFormatError
-from geometry.netcdf import read_netcdf, write_netcdf
+from geometry.storage.netcdf import read_netcdf, write_netcdf
 
 WANTED = {"load": ("row", "col"), "reply": ("row", "col", "axis")}
 

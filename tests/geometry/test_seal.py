@@ -5,7 +5,17 @@ import json
 import pytest
 
 from geometry import FileFormatError
-from geometry.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, say_made_anew, sealed, sealed_json
+from geometry.storage.seal import (
+    BLANK,
+    KEY,
+    LAST_LINE,
+    MARK,
+    opened_json,
+    require_intact,
+    say_made_anew,
+    sealed,
+    sealed_json,
+)
 
 
 @pytest.mark.parametrize("last", [LAST_LINE, b""], ids=["last line", "header"])

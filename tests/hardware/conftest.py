@@ -2,7 +2,7 @@
 
 import pytest
 
-from hardware.simavr_board import MCUS, SimavrBoard, find_tools, write_table
+from hardware.boards.simavr_board import MCUS, SimavrBoard, find_tools, write_table
 from tests.hardware.simulated import DISTINCT, build
 
 

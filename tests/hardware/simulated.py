@@ -8,8 +8,8 @@ import numpy as np
 import serial
 
 from geometry.wiring import crossings
-from hardware.frames import Errors, FrameDecoder, Info, ScanMode
-from hardware.simavr_board import FIRMWARE
+from hardware.boards.simavr_board import FIRMWARE
+from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode
 
 INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)
 DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates

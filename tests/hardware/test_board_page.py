@@ -8,9 +8,9 @@ import pytest
 
 from dataset.imperfections import OPEN_OHM
 from geometry.wiring import crossings_from_pillars
-from hardware.correction import Corrector
-from hardware.crossbar import LEAST_OHM, Crossbar
-from hardware.frames import ScanMode
+from hardware.link.frames import ScanMode
+from hardware.readout.correction import Corrector
+from hardware.readout.crossbar import MIN_OHM, Crossbar
 
 PAGE = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
 STEPS = 1024  # of the ATmega's converter
@@ -38,7 +38,7 @@ def alone(resistance_ohm):
 def test_first_check(row):
     mode, sense_ohm, *cells = row
     crossbar = Crossbar(scan_mode=mode, sense_ohm=float(sense_ohm), switch_ohm=70.0)
-    for cell, resistance_ohm in zip(cells, [10e3, LEAST_OHM, OPEN_OHM], strict=True):
+    for cell, resistance_ohm in zip(cells, [10e3, MIN_OHM, OPEN_OHM], strict=True):
         pillars = alone(resistance_ohm)
         here = (crossings_from_pillars(pillars) == resistance_ohm)[0]
         count = STEPS * crossbar.readings(pillars)[0, here].max()

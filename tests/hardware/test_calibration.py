@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
-from geometry.seal import opened_json
-from hardware.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
-from hardware.frames import Info
+from geometry.storage.seal import opened_json
+from hardware.link.frames import Info
+from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
 
 SHAPE = (2, 3, 3)
 REST_OHM = np.array([1e4, 1.4e4, 1.4e4])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hardware.clock import DeviceClock
+from hardware.link.clock import DeviceClock
 
 RATE_HZ = 150
-LEAST_DELAY_S = 3e-3  # of every frame; no receiver can tell it from an offset of the clock
+MIN_DELAY_S = 3e-3  # of every frame; no receiver can tell it from an offset of the clock
 
 
 def arrivals(seconds, *, drift=50e-6, first_us=0, jitter_s=5e-4, bursts=False, seed=0):
@@ -14,7 +14,7 @@ def arrivals(seconds, *, drift=50e-6, first_us=0, jitter_s=5e-4, bursts=False, s
     generator = np.random.default_rng(seed)
     true_s = 1000 + np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     device_us = np.round(first_us + (true_s - true_s[0]) * 1e6 / (1 + drift)).astype(np.int64) % 2**32
-    delay_s = LEAST_DELAY_S + generator.exponential(jitter_s, true_s.size)
+    delay_s = MIN_DELAY_S + generator.exponential(jitter_s, true_s.size)
     if bursts:  # every 7 s, for 1.5 s: a second at least in which no frame is quick
         delay_s += np.where((true_s % 7) < 1.5, generator.uniform(0.02, 0.5), 0)
     return true_s, device_us, np.maximum.accumulate(true_s + delay_s)  # frames do not overtake each other
@@ -26,7 +26,7 @@ def errors(clock, true_s, device_us, received_s):
     for k, (device, received) in enumerate(zip(device_us.tolist(), received_s.tolist(), strict=True)):
         clock.add(device, received)
         found[k] = clock.host_time(device)
-    return found - true_s - LEAST_DELAY_S
+    return found - true_s - MIN_DELAY_S
 
 
 # The quickest of the 150 frames of a second is late by 5e-4 / 150 = 3 µs on average. Before the drift of a resonator

@@ -8,10 +8,10 @@ import pytest
 from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
-from hardware.correction import Corrector
-from hardware.crossbar import Crossbar
-from hardware.frames import ScanMode
-from hardware.readout import CrossbarReadout
+from hardware.link.frames import ScanMode
+from hardware.readout.correction import Corrector
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar_readout import CrossbarReadout
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 MODES = list(ScanMode)

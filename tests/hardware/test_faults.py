@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from hardware import encode
-from hardware.ports import PortError, open_port
-from hardware.scanner import Scanner, ScannerError
-from hardware.virtual_board import VirtualBoard
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.scanner import Scanner, ScannerError
+from hardware.link.serial_ports import PortError, open_port
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
 
 ROOT = Path(__file__).parents[2]

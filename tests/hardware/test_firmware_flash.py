@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from hardware.simavr_board import FIRMWARE
+from hardware.boards.simavr_board import FIRMWARE
 
 TOOLS = {
     "avr-gcc": 'while [ "$1" != -o ]; do shift; done; echo built > "$2"',

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from geometry.wiring import crossings
-from hardware.frames import Errors, ScanMode
-from hardware.simavr_board import MCUS, write_table
+from hardware.boards.simavr_board import MCUS, write_table
+from hardware.link.frames import Errors, ScanMode
 from tests.hardware.simulated import COLUMN_WIRE, DISTINCT, INFO, ROW_WIRE, build, is_gapless, listening, starts_us
 
 SETTLE_US = 30  # what scan.c promises the circuit

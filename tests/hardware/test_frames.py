@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hardware.frames import Frame, FrameDecoder, FrameError, Info, ScanMode, Statistics, encode
+from hardware.link.frames import Frame, FrameDecoder, FrameError, Info, ScanMode, Statistics, encode
 
 PAGE = (Path(__file__).parents[2] / "docs" / "frames.md").read_text()
 VECTORS = [json.loads(block) for block in re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)]

@@ -7,7 +7,7 @@ import pytest
 import serial
 
 from hardware import Crossbar, Frame, FrameDecoder, Info, VirtualBoard, encode
-from hardware.frames import Errors, ScanMode
+from hardware.link.frames import Errors, ScanMode
 from tests.hardware.simulated import DISTINCT, INFO
 from tests.hardware.test_frames import VECTORS
 

@@ -5,10 +5,10 @@ import threading
 import numpy as np
 import psutil
 
-from hardware.calibration import Electronics
-from hardware.frames import Frame, Info, ScanMode, encode
-from hardware.live import ForceReader
-from hardware.scanner import Scanner
+from hardware.link.frames import Frame, Info, ScanMode, encode
+from hardware.link.scanner import Scanner
+from hardware.readout.calibration import Electronics
+from hardware.readout.live import ForceReader
 
 SECONDS = 3600
 INFO = Info(rate_hz=200, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)

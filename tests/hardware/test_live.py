@@ -7,12 +7,12 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig
-from decoupler.training import train
+from decoupler.training.trainer import train
 from geometry.errors import FileFormatError
 from hardware import Scanner, VirtualBoard
-from hardware.calibration import Electronics, SensorCalibration
-from hardware.frames import Info, ScanMode
-from hardware.live import ForceReader
+from hardware.link.frames import Info, ScanMode
+from hardware.readout.calibration import Electronics, SensorCalibration
+from hardware.readout.live import ForceReader
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)

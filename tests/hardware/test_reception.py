@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from hardware.frames import FrameDecoder, encode
-from hardware.reception import Reception
+from hardware.link.frames import FrameDecoder, encode
+from hardware.link.reception import Reception
 from tests.hardware.boards import INFO, a_wire
 
 SCANS = 5 * INFO.rate_hz  # 5 s of them

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.calibration import Electronics, SensorCalibration
-from hardware.frames import Info, ScanMode
-from hardware.live import ForceReader
+from hardware.link.frames import Info, ScanMode
+from hardware.readout.calibration import Electronics, SensorCalibration
+from hardware.readout.live import ForceReader
+from hardware.readout.replaying import replay
 from hardware.recording import parse_recording, read_recording, recording_from_resistances, write_recording
-from hardware.replay import replay
 
 INFO = Info(rows=2, cols=3, bits=10, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=2_900)
 

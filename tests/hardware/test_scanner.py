@@ -11,9 +11,9 @@ import pytest
 import serial
 
 from hardware import FrameDecoder, ScanMode, encode
-from hardware.ports import PortError
-from hardware.scanner import Scanner, ScannerError
-from hardware.virtual_board import VirtualBoard
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.scanner import Scanner, ScannerError
+from hardware.link.serial_ports import PortError
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until
 
 

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from hardware.simavr_board import FIRMWARE, MCUS, SimavrBoard, SimavrError, find_tools, write_table
+from hardware.boards.simavr_board import FIRMWARE, MCUS, SimavrBoard, SimavrError, find_tools, write_table
 from tests.hardware.simulated import DISTINCT, PATIENCE_S, listening
 
 

@@ -4,10 +4,10 @@ import os
 
 import pytest
 
-from hardware.frames import Info
-from hardware.simavr_board import SimavrBoard, find_tools
-from hardware.trust import UntrustedError, require_own
-from studies.board.simulated import firmware_built, suited_kind
+from hardware.boards.simavr_board import SimavrBoard, find_tools
+from hardware.link.frames import Info
+from hardware.readout.trust import UntrustedError, require_own
+from tripillar.board.simulated import firmware_built, suited_kind
 
 NOBODY = 65534
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hardware import Frame, FrameDecoder, FrameError, Info
-from hardware.ports import close, open_port, read_available, write
-from hardware.virtual_board import VirtualBoard
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.serial_ports import close, open_port, read_available, write
 from tests.hardware.boards import COUNTS, INFO, wait_until
 
 

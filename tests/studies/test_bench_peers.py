@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.scene import Block, Inclusion, Load, Probe, Scene
-from fem.solution import largest_error
+from fem.scene.scene import Block, Inclusion, Load, Probe, Scene
+from fem.scene.solution import largest_error
 from geometry.design import Material
 from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
 from studies.bench.peers.grids import scene_lines
@@ -173,7 +173,7 @@ def test_tables_and_json_hold_what_was_measured():
 
 
 def test_pictures_are_drawn(tmp_path):
-    from studies.bench.figures import draw_work_precision
+    from studies.bench.work_precision_chart import draw_work_precision
 
     draw_work_precision("scene", [made_up("TriPillar", 2.0, 0.004), made_up("peer", 3.0, 0.008)], tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

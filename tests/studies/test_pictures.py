@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 
 from geometry.design import SensorDesign
-from geometry.figures import prism_faces
+from geometry.drawing import prism_faces
 from geometry.layout import pillar_ends, pillar_sections, pillar_volumes
-from studies.pictures import draw
-from studies.viewer.documented import tour
+from studies.pictures.arrays import tour
+from studies.pictures.drawings import draw
 
 
 def volume_of(faces):

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array_response import solve_response
-from fem.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.array.solving import solve_response
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
 from geometry.design import Material, SensorDesign
 from studies.bench.arrays import errors
 from studies.bench.ngsolve_solution import Grading, solve_by_ngsolve
@@ -17,7 +17,7 @@ from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
 LIMP = Material(young_mpa=6.1, poisson=0.0)
-LEAST_CERTAIN = 2e-3  #: relative uncertainty of any probe
+MIN_CERTAIN = 2e-3  #: relative uncertainty of any probe
 FAR_ELECTRODES = 1e-2  #: the same of the responses' 72 electrodes, most of which hardly move
 COARSE = Grading(order=3, levels=1, ratio=0.2, largest_mm=3.0, edge_mm=2.0)
 
@@ -118,7 +118,7 @@ def test_every_stored_reference_has_converged_in_two_orders_and_two_meshes():
     for name, entry in stored.items():
         reference = read_reference(name)
         assert set(reference.probes) == {probe.name for probe in scenes[name].probes}
-        assert reference.uncertainty <= (FAR_ELECTRODES if name.startswith("response") else LEAST_CERTAIN), name
+        assert reference.uncertainty <= (FAR_ELECTRODES if name.startswith("response") else MIN_CERTAIN), name
         coarse, lower, finest = entry["runs"]
         assert coarse["elements"] != finest["elements"], name  # netgen's mesh is another one, if not always a coarser
         assert lower["elements"] == finest["elements"], name

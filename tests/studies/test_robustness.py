@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from dataset import Imperfections
-from decoupler.components import component_named, force_columns
-from decoupler.forward_model import ForwardModel
-from decoupler.limits import bayes, cramer_rao
-from fem.array_response import ResponseSettings, solve_response
+from decoupler.data.components import component_named, force_columns
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import bayes, cramer_rao
+from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
 from studies.robustness.__main__ import write

@@ -8,16 +8,16 @@ import torch
 import xarray as xr
 from torch.func import functional_call, jacrev
 
-from dataset.labelled import COORDINATES, VARIABLES
-from decoupler.settings import NetworkConfig
-from decoupler.training import LIGHT
-from geometry.netcdf import write_netcdf
+from dataset.samples import COORDINATES, VARIABLES
+from decoupler.model.settings import NetworkConfig
+from decoupler.training.trainer import LIGHT
+from geometry.storage.netcdf import write_netcdf
 from studies.bench.training import peers
 from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, VARPRO
 from studies.bench.training.dense import dense_jacobian, step_difference
-from studies.bench.training.figures import draw_race
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.race import Case, Run, race, warm_up
+from studies.bench.training.race_chart import draw_race
 from studies.bench.training.table import ratio_table, time_table
 from studies.bench.training.trace import Ended, Trace
 from tests.decoupler.synthetic_sensor import labelled, response, sensor

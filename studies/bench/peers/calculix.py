@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.scene import Rectangle, Scene
+from fem.scene.scene import Rectangle, Scene
 from geometry.layout import FloatArray
 from studies.bench.contender import Answer, Contender, fits_boxes
 from studies.bench.peers.grids import inclusion_box, lean, scene_lines

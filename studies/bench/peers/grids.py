@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from fem.grid import geometric_line
-from fem.scene import Inclusion, Pillar, Scene
+from fem.discretization.grid import geometric_line
+from fem.scene.scene import Inclusion, Pillar, Scene
 from geometry.layout import FloatArray
 
 

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from importlib.util import find_spec
 from typing import Any, Literal
 
-from fem.scene import Pillar, Scene
+from fem.scene.scene import Pillar, Scene
 from geometry.layout import FloatArray
 from studies.bench.contender import Answer, Contender, fits_boxes, is_homogeneous
 from studies.bench.ngsolve_solution import inside, mean_over, moduli, prism, rectangle

@@ -20,7 +20,7 @@ from skfem import (
 from skfem.element import Element
 from skfem.models.elasticity import linear_elasticity
 
-from fem.scene import Rectangle, Scene
+from fem.scene.scene import Rectangle, Scene
 from studies.bench.contender import Answer, Contender
 from studies.bench.peers.grids import scene_lines
 from studies.bench.stopwatch import Stopwatch

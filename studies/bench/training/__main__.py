@@ -7,21 +7,21 @@ from typing import Annotated, get_args
 
 import typer
 
-from dataset.labelled import write_dataset
-from dataset.simulate import DatasetSettings, simulate
-from decoupler.settings import Net
-from fem.array_response import array_response
+from dataset.samples import write_dataset
+from dataset.simulation import DatasetSettings, simulate
+from decoupler.model.settings import Net
+from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from studies.bench.training.contenders import CONTENDERS
 from studies.bench.training.dense import step_difference
-from studies.bench.training.figures import draw_race
 from studies.bench.training.race import Case, race
+from studies.bench.training.race_chart import draw_race
 from studies.bench.training.table import ratio_table, time_table
-from studies.console import say, wrote
-from studies.entry import run_alone
-from studies.report import show
 from studies.surroundings import surroundings
-from studies.writing import write_json
+from tripillar.terminal.console import say, wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
 TEST_SAMPLES = 200

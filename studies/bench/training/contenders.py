@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from decoupler.decoupler import Decoupler
-from decoupler.settings import Trainer, TrainingConfig
-from decoupler.training import train
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.settings import Trainer, TrainingConfig
+from decoupler.training.trainer import train
 from studies.bench.training import peers
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
 
-LEAST_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
+MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
 ENOUGH = 10**9  #: iterations: time or goal comes first
 
 
@@ -25,11 +25,11 @@ class Contender:
 
 
 def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace], tuple[Decoupler, str]]:
-    """Training by `decoupler.training.train`; `known`: of a skip net that starts from the response's inverse."""
+    """Training by `trainer.train`; `known`: of a skip net that starts from the response's inverse."""
 
     def run(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
         config = TrainingConfig(
-            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=LEAST_GAIN, seed=problem.seed, held_out=0.0
+            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=MIN_GAIN, seed=problem.seed, held_out=0.0
         )
         network = replace(problem.network, net="skip", feature="inverse") if known else problem.network
         asked, response = (problem.data, problem.component, network), problem.response

@@ -5,9 +5,9 @@ import torch
 from torch.func import functional_call, jacrev
 from torch.nn.utils import parameters_to_vector
 
-from decoupler.damping import FIRST_DAMPING
-from decoupler.gauss_newton import GaussNewton, Samples
-from decoupler.network import Network
+from decoupler.training.damping import FIRST_DAMPING
+from decoupler.training.gauss_newton import GaussNewton, Samples
+from decoupler.training.network import Network
 from geometry.layout import FloatArray
 from studies.bench.training.problem import Problem, Scaled
 

@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 from dataset import LabelledData
-from decoupler.components import component_named, force_columns, pillar_columns
-from decoupler.decoupler import Decoupler
-from decoupler.network import Network
-from decoupler.scaling import Scaling
-from decoupler.settings import NetworkConfig
-from fem.response import ArrayResponse
+from decoupler.data.components import component_named, force_columns, pillar_columns
+from decoupler.data.scaling import Scaling
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.settings import NetworkConfig
+from decoupler.training.network import Network
+from fem.array.response import ArrayResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class Problem:
 
 
 class Scaled:
-    """A problem as `decoupler.training.train` prepares it: the same columns, scaling and random start."""
+    """A problem as `decoupler.training.trainer.train` prepares it: the same columns, scaling and random start."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.parts = problem, component_named(problem.component)

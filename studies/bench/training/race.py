@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from dataset import read_labelled
-from decoupler.metrics import evaluate
-from decoupler.settings import Net, NetworkConfig
-from fem.array_response import array_response
-from studies.bench.memory import peak_mib
+from decoupler.evaluation.metrics import evaluate
+from decoupler.model.settings import Net, NetworkConfig
+from fem.array.solving import array_response
 from studies.bench.training.contenders import Contender, contender
 from studies.bench.training.problem import Problem
 from studies.bench.training.trace import GOALS, Trace
+from tripillar.sweep.memory import peak_mib
 
 WARM_UP = 8  #: samples of the training that warms a contender up
 SPARE_S = 60.0  #: beyond thrice its patience, for imports and a step that cannot be interrupted

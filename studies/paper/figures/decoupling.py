@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from studies.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
+from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
 from studies.paper.printed import MEAN_OVER_WIDTHS
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fem.layer import layer_mean_compliance
+from fem.array.layer import layer_mean_compliance
 from geometry.design import Material
 from geometry.layout import FloatArray
-from studies.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
+from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.printed import LARGEST_FORCE_N, SPACING_MM
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spaced, Spacing
 

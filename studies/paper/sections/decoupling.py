@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from decoupler.baseline import HOOKE, LINEAR
+from decoupler.model.baseline import HOOKE, LINEAR
 from studies.paper.document import Grid, Picture, Section, Verdict
 from studies.paper.experiments import (
     COMPONENTS,

@@ -167,7 +167,7 @@ def _decay(found: Spacing) -> str:
     return (
         "**How influence decays.** Far from a load the surface of a layer bonded to a rigid base moves as "
         f"exp(−r/λ)/√r with λ = {found.decay_mm:.2f} mm for a slab of this height and Poisson's ratio "
-        "(`fem.layer.decay_length_mm`: cos x = x and λ = 1.35 heights where nothing can be compressed). Electrodes "
+        "(`fem.array.layer`: cos x = x and λ = 1.35 heights where nothing can be compressed). Electrodes "
         f"beyond {found.asked.far:g} heights, rims left out, fit λ = {found.fitted_mm:.1f} mm, "
         f"{whole_percent(abs(off))} {'more' if off > 0 else 'less'}. λ is a matter of the height: thinner slabs may "
         "have their units closer." + light

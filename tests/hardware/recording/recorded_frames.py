@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hardware.frames import Frame, Info, ScanMode
+from hardware.link.frames import Frame, Info, ScanMode
 from hardware.recording import Recorder
 
 INFO = Info(

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from geometry.errors import FileFormatError
-from hardware.frames import Info, Statistics
+from hardware.link.frames import Info, Statistics
 from hardware.recording import (
     Recorder,
     convert,

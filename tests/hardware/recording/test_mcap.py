@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
+from hardware.readout.replaying import Replay
 from hardware.recording import Recorder, read_recording
 from hardware.recording.mcap_file import write_mcap
 from hardware.recording.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
-from hardware.replay import Replay
 from tests.hardware.recording.recorded_frames import CALIBRATION, MADE_FROM, arrivals, frames
 from tests.hardware.recording.recorded_frames import INFO as BOARD
 

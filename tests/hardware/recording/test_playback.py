@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import DesignError
-from hardware.frames import Frame, FrameDecoder, Info, encode
+from hardware.link.frames import Frame, FrameDecoder, Info, encode
 from hardware.recording import parse_recording, recording_bytes
 from hardware.recording.playback import PlaybackPort
 from tests.hardware.recording.recorded_frames import frames

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.frames import FrameDecoder, Info, Statistics, encode
+from hardware.link.frames import FrameDecoder, Info, Statistics, encode
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording, recording_bytes
 from tests.hardware.recording.recorded_frames import (
     CALIBRATION,

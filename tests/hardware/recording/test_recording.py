@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.frames import Frame, Info, ScanMode, encode
+from hardware.link.frames import Frame, Info, ScanMode, encode
 from hardware.recording import parse_recording, read_recording, recording_from_resistances, write_recording
 
 INFO = Info(rows=2, cols=3, bits=12, rate_hz=200)

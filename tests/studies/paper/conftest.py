@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from fem.array_response import ResponseSettings, array_response
-from fem.response import ArrayResponse
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
 from studies.paper.__main__ import results_for
 from studies.paper.results import Results
-from studies.progress import Bars
 from tests.studies.paper.small_experiments import SMALL
+from tripillar.terminal.progress import Bars
 
 
 @pytest.fixture(scope="session")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array_response import ResponseSettings, array_response
-from fem.response import ArrayResponse
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, Material, SensorDesign
 from studies.paper.deformation import CAP, LOADED, Deformation, deformation, middle_unit, one_pad, pressed
 from studies.paper.sections import deformation as words

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset.simulate import DatasetSettings
-from decoupler.baseline import HOOKE, LINEAR
+from dataset.simulation import DatasetSettings
+from decoupler.model.baseline import HOOKE, LINEAR
 from studies.paper import experiments
 from studies.paper.__main__ import results_for
 from studies.paper.experiments import (
@@ -28,8 +28,8 @@ from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.printed import TABLE_2_AVERAGE
 from studies.paper.results import read_results
 from studies.paper.sections import decoupling
-from studies.progress import Bars
 from tests.studies.paper.small_experiments import SMALL
+from tripillar.terminal.progress import Bars
 
 
 @pytest.mark.parametrize("samples", PRINTED_TABLE_2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from fem.array_response import ResponseSettings, array_response
+from fem.array.solving import ResponseSettings, array_response
 from studies.paper import __main__ as command
 from studies.paper import spacing
 from studies.paper.__main__ import paper

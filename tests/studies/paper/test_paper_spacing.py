@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dataset.resistance import pillar_lengths, pillar_resistances
-from dataset.simulate import displacements
-from fem.array_response import ResponseSettings, array_response
-from fem.layer import decay_length_mm
+from dataset.simulation import displacements
+from fem.array.layer import decay_length_mm
+from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import pillar_volumes
 from studies.paper.sections import spacing as words

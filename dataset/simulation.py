@@ -1,0 +1,228 @@
+"""Samples from a response: tractions drawn by a protocol, superposed, turned into lengths and resistances.
+
+Samples are drawn in blocks, each with random generators of its own. So a sample depends on the seed and its
+number alone, not on how many are made with it, and a dataset can be extended without changing what it holds.
+"""
+
+import json
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from dataset.imperfections import Imperfections
+from dataset.measurement import Readout
+from dataset.protocols import PROTOCOLS
+from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
+from dataset.samples import LabelledData, SimulatedData
+from fem.array.response import ArrayResponse
+from geometry.design import SensorDesign, quantity
+from geometry.errors import DesignError, TriPillarError
+from geometry.layout import AXES, FloatArray, pillar_volumes
+from geometry.storage.files import digest
+
+METHOD = 2  #: raise when the same settings give other samples
+BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
+MAX_SAMPLES = 10_000_000  #: of 36 units each they hold 52 GB
+MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
+
+
+class LoadError(TriPillarError, ValueError):
+    """Loads that the sensor cannot take."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSettings(Imperfections):
+    """What a dataset is to hold, and the sensor that measures it."""
+
+    protocol: str
+    samples: int = field(metadata={"meaning": "number of samples"})
+    seed: int = quantity(0, "seed of all that is random")
+    cap: float = quantity(0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.protocol not in PROTOCOLS:
+            raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
+        if not 1 <= self.samples <= MAX_SAMPLES:
+            raise DesignError(f"samples={self.samples} must be from 1 to {MAX_SAMPLES}; the paper uses 2200.")
+        if not 0 <= self.seed < 2**63:
+            raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
+        if not 0 < self.cap < 1:
+            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
+
+
+def dataset_recipe(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
+    """Hash of all that a dataset depends on."""
+    through = [] if readout is None else [readout]
+    return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
+
+
+def simulate(
+    response: ArrayResponse,
+    settings: DatasetSettings,
+    progress: Callable[[int], None] = lambda samples: None,
+    readout: Readout | None = None,
+) -> SimulatedData:
+    """Simulate labelled samples.
+
+    Parameters
+    ----------
+    response : ArrayResponse
+        Influence matrix and design of the sensor.
+    settings : DatasetSettings
+        Protocol, number, seed, cap, and the imperfections of sensor and measurement.
+    progress : function
+        Called with the number of samples each block adds.
+    readout : Readout, optional
+        Electronics that resistances pass through, such as a crossbar with its crosstalk.
+
+    Raises
+    ------
+    LoadError
+        If a sample's strain passes the cap in `MAX_ROUNDS` draws on end.
+    DesignError
+        As `Imperfections.apply` does.
+    """
+    design, n = response.design, settings.samples
+    rows, cols = design.array.rows, design.array.cols
+    arrays = {
+        "traction_mpa": np.empty((n, design.n_units, 3)),
+        "displacement_mm": np.empty((n, design.n_units, 2, 3)),
+        "length_mm": np.empty((n, design.n_units, 3)),
+        "resistance_ohm": np.empty((n, design.n_units, 3)),
+    }
+    starts = range(0, n, BLOCK)
+
+    def fill(start: int) -> tuple[int, int]:
+        """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
+        kept = min(BLOCK, n - start)
+        block, redrawn = _block(response, settings, start // BLOCK, readout)
+        for name, values in block.items():
+            arrays[name][start : start + kept] = values[:kept]
+        return kept, int(redrawn[:kept].sum())
+
+    redrawn = 0
+    # a block's matrix product is too small for two BLAS threads to share; two blocks side by side are not
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
+        for kept, again in pool.map(fill, starts):
+            redrawn += again
+            progress(kept)
+    by_unit = {name: values.reshape(n, rows, cols, *values.shape[2:]) for name, values in arrays.items()}
+    return SimulatedData(
+        design=design,
+        **by_unit,
+        force_n=forces(by_unit["traction_mpa"], design),
+        made_from={
+            **settings.as_attributes(),
+            **({} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}),
+            "summary": PROTOCOLS[settings.protocol].summary,
+            "redrawn": redrawn,
+            "recipe": dataset_recipe(response, settings, readout),
+            "response_hash": response.content_hash,
+            "mesh_hash": response.mesh_hash,
+            "residual": response.residual,
+        },
+    )
+
+
+def measured_again(
+    data: SimulatedData, imperfections: Imperfections, seed: int, readout: Readout | None = None
+) -> LabelledData:
+    """What a sensor with these imperfections measures under the loads of `data`, however those were measured.
+
+    Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
+    last bit what `simulate` gives with the same loads, imperfections, seed and readout.
+
+    Raises
+    ------
+    DesignError
+        As `Imperfections.apply` does.
+    """
+    exact_ohm = _exact_resistances(data.length_mm, data.design)
+    blocks = [
+        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
+        for start in range(0, len(exact_ohm), BLOCK)
+    ]
+    resistance_ohm = np.concatenate(blocks)
+    return LabelledData(
+        resistance_ohm=resistance_ohm,
+        force_n=data.force_n,
+        design=data.design,
+        content_hash=digest(data.force_n, resistance_ohm),
+        noise=imperfections.noise,
+        bits=imperfections.bits,
+        dead=imperfections.dead_mask(data.design.array.rows, data.design.array.cols),
+    )
+
+
+def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
+    """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
+    return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
+
+
+def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
+    """Displacement of the upper electrodes (n, n_units, 2, 3) [mm] under tractions (n, n_units, 3) [MPa].
+
+    Tractions along other axes than `axes` are known to be 0 and are skipped.
+    """
+    n, n_units, _ = traction_mpa.shape
+    loaded = [AXES.index(axis) for axis in axes]
+    influence = response.influence_mm_per_n.reshape(n_units * 6, n_units, 3)[:, :, loaded]
+    newtons = traction_mpa[:, :, loaded].reshape(n, -1) * response.design.pad.size_mm**2
+    return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
+
+
+def _block(
+    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None
+) -> tuple[dict[str, FloatArray], np.ndarray]:
+    """All samples of one block by the name of their variable, and how often each was redrawn.
+
+    A whole block is made even when only a part of it is wanted, so that no sample depends on how many are.
+    """
+    design, protocol = response.design, PROTOCOLS[settings.protocol]
+    traction = np.empty((BLOCK, design.n_units, 3))
+    displacement = np.empty((BLOCK, design.n_units, 2, 3))
+    length = np.empty((BLOCK, design.n_units, 3))
+    redrawn = np.zeros(BLOCK, dtype=np.int64)
+    waiting: slice | np.ndarray = slice(None)  # all; a slice copies nothing
+    n_waiting = BLOCK
+    for attempt in range(MAX_ROUNDS):
+        generator = np.random.default_rng([settings.seed, number, attempt])
+        traction[waiting] = protocol.draw(generator, n_waiting, design)
+        displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
+        length[waiting] = pillar_lengths(displacement[waiting], design.unit)
+        strain = pillar_strains(displacement[waiting], length[waiting], design.unit).max(axis=(1, 2))
+        over = np.arange(BLOCK)[waiting][strain > settings.cap]
+        redrawn[over] += 1
+        if not len(over):
+            break
+        waiting, n_waiting = over, len(over)
+    else:
+        raise LoadError(
+            f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in "
+            f"{MAX_ROUNDS} draws on end: raise the cap, or lower the forces by a smaller pad "
+            f"(size_mm={design.pad.size_mm:g})."
+        )
+    by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
+    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
+    block = {
+        "traction_mpa": traction,
+        "displacement_mm": displacement,
+        "length_mm": length,
+        "resistance_ohm": resistance.reshape(length.shape),
+    }
+    return block, redrawn
+
+
+def _exact_resistances(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
+    return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+
+
+def _noise_stream(seed: int, block: int) -> np.random.Generator:
+    """Generator of a block's noise; no draw of loads uses this stream."""
+    return np.random.default_rng([seed, block, MAX_ROUNDS])

@@ -1,0 +1,1 @@
+"""Columns of resistances and forces: which, scaled how, and which samples."""

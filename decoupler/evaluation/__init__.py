@@ -1,0 +1,1 @@
+"""Errors of a model, and what they are held against."""

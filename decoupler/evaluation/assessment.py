@@ -1,0 +1,122 @@
+"""A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.data.components import force_columns, readable_columns
+from decoupler.evaluation.light_touch import LightTouch, light_touch
+from decoupler.evaluation.metrics import ForceErrors, component_errors
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import bayes, cramer_rao
+from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
+from decoupler.model.decoupler import Decoupler
+from geometry.layout import AXES, FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+MAX_SAMPLES = 200  #: whose limits are worked out; spread over the data
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Least root mean squared error of one force [N] that the readings allow."""
+
+    cramer_rao_n: float | None  #: without bias; None where pillars that can be read do not determine the force
+    bayes_n: float  #: knowing the forces' mean and covariance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """Everything about one force component."""
+
+    errors: ForceErrors
+    limits: Limits | None  #: None if the response is unknown or other forces act as well
+    ratio: float | None  #: error over the lower bound without bias; None without noise
+    baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
+    coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % deviation
+    light: LightTouch | None  #: where forces are small; None if the response is unknown
+
+
+def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> dict[str, Assessment]:
+    """Assess a model on data that it has not seen, force by force.
+
+    `response` is that of the sensor; without it there are no limits, and nothing is known of light touches.
+
+    Raises
+    ------
+    SampleError
+        As `Decoupler.forces` does.
+    """
+    component = decoupler.component
+    resistance_ohm, dead = data.resistance_ohm, decoupler.dead
+    predicted = decoupler.forces(resistance_ohm)
+    errors = component_errors(predicted, data, component)
+    baselines = {}
+    if data.design is not None and dead is None:
+        baselines[HOOKE] = hooke_forces(resistance_ohm, data.design, component)
+    if decoupler.least_squares is not None:
+        baselines[LINEAR] = decoupler.least_squares.forces(resistance_ohm)
+    compared = {name: component_errors(forces, data, component) for name, forces in baselines.items()}
+    limits = _limits(decoupler, data, response)
+    light = None
+    if response is not None:
+        light = light_touch(decoupler, ForwardModel.of(response, component), data.noise, data.bits)
+    covered = None
+    if decoupler.uncertainty is not None:
+        missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
+        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.deviations(resistance_ohm)]
+    found = {}
+    for axis, name in enumerate(component.forces):
+        limit = limits[axis] if limits is not None else None
+        found[name] = Assessment(
+            errors=errors[name],
+            limits=limit,
+            ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
+            baselines={label: by_force[name] for label, by_force in compared.items()},
+            coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
+            light=None if light is None else light[name],
+        )
+    return found
+
+
+def _limits(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> list[Limits] | None:
+    """Limits of every axis of the component; None where the response does not say them."""
+    component = decoupler.component
+    others = [index for index, axis in enumerate(AXES) if axis not in component.axes]
+    if response is None or np.any(data.force_n[..., others]):
+        return None
+    every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
+    usual_n = force_columns(data.force_n, component)
+    forward = ForwardModel.of(response, component)
+    readable = readable_columns(component, decoupler.dead, forward.n_pillars)
+    reading = usual_n[every], data.noise, data.bits, readable
+    bounds = cramer_rao(forward, *reading), bayes(forward, *reading, usual_n)
+    unbiased, biased = (_by_axis(bound, component.axes) for bound in bounds)
+    return [
+        Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
+        for one, other in zip(unbiased, biased, strict=True)
+    ]
+
+
+def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
+    """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
+    return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
+
+
+def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:
+    """The same as dictionaries and numbers, for JSON: the errors themselves first, what they are held against below."""
+    return {
+        name: asdict(one.errors)
+        | {
+            "limits": None if one.limits is None else asdict(one.limits),
+            "ratio": one.ratio,
+            "baselines": {label: asdict(errors) for label, errors in one.baselines.items()},
+            "coverage": one.coverage,
+            "light": None if one.light is None else asdict(one.light),
+        }
+        for name, one in assessed.items()
+    }

@@ -1,0 +1,196 @@
+"""k-fold cross-validation as in the paper's section 3.3: every sample is tested once, by a net that never saw it."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from multiprocessing import active_children, get_context
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.data.components import component_named
+from decoupler.data.errors import SampleError
+from decoupler.data.selection import distinct, load_numbers, selected
+from decoupler.evaluation.metrics import ForceErrors, evaluate
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from geometry.storage.files import uninterrupted
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+Job = tuple[Any, ...]  #: a function and its arguments, all of which another process can import or unpickle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fold:
+    """One fold's outcome."""
+
+    errors: dict[str, ForceErrors]  #: by force, on the samples left out
+    iterations: int
+    reason: str  #: why training stopped
+    seconds: float  #: of training
+
+
+def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
+    """Sample numbers of each fold's test set: shuffled, then cut in `folds` parts as equal as can be.
+
+    >>> sorted(int(i) for part in split_folds(5, 2, seed=0) for i in part)
+    [0, 1, 2, 3, 4]
+    """
+    if n_samples < 4:
+        raise SampleError(f"{n_samples} samples are too few to cross-validate: at least 4 are needed, 2 a fold.")
+    if not 2 <= folds <= n_samples // 2:
+        raise SampleError(f"folds={folds} must be from 2 to {n_samples // 2}, half of the {n_samples} samples.")
+    return np.array_split(np.random.default_rng(seed).permutation(n_samples), folds)
+
+
+def cross_validate(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    folds: int = 10,
+    response: "ArrayResponse | None" = None,
+    progress: Callable[[int], None] = lambda fold: None,
+) -> list[Fold]:
+    """Train and test once a fold, folds in parallel processes of one thread each.
+
+    Parameters
+    ----------
+    data : LabelledData
+    component, network, training, response
+        As `training.train` takes them. The seed also shuffles the samples.
+    folds : int
+        From 2 to half the number of samples.
+    progress : callable
+        Called with the number of each fold as it ends, in whatever order.
+
+    Returns
+    -------
+    list of Fold
+        In the order of the folds; the same however many processes there are.
+    """
+    return in_parallel(jobs_of(data, component, network, training, folds, response), progress)
+
+
+def jobs_of(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    folds: int,
+    response: "ArrayResponse | None",
+) -> list[Job]:
+    """The jobs of one cross-validation, for `in_parallel` together with others.
+
+    A sample given twice counts once, and samples of one load come into one fold: else the answer would be known.
+    """
+    data = distinct(data, component_named(component))
+    load = load_numbers(data.force_n)
+    by_load = np.split(np.argsort(load, kind="stable"), np.cumsum(np.bincount(load))[:-1])
+    loads = split_folds(len(by_load), folds, training.seed)
+    parts = [np.concatenate([by_load[number] for number in part]) for part in loads]
+    every = np.arange(len(data.force_n))
+    return [(fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
+
+
+def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
+    """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
+    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        with uninterrupted(), deaf_to_interrupts():
+            futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                progress(futures[future])
+        except BaseException:  # Ctrl-C as well: nobody waits for what runs, and what waits must not be begun any more
+            for process in active_children():
+                process.terminate()
+            pool.shutdown(cancel_futures=True)
+            raise
+        return [future.result() for future in futures]
+
+
+def fold(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    response: "ArrayResponse | None",
+    trained_on: np.ndarray,
+    tested_on: np.ndarray,
+) -> Fold:
+    """Train on some samples of `data` and test on others, in whatever process this runs."""
+    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
+
+    model, history = train(selected(data, trained_on), component, network, training, response=response)
+    errors = evaluate(model, selected(data, tested_on))
+    return Fold(errors=errors, iterations=history.iterations, reason=history.reason, seconds=history.seconds)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Tell the processes started meanwhile to use one thread for linear algebra."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def over_folds(tested: list[Fold], statistic: Callable[[list[float]], Any]) -> dict[str, ForceErrors]:
+    """A statistic of each kind of error over the folds, by force; None where a fold has none."""
+    found = {}
+    for force in tested[0].errors:
+        columns: dict[str, Any] = {}
+        for kind in ("rel_err", "rmse_n", "full_scale_pct"):
+            values = [getattr(fold.errors[force], kind) for fold in tested]
+            columns[kind] = None if None in values else float(statistic(values))
+        found[force] = ForceErrors(**columns)
+    return found
+
+
+def summary(tested: list[Fold]) -> dict[str, Any]:
+    """Folds with their means as dictionaries and numbers, for JSON.
+
+    One force component: a fold holds its errors, and the means are called ``mean_rel_err`` and so on. Several: a fold
+    holds each component's errors by name, and so do ``mean`` and ``spread``.
+    """
+    rows = [{name: asdict(errors) for name, errors in fold.errors.items()} for fold in tested]
+    training = [{"iterations": f.iterations, "reason": f.reason, "seconds": f.seconds} for f in tested]
+    overall = {"mean": over_folds(tested, np.mean), "spread": over_folds(tested, np.std)}
+    if len(rows[0]) > 1:
+        folds = [row | trained for row, trained in zip(rows, training, strict=True)]
+        return {"folds": folds} | {
+            label: {name: asdict(errors) for name, errors in by_force.items()} for label, by_force in overall.items()
+        }
+    (name,) = rows[0]
+    flat = {
+        f"{label}_{kind}": value
+        for label, by_force in overall.items()
+        for kind, value in asdict(by_force[name]).items()
+    }
+    return {"folds": [row[name] | trained for row, trained in zip(rows, training, strict=True)]} | flat
+
+
+@contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C, which a terminal sends to all, from the processes started meanwhile: who started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

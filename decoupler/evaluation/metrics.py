@@ -1,0 +1,61 @@
+"""Errors of decoupled forces: the paper's relative error (eq. 17), in newtons, and in % of full scale."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dataset import LabelledData
+from decoupler.data.components import Component, force_columns
+from decoupler.data.errors import SampleError
+from decoupler.model.decoupler import Decoupler
+from geometry.layout import FloatArray
+
+BOUNDED_AWAY = 1e-3  #: of full scale; eq. 17 is given only if every |F| is above this
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceErrors:
+    """Errors of one force component over all samples and units."""
+
+    rel_err: float | None  #: eq. 17 as a fraction; None where a force is too near 0 for it to mean anything
+    rmse_n: float  #: root mean squared error [N]
+    full_scale_pct: float | None  #: the same in % of full scale, the largest |F| in the data; None if it is 0
+
+
+def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
+    """Errors of predicted forces of one component; both arrays of the same shape, whatever it is.
+
+    Notes
+    -----
+    Eq. 17 of Song et al., Micromachines 2018, 9(5), 236: mean of |F' − F| / |F|. It explodes as F nears 0, so
+    it is given only if the smallest |F| is above 1e-3 of the largest.
+
+    Examples
+    --------
+    >>> force_errors(np.array([99.0, 202.0]), np.array([100.0, 200.0])).rel_err
+    0.01
+    """
+    if predicted_n.shape != actual_n.shape or not actual_n.size:
+        raise SampleError(
+            f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
+        )
+    error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
+    full_scale = size.max()
+    rmse_n = float(np.sqrt(np.mean(error**2)))
+    bounded = size.min() > BOUNDED_AWAY * full_scale
+    return ForceErrors(
+        rel_err=float(np.mean(error / size)) if bounded else None,
+        rmse_n=rmse_n,
+        full_scale_pct=100.0 * rmse_n / float(full_scale) if full_scale > 0 else None,
+    )
+
+
+def component_errors(predicted_n: FloatArray, data: LabelledData, component: Component) -> dict[str, ForceErrors]:
+    """Errors of every force of a component; `predicted_n` has shape (n_samples, rows, cols, n_axes)."""
+    actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
+    return {name: force_errors(predicted_n[..., axis], actual[..., axis]) for axis, name in enumerate(component.forces)}
+
+
+def evaluate(decoupler: Decoupler, data: LabelledData) -> dict[str, ForceErrors]:
+    """Errors of a model on data, of every force it gives."""
+    return component_errors(decoupler.forces(data.resistance_ohm), data, decoupler.component)

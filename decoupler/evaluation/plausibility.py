@@ -1,0 +1,281 @@
+"""Whether readings and forces can belong together and to their sensor, or are what usually goes wrong with such files.
+
+The response of the sensor says how lengths follow the forces. A data set is doubted if it fits that decidedly better
+after one of `MISTAKES` is taken back, or if the readings fit the forces worse than if nothing linked them.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from dataset import LabelledData
+from dataset.measurement import reading_deviation
+from dataset.samples import MAX_N
+from decoupler.data.components import COMPONENTS, Component, force_columns, pillar_columns, readable_columns
+from decoupler.data.selection import distinct, load_numbers, selected
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.model_inverse import SLOPES
+from decoupler.model.calibration import MIN_NOISE
+from geometry.layout import AXES, PILLARS, FloatArray
+
+#: share of honest inputs that is doubted at most: a likelihood ratio passes 1/α with a probability of α at most
+#: (Markov's inequality), whatever it is compared with
+FALSE_ALARMS = 1e-4
+MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
+CONSTANT = 1e-12  #: of a column's size: rounding
+UNSTATED_NOISE = 0.01  #: of readings whose file states none: that of a poor board
+EDGE = 3.0**0.5  #: of a step's deviation: that of a reading which hops between two steps
+
+Turn = Callable[[FloatArray], FloatArray]
+
+
+def _as_it_is(values: FloatArray) -> FloatArray:
+    return values
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One way for a file to be wrong: what it takes for forces (n, rows, cols, 3), and where it puts pillars (same)."""
+
+    said: str  #: what seems to be the matter, and what to do
+    force: Turn = _as_it_is  #: from the file's to the sensor's
+    pillar: Turn = _as_it_is  #: from the sensor's to the file's
+
+
+def _times(*factors: float) -> Turn:
+    return lambda values: values * np.array(factors)
+
+
+def _ordered(*order: int) -> Turn:
+    return lambda values: values[..., order]
+
+
+_SIGNS = "z > 0 is compression, x runs along columns, y along rows"
+_PILLARS = "a file's pillars are z, x, y"
+_AXES = "a file's axes are x, y, z"
+_PLACES: dict[str, Turn] = {
+    "rows and columns of {} seem to be exchanged": lambda values: values.swapaxes(1, 2),
+    "rows of {} seem to stand in reverse order": lambda values: values[:, ::-1],
+    "columns of {} seem to stand in reverse order": lambda values: values[:, :, ::-1],
+}
+MISTAKES = (
+    Mistake("the forces seem to be in kN: multiply them by 1000", _times(1e3)),
+    Mistake("the forces seem to be in mN: divide them by 1000", _times(1e-3)),
+    Mistake(f"all forces seem to have the other sign: {_SIGNS}", _times(-1.0)),
+    Mistake(f"Fz seems to have the other sign: {_SIGNS}", _times(1.0, 1.0, -1.0)),
+    Mistake(f"Fx seems to have the other sign: {_SIGNS}", _times(-1.0, 1.0, 1.0)),
+    Mistake(f"Fy seems to have the other sign: {_SIGNS}", _times(1.0, -1.0, 1.0)),
+    Mistake(f"Fx and Fy seem to have the other sign: {_SIGNS}", _times(-1.0, -1.0, 1.0)),
+    Mistake(f"Fx and Fy seem to be exchanged: {_AXES}", _ordered(1, 0, 2)),
+    Mistake(f"Fx and Fz seem to be exchanged: {_AXES}", _ordered(2, 1, 0)),
+    Mistake(f"Fy and Fz seem to be exchanged: {_AXES}", _ordered(0, 2, 1)),
+    Mistake(f"pillars x and y seem to be exchanged: {_PILLARS}", pillar=_ordered(0, 2, 1)),
+    Mistake(f"pillars z and x seem to be exchanged: {_PILLARS}", pillar=_ordered(1, 0, 2)),
+    Mistake(f"pillars z and y seem to be exchanged: {_PILLARS}", pillar=_ordered(2, 1, 0)),
+    Mistake(f"pillars seem to stand in the order x, y, z: {_PILLARS}", pillar=_ordered(1, 2, 0)),
+    Mistake(f"pillars seem to stand in the order y, z, x: {_PILLARS}", pillar=_ordered(2, 0, 1)),
+    *(
+        Mistake(f"{said.format(whose)}: give them as the design has them", turn, pillar)
+        for said, turn in _PLACES.items()
+        for whose, pillar in (("the forces", _as_it_is), ("forces and resistances", turn))
+    ),
+)
+NONE = Mistake("")
+UNLINKED = Mistake(
+    "the readings fit the forces worse than if nothing linked them: pair readings of this sensor with their own loads",
+    _times(0.0),
+)
+ORDER = "the readings fit the forces far better in another order, {} of {} are out of place: pair each with its load"
+
+
+def doubt(data: LabelledData, component: Component, forward: ForwardModel | None) -> str | None:
+    """What seems to be wrong with samples, and what to do, in a line; None if nothing.
+
+    Parameters
+    ----------
+    data : LabelledData
+    component : Component
+        Whose pillars and forces are looked at.
+    forward : ForwardModel, optional
+        Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces, from
+        which pillars that are exchanged are not told. Without it only forces that are constant are noticed.
+
+    Notes
+    -----
+    A mistake is likelier than none by (S₀/S)^(m/2): S are sums of squares of what the response leaves of the lengths,
+    gain and slope of each pillar left free within reason, their errors normal and of unknown size. m is the number of
+    loads times that of the directions in which the residuals spread: an error that pillars share counts once. A third
+    of `FALSE_ALARMS` each is for readings that do not follow the forces, for all other orders of the samples and for
+    all mistakes together. One pair, or readings that noise hides, say nothing and are never doubted.
+    """
+    data = _some(data, component)
+    readable = readable_columns(component, data.dead, data.force_n[0, ..., 0].size * len(component.pillars))
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)[:, readable]
+    forces = force_columns(data.force_n, component)
+    if len(forces) > 1 and _is_constant(forces) and _scattered(columns, data):
+        return f"{_alike(forces)}, though the resistances differ by more than noise: give their loads"
+    if forward is None or not columns.size:
+        return None
+    times = float(np.median(columns) / np.median(forward.at_rest_ohm()))
+    if round(math.log10(times) / 3):
+        return (
+            f"the resistances are {times:.2g} times the design's: give them in Ω, or the design the resistivity_ohm_mm "
+            "of this rubber"
+        )
+    return _mistaken(data, component, forward)
+
+
+def nothing_to_learn(data: LabelledData, component: Component) -> str | None:
+    """That all samples show the same, or were taken under the same load, in a line; None if they differ."""
+    if len(data.force_n) < 2:
+        return None
+    columns, forces = pillar_columns(data.resistance_ohm, component, data.dead), force_columns(data.force_n, component)
+    if _is_constant(forces):
+        return f"{_alike(forces)}: nothing can be learnt"
+    return "every resistance is the same in all samples: nothing can be learnt" if _is_constant(columns) else None
+
+
+def disturbance(data: LabelledData, component: Component, forward: ForwardModel | None) -> str | None:
+    """That forces other than the component's move its pillars, in a line; None if they do not.
+
+    `forward` is joint (`all`); without it any such force is one too many.
+    """
+    acting = [axis for axis in AXES if axis not in component.axes and data.force_n[..., AXES.index(axis)].any()]
+    if not acting:
+        return None
+    data, share = _some(data, component), ""
+    if forward is not None:
+        alone = Mistake("", _times(*(float(axis in component.axes) for axis in AXES)))
+        by_own, by_all = _left(data, component, forward, alone), _left(data, component, forward)
+        if not _log_likelier(by_own, by_all, data) > math.log(1.0 / FALSE_ALARMS):
+            return None
+        share = (
+            f" ({1.0 - _energy(by_all) / _energy(by_own):.0%} of what {component.name} leaves unexplained is theirs)"
+        )
+    return (
+        f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
+        f"{component.name}; use --component all"
+    )
+
+
+def explained(data: LabelledData, component: Component, forward: ForwardModel) -> float | None:
+    """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
+
+    Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
+    """
+    data = _some(data, component)
+    moved, _ = _motions(data, component, forward, NONE)
+    left = _left(data, component, forward)
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)
+    columns = columns[:, readable_columns(component, data.dead, columns.shape[1])]
+    noise = float((0.25 * (reading_deviation(columns, data.noise, data.bits) / columns) ** 2).sum())
+    signal = float((moved**2).sum()) - noise
+    return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+
+
+def _some(data: LabelledData, component: Component) -> LabelledData:
+    data = distinct(data, component)
+    if len(data.force_n) <= MAX_JUDGED:
+        return data
+    return selected(data, np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int))
+
+
+def _mistaken(data: LabelledData, component: Component, forward: ForwardModel) -> str | None:
+    """The mistake that explains the data best, if decidedly better than none."""
+    as_given, n = _left(data, component, forward), len(data.force_n)
+    unlinked = _left(data, component, forward, UNLINKED)
+    order = _best_order(data, component, forward)
+    possible = [mistake for mistake in MISTAKES if _is_possible(mistake, data, forward)]
+    named = [
+        (ORDER, math.lgamma(n + 1), _left(replace(data, force_n=data.force_n[order]), component, forward)),
+        *((one.said, math.log(len(MISTAKES)), _left(data, component, forward, one)) for one in possible),
+    ]
+    enough = math.log(3.0 / FALSE_ALARMS)
+    found = {
+        said: _energy(left)
+        for said, log_many, left in named
+        if min(_log_likelier(other, left, data) for other in (as_given, unlinked)) > log_many + enough
+    }
+    said = min(found, key=found.__getitem__, default=None)
+    if said is None:
+        return UNLINKED.said if _log_likelier(as_given, unlinked, data) > enough else None
+    return said.format(int((order != np.arange(n)).sum()), n) if said == ORDER else said
+
+
+def _best_order(data: LabelledData, component: Component, forward: ForwardModel) -> NDArray[np.int64]:
+    """The order of the forces in which they fit the readings best, shape (n,)."""
+    moved, expected = _motions(data, component, forward, NONE)
+    return linear_sum_assignment(moved @ expected.T, maximize=True)[1].astype(np.int64)
+
+
+def _is_possible(mistake: Mistake, data: LabelledData, forward: ForwardModel) -> bool:
+    """Whether rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
+    force_n = mistake.force(data.force_n)
+    told = mistake.pillar is _as_it_is or _is_joint(forward, data)
+    return told and force_n.shape == data.force_n.shape and bool(np.abs(force_n).max() <= MAX_N)
+
+
+def _is_joint(forward: ForwardModel, data: LabelledData) -> bool:
+    return forward.n_pillars == forward.n_forces == data.force_n[0].size
+
+
+def _motions(
+    data: LabelledData, component: Component, forward: ForwardModel, mistake: Mistake
+) -> tuple[FloatArray, FloatArray]:
+    """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
+    joint = _is_joint(forward, data)
+    modelled = forward.lengths(force_columns(mistake.force(data.force_n), COMPONENTS["all"] if joint else component))
+    if joint:
+        pillars = [PILLARS.index(pillar) for pillar in component.pillars]
+        modelled = mistake.pillar(modelled.reshape(data.force_n.shape))[..., pillars].reshape(len(modelled), -1)
+    lengths = np.sqrt(pillar_columns(data.resistance_ohm, component, data.dead))
+    readable = readable_columns(component, data.dead, lengths.shape[1])
+    lengths, modelled = lengths[:, readable], modelled[:, readable]
+    return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
+
+
+def _left(data: LabelledData, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
+    """What the forces leave of the measured motions, (n, n_readable)."""
+    moved, expected = _motions(data, component, forward, mistake)
+    both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
+    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
+    return moved - slope * expected
+
+
+def _energy(residuals: FloatArray) -> float:
+    """Their sum of squares, none below what a response is trusted to."""
+    return float((residuals**2).sum() + residuals.size * (0.5 * MIN_NOISE) ** 2)
+
+
+def _log_likelier(as_given: FloatArray, other: FloatArray, data: LabelledData) -> float:
+    """By how much the residuals of another explanation are likelier, each (n, n_columns)."""
+    covariance = as_given @ as_given.T if len(as_given) < as_given.shape[1] else as_given.T @ as_given
+    squared = float((covariance**2).sum())
+    directions = float(covariance.trace()) ** 2 / squared if squared > 0 else 1.0
+    loads = load_numbers(data.force_n).max() + 1
+    return 0.5 * loads * directions * math.log(_energy(as_given) / _energy(other))
+
+
+def _scattered(columns: FloatArray, data: LabelledData) -> bool:
+    """Whether readings (n, n_columns) of one load scatter more than noise.
+
+    The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).
+    """
+    size = columns.mean(axis=0)
+    noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
+    deviation = np.hypot(noise, EDGE * steps)
+    N = (len(columns) - 1) * columns.shape[1]
+    x = float((((columns - size) / deviation) ** 2).sum()) / max(N, 1)
+    return x > 1.0 and 0.5 * N * (x - 1.0 - math.log(x)) > math.log(1.0 / FALSE_ALARMS)
+
+
+def _is_constant(columns: FloatArray) -> bool:
+    return bool((np.ptp(columns, axis=0) <= CONSTANT * np.abs(columns).max(axis=0)).all())
+
+
+def _alike(force_n: FloatArray) -> str:
+    return "every force is the same in all samples" if force_n.any() else "every force is 0 N"

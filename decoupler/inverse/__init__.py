@@ -1,0 +1,1 @@
+"""The array's response turned around: forces from resistances, and the limit that noise sets."""

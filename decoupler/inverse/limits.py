@@ -1,0 +1,154 @@
+"""The least error that readings allow, whatever the estimator: what the response says of noise in the forces.
+
+`cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `model_inverse` is
+the estimator that meets the first: Gauss-Newton on the response itself.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.measurement import reading_deviation
+from decoupler.data.errors import SampleError
+from decoupler.inverse.forward_model import ForwardModel
+from geometry.layout import FloatArray
+
+CHUNK = 64  #: samples whose derivatives are in memory together
+MAX_STEPS = 50  #: of Gauss-Newton; a dozen is usual
+CONVERGED = 1e-12  #: relative to the largest force
+
+
+def cramer_rao(
+    forward: ForwardModel,
+    force_n: FloatArray,
+    noise: float,
+    bits: int | None,
+    readable: NDArray[np.bool_] | None = None,
+) -> FloatArray:
+    """Least standard deviation of unbiased estimates of forces, (n, n_forces) [N] -> the same shape [N].
+
+    Parameters
+    ----------
+    forward : ForwardModel
+    force_n : array, shape (n, n_forces)
+    noise, bits : float, int or None
+        Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
+    readable : array, shape (n_pillars,), optional
+        Pillars that can be read; default: all. If they are fewer than the forces, every bound is infinite.
+
+    Notes
+    -----
+    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹ = J⁻¹ Σ J⁻ᵀ, linearised about each sample's true forces: J of the lengths, which are
+    never more than the forces, Σ of their errors.
+    """
+    n_readable = forward.n_pillars if readable is None else int(readable.sum())
+    if n_readable < forward.n_forces:
+        return np.full_like(force_n, np.inf)
+    found = np.zeros_like(force_n)
+    if noise or bits is not None:
+        for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
+            found[part] = np.sqrt(((np.linalg.inv(J) * deviation[:, None]) ** 2).sum(axis=2))
+    return found
+
+
+def bayes(
+    forward: ForwardModel,
+    force_n: FloatArray,
+    noise: float,
+    bits: int | None,
+    readable: NDArray[np.bool_] | None = None,
+    usual_n: FloatArray | None = None,
+) -> FloatArray:
+    """The same for estimates that know the mean and covariance of the usual forces, as a trained network does.
+
+    `usual_n`, shape (many, n_forces), is where these are taken from; default: `force_n`. Give several times as many as
+    there are forces: m samples of p forces seem to determine each other, which lowers the limit by √(1 − p/m) where
+    the readings say little.
+
+    Notes
+    -----
+    The diagonal of C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C with C the covariance of the forces: exact for normal forces and linear
+    lengths. Forces of another distribution can be estimated better.
+    """
+    C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
+    found = np.empty_like(force_n)
+    for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
+        JC = J @ C
+        least = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
+        S = JC @ J.swapaxes(1, 2) + np.maximum(deviation, least)[..., None] ** 2 * np.eye(J.shape[1])
+        taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
+        found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
+    return found
+
+
+def _linearised(
+    forward: ForwardModel, force_n: FloatArray, noise: float, bits: int | None, readable: NDArray[np.bool_] | None
+) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """Chunks of samples with the derivatives of the readable lengths and the deviations of their readings."""
+    for start in range(0, len(force_n), CHUNK):
+        part = slice(start, start + CHUNK)
+        lengths, J = forward.jacobian(force_n[part])
+        ohm = forward.ohm_per_mm2 * lengths**2
+        deviation = reading_deviation(ohm, noise, bits) * 0.5 * lengths / ohm
+        if readable is not None:
+            J, deviation = J[:, readable], deviation[:, readable]
+        yield part, J, deviation
+
+
+def model_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
+    """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N]; all samples in one call.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        With as many pillars as forces.
+    resistance_ohm : array, shape (n, n_pillars)
+    start_n : array, shape (n, n_forces) or (n_forces,)
+        Where to start, such as the mean load.
+
+    Raises
+    ------
+    SampleError
+        If there are fewer pillars than forces, or some sample does not converge: no forces near cause its resistances.
+
+    Notes
+    -----
+    Gauss-Newton steps, each halved until it lowers the misfit of the sample's lengths.
+    """
+    if forward.n_pillars != forward.n_forces:
+        raise SampleError(
+            f"{forward.n_pillars} pillars do not determine {forward.n_forces} forces: invert a joint model."
+        )
+    measured = forward.lengths_of(resistance_ohm)
+    forces = np.array(np.broadcast_to(start_n, (len(measured), forward.n_forces)))
+    waiting = np.arange(len(forces))
+    for _ in range(MAX_STEPS):
+        finished = [_descend(forward, measured, forces, waiting[i : i + CHUNK]) for i in range(0, len(waiting), CHUNK)]
+        waiting = waiting[~np.concatenate(finished)]
+        if not len(waiting):
+            return forces
+    raise SampleError(
+        f"{len(waiting)} of {len(forces)} samples have resistances that no forces near the start cause, "
+        f"the first is sample {waiting[0]}: check the calibration."
+    )
+
+
+def _descend(
+    forward: ForwardModel, measured: FloatArray, forces: FloatArray, samples: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """One step of each of the samples, in place; which of them have converged."""
+    here = forces[samples]
+    lengths, J = forward.jacobian(here)
+    misfit = measured[samples] - lengths
+    step = np.linalg.solve(J, misfit[..., None])[..., 0]
+    size, before = np.ones((len(samples), 1)), np.linalg.norm(misfit, axis=1)
+    for _ in range(10):
+        after = np.linalg.norm(measured[samples] - forward.lengths(here + size * step), axis=1)
+        worse = after > before
+        if not worse.any():
+            break
+        size[worse] *= 0.5
+    forces[samples] = here + size * step
+    rounding = 1e-13 * np.linalg.norm(lengths, axis=1)
+    return (np.abs(step).max(axis=1) <= CONVERGED * np.abs(here).max()) | (before <= rounding)

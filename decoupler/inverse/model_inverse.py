@@ -1,0 +1,215 @@
+"""Forces that a known response gives for resistances, nearly: the input feature `inverse`.
+
+A fixed number of corrections costs little and always ends; what they leave, the network learns. `limits.py` has the
+inverse iterated to the end.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset import LabelledData
+from decoupler.data.components import Component, force_columns, pillar_columns, readable_columns
+from decoupler.data.errors import SampleError
+from decoupler.data.rowwise import rowwise
+from decoupler.data.selection import without_stuck
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.settings import Feature, Net
+from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+#: share of the lengths' variance, below which a response is held to be of another sensor: with pads a third smaller
+#: it explains 0.83, with those of an eighth less 0.99; noise of 1 % leaves 0.93 and more
+MIN_EXPLAINED = 0.9
+SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, the body is softer or stiffer
+MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
+ENOUGH = 8e-4  #: of the forces' spread: what may be left under load when corrections end sooner
+ENOUGH_AT_REST = 1e-4  #: of the same: what may be left with nothing on the sensor
+MIN_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
+LOADS = 4000  #: of the usual ones that the corrections are fitted to
+LIGHTER = 0.03  #: weight of as many lighter loads
+SCATTER = 0.02  #: of the forces' spread, added to each force: single touches, which indenters do not hold
+HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelInverse:
+    """A forward model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ..."""
+
+    forward: ForwardModel
+    centre_n: FloatArray  #: (n_forces,): where it starts
+    centre_mm: FloatArray  #: (n_pillars,): lengths there
+    correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
+
+    @classmethod
+    def about(cls, forward: ForwardModel, force_n: FloatArray, readable: NDArray[np.bool_], noise: float) -> Self:
+        """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
+
+        `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
+        relative.
+
+        Notes
+        -----
+        Cₖ is the least-squares map from what the lengths still miss to what the forces still miss after k corrections,
+        by a ridge held to the tangent at their mean. It is fitted to the training forces, to the same made lighter, and
+        to rest, which weighs as much as all of them: a map of so many numbers meets one more point at little cost
+        elsewhere. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is kept
+        where pillars cannot be read, since there the lengths would be asked for more than they can tell.
+        """
+        centre = force_n.mean(axis=0)
+        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
+        tangent = _tangent(forward, centre, force_n, readable, unsure_mm)
+        usual_n = _enough_loads(force_n)
+        loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
+        spread_n = np.std(usual_n - centre)
+        lengths = forward.lengths(loads_n)
+        found = np.broadcast_to(centre, loads_n.shape)
+        correctors: list[FloatArray] = []
+        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n):
+            residual = np.where(readable, lengths - forward.lengths(found), 0.0)
+            weighted = weight[:, None] * residual
+            G = residual.T @ weighted
+            G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
+            missing = loads_n - found - residual @ tangent
+            correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
+            found = found + residual @ correctors[-1]
+        centre_mm = forward.lengths(centre[None])[0]
+        return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
+        lengths = self.forward.lengths_of(resistance_ohm)
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0])
+        forces += self.centre_n
+        for corrector in self.correctors[1:]:
+            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
+        return forces
+
+    def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Derivatives of `forces` by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
+        lengths = self.forward.lengths_of(resistance_ohm)
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
+        by_length = np.broadcast_to(self.correctors[0], (len(lengths), *self.correctors[0].shape))
+        for corrector in self.correctors[1:]:
+            modelled, J = self.forward.jacobian(forces)
+            by_length = by_length + corrector - (by_length @ J.swapaxes(1, 2)) @ corrector
+            forces = forces + rowwise(lengths - modelled, corrector)
+        return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
+
+
+def _enough_loads(force_n: FloatArray) -> FloatArray:
+    """`LOADS` loads [N]: some of these (n, n_forces), or all and mixtures of pairs, whose lengths cost nothing."""
+    if len(force_n) >= LOADS:
+        return force_n[np.linspace(0, len(force_n) - 1, LOADS).astype(int)]
+    generator = np.random.default_rng(0)
+    n = LOADS - len(force_n)
+    one, other = force_n[generator.integers(len(force_n), size=(2, n))]
+    return np.concatenate([force_n, one + generator.uniform(0.0, 1.0, (n, 1)) * (other - one)])
+
+
+def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The usual loads (n, n_forces) [N], n that are lighter, and last rest; the weight of each.
+
+    All but rest are scattered: each force by itself, and by what errors of the lengths would seem to say.
+    """
+    n, n_forces = usual_n.shape
+    generator = np.random.default_rng(1)
+    loads_n = np.concatenate([usual_n, usual_n * generator.uniform(0.0, 1.0, (n, 1))])
+    loads_n += SCATTER * np.std(usual_n - usual_n.mean(axis=0)) * generator.standard_normal(loads_n.shape)
+    loads_n += (unsure_mm * generator.standard_normal((2 * n, len(unsure_mm)))) @ tangent
+    weight = np.repeat([1.0, LIGHTER, (1.0 + LIGHTER) * n], [n, n, 1])
+    return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
+
+
+def _near(missed_n: FloatArray, n_usual: int, spread_n: float) -> bool:
+    """Whether corrections have come near enough under the usual loads, which are first, and at rest, which is last."""
+    return bool(
+        np.std(missed_n[:n_usual]) <= ENOUGH * spread_n
+        and np.sqrt(np.mean(missed_n[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
+    )
+
+
+def _tangent(
+    forward: ForwardModel,
+    centre_n: FloatArray,
+    force_n: FloatArray,
+    readable: NDArray[np.bool_],
+    unsure_mm: FloatArray,
+) -> FloatArray:
+    """Inverse of the lengths' derivatives at the centre, (n_pillars, n_forces) [N/mm].
+
+    With fewer readable pillars than forces, the linear estimate of least mean square under the forces' covariance.
+    """
+    _, J = forward.jacobian(centre_n[None])
+    J = J[0][readable]
+    tangent = np.zeros((forward.n_pillars, forward.n_forces))
+    if len(J) == forward.n_forces:
+        tangent[readable] = np.linalg.inv(J).T
+    else:
+        covariance = np.cov(force_n.T, bias=True).reshape(forward.n_forces, -1)
+        S = J @ covariance @ J.T + np.diag(unsure_mm[readable] ** 2)
+        tangent[readable] = np.linalg.solve(S, J @ covariance)
+    return tangent
+
+
+def explaining(
+    response: "ArrayResponse | None",
+    component: Component,
+    columns_ohm: FloatArray,
+    force_n: FloatArray,
+    readable: np.ndarray,
+) -> ForwardModel:
+    """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
+
+    Raises
+    ------
+    SampleError
+        If there is no response, or it is of an array of another size or explains too little: other loads act than the
+        component's own, or the sensor is another.
+    """
+    if response is None:
+        raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")
+    forward = ForwardModel.of(response, component)
+    if (forward.n_pillars, forward.n_forces) != (columns_ohm.shape[1], force_n.shape[1]):
+        raise SampleError(
+            f"the response is of {forward.n_pillars} pillars, the samples of {columns_ohm.shape[1]}: "
+            "give the response of this array, or use the feature 'root'."
+        )
+    share = _explained(forward.lengths_of(columns_ohm)[:, readable], forward.lengths(force_n)[:, readable])
+    if share < MIN_EXPLAINED:
+        raise SampleError(
+            f"the response explains {max(share, 0.0):.0%} of the resistances' variance, too little to start from: "
+            "use the feature 'root', or the component that holds all loads ('all')."
+        )
+    return forward
+
+
+def suited_feature(data: LabelledData, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
+    """`inverse` for a skip net if the response explains the data, else `root`."""
+    if net != "skip" or response is None:
+        return "root"
+    data = without_stuck(data, component, ForwardModel.of(response, component))
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)
+    forces = force_columns(data.force_n, component)
+    try:
+        explaining(response, component, columns, forces, readable_columns(component, data.dead, columns.shape[1]))
+    except SampleError:
+        return "root"
+    return "inverse"
+
+
+def _explained(measured: FloatArray, modelled: FloatArray) -> float:
+    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
+
+    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
+    """
+    measured = measured * (modelled.mean(axis=0) / measured.mean(axis=0))
+    measured, modelled = measured - measured.mean(axis=0), modelled - modelled.mean(axis=0)
+    both, own = (measured * modelled).sum(axis=0), (modelled**2).sum(axis=0)
+    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
+    total = (measured**2).sum()
+    return float(1.0 - ((measured - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0

@@ -1,0 +1,1 @@
+"""A trained model: ohms in, newtons and their deviations out, and its file."""

@@ -1,0 +1,219 @@
+"""A trained network with its scaling: ohms in, newtons out. In numpy: a live sensor loads no torch."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from dataset.measurement import reading_deviation
+from dataset.resistance import rest_resistances
+from decoupler.data.components import Component, pillar_columns
+from decoupler.data.errors import SampleError
+from decoupler.data.resting import Resting
+from decoupler.data.rowwise import in_blocks, rowwise
+from decoupler.data.scaling import Scaling
+from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.model.baseline import LeastSquares
+from decoupler.model.calibration import Calibration
+from decoupler.model.settings import NetworkConfig
+from decoupler.model.uncertainty import Uncertainty
+from geometry.design import SensorDesign
+from geometry.layout import PILLARS, FloatArray
+from geometry.storage.files import digest
+
+CHUNK = 512  #: samples worked on together, a thread each
+ALIKE = 0.01  #: of a resistance at rest: pillars nearer to the design than this are as designed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decoupler:
+    """A network as trained; never changed, only used."""
+
+    component: Component
+    rows: int
+    cols: int
+    network: NetworkConfig
+    input_scaling: Scaling
+    output_scaling: Scaling
+    hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
+    output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
+    design: SensorDesign | None  #: of the training data; None if they did not say
+    inverse: ModelInverse | None = None  #: of the known response; with the feature `inverse`
+    calibration: Calibration | None = None  #: of this very sensor; None for one as designed
+    resting: Resting | None = None  #: of a sensor read by a converter
+    dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
+    uncertainty: Uncertainty | None = None  #: of its forces
+    least_squares: LeastSquares | None = None  #: the mark to beat, fitted to the same data
+    made_from: dict[str, Any] = field(default_factory=dict)  #: recipe, data hash, seed, trainer, how it ended
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces on every unit.
+
+        Parameters
+        ----------
+        resistance_ohm : array, shape (n_samples, rows, cols, 3)
+            Resistance of the z, x and y pillars [Ω]; pillars that the component does not take, and dead ones, may
+            hold anything.
+
+        Returns
+        -------
+        array, shape (n_samples, rows, cols, n_axes)
+            Forces along ``component.axes`` [N]; Fz positive in compression.
+
+        Raises
+        ------
+        SampleError
+            If the array is another size than the model's, or a resistance is not finite or not above 0.
+
+        Notes
+        -----
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. A sample gives the
+        same bits alone and in any batch.
+        """
+        columns = self.columns(resistance_ohm)
+        n = len(columns)
+        outputs = np.empty((n, len(self.output_weights)))
+
+        def fill(start: int) -> None:
+            chunk = columns[start : start + CHUNK]
+            outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
+
+        if 0 < n <= CHUNK:
+            fill(0)  # a live scan starts no threads
+        else:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                list(pool.map(fill, range(0, n, CHUNK)))
+        return outputs.reshape(n, self.rows, self.cols, len(self.component.axes))
+
+    def deviations(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
+
+        Raises
+        ------
+        SampleError
+            As `forces` does, and if the model was written without its uncertainty.
+        """
+        if self.uncertainty is None:
+            raise SampleError("this model knows no uncertainty: train it again.")
+        shape = (-1, self.rows, self.cols, len(self.component.axes))
+        one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
+        return one.reshape(shape), two.reshape(shape)
+
+    @property
+    def is_fine_tuned(self) -> bool:
+        """It knows gain and offset of one sensor's pillars, from measured pairs or from training data of that sensor.
+
+        Training fits them too, and of a sensor as designed finds 1 and 0 but for noise: that is no knowledge of one.
+        """
+        if self.calibration is None:
+            return False
+        if "fine_tuned_on" in self.made_from or self.inverse is None:
+            return True
+        rest_ohm = self.inverse.forward.resistances(np.zeros((1, self.inverse.forward.n_forces)))
+        return bool(np.abs(self.calibration.modelled(rest_ohm) / rest_ohm - 1.0).max() > ALIKE)
+
+    @property
+    def knows_uncertainty(self) -> bool:
+        """`deviations` can be asked for."""
+        return self.uncertainty is not None
+
+    def read_by(self, noise: float) -> "Decoupler":
+        """The same with deviations for readings of this relative standard deviation, converter's steps included."""
+        if self.uncertainty is None:
+            return self
+        return replace(self, uncertainty=replace(self.uncertainty, noise=noise, bits=None))
+
+    @property
+    def reading_noise(self) -> float:
+        """What its deviations take readings at rest to err by: the median over pillars, relative; 0 if unknown."""
+        rest_ohm = self.rest_resistances()
+        if self.uncertainty is None or rest_ohm is None:
+            return 0.0
+        deviation = reading_deviation(rest_ohm, self.uncertainty.noise, self.uncertainty.bits)
+        return float(np.median(deviation / rest_ohm))
+
+    @property
+    def design_hash(self) -> str | None:
+        """Of the sensor it was made for; None if that is unknown."""
+        return None if self.design is None else digest(self.design)
+
+    def rest_resistances(self) -> FloatArray | None:
+        """What this model's sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""
+        if self.design is None:
+            return None
+        rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
+        if self.calibration is not None:
+            pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
+            of_sensor = rest_ohm[..., pillars]
+            gain, offset = (
+                part.reshape(of_sensor.shape) for part in (self.calibration.gain, self.calibration.offset_ohm)
+            )
+            rest_ohm[..., pillars] = gain * of_sensor + offset
+        return rest_ohm
+
+    def untrusted(self) -> list[tuple[int, int, str]]:
+        """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
+        if self.uncertainty is None:
+            return []
+        least = None
+        if self.inverse is not None and self.dead is not None:
+            noise, bits = self.uncertainty.noise, self.uncertainty.bits
+            least = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], noise, bits)[0]
+        lost = self.uncertainty.untrusted(self.output_scaling.half_range, least)
+        places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
+        return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
+
+    def columns(self, resistance_ohm: FloatArray) -> FloatArray:
+        """The resistances that the network takes, (n, rows, cols, 3) -> (n, n_in) [Ω]; refuses what `forces` does."""
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+        columns = pillar_columns(resistance_ohm, self.component, self.dead)
+        if resistance_ohm.shape[1:3] != (self.rows, self.cols):
+            given = " × ".join(map(str, resistance_ohm.shape[1:3]))
+            raise SampleError(
+                f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
+                "train a model on data of this sensor."
+            )
+        return columns
+
+    def outputs(self, columns_ohm: FloatArray) -> FloatArray:
+        """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
+        return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
+
+    def activations(self, columns_ohm: FloatArray) -> FloatArray:
+        """What the output layer sees of resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
+        inputs = self.inputs(columns_ohm)
+        X = np.ones((len(inputs), inputs.shape[1] + 1))
+        X[:, :-1] = inputs
+        hidden = np.tanh(rowwise(X, self.hidden_weights.T))
+        return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
+
+    def inputs(self, columns_ohm: FloatArray) -> FloatArray:
+        """What the hidden layer sees of resistances, each (n, n_in): the feature, scaled."""
+        if self.resting is not None:
+            columns_ohm = self.resting.settled(columns_ohm)
+        if self.calibration is not None:
+            columns_ohm = self.calibration.modelled(columns_ohm)
+        if self.inverse is not None:
+            return self.input_scaling.scale(self.inverse.forces(columns_ohm))
+        return self.input_scaling.scale(np.sqrt(columns_ohm) if self.network.feature == "root" else columns_ohm)
+
+    def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
+        """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""
+        modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
+        if self.inverse is not None:
+            by_ohm = self.inverse.derivatives(modelled)  # (n, n_forces, n_in)
+        else:
+            slope = 0.5 / np.sqrt(modelled) if self.network.feature == "root" else np.ones_like(modelled)
+            by_ohm = slope[:, None, :] * np.eye(slope.shape[1])
+        if self.calibration is not None:
+            by_ohm = by_ohm / self.calibration.gain
+        by_ohm = self.input_scaling.scale_differences(by_ohm.swapaxes(1, 2)).swapaxes(1, 2)
+        n_hidden, n_in = self.network.hidden, by_ohm.shape[1]
+        s = 1.0 - self.activations(columns_ohm)[:, :n_hidden] ** 2
+        network = (self.output_weights[:, :n_hidden] * s[:, None, :]) @ self.hidden_weights[:, :-1]
+        if self.network.net == "skip":
+            network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
+        return self.output_scaling.half_range[:, None] * (network @ by_ohm)

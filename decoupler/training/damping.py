@@ -1,0 +1,130 @@
+"""The damped iteration that Levenberg-Marquardt and variable projection share; damping after Nielsen."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from torch import Tensor
+
+from decoupler.model.settings import TrainingConfig
+
+Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
+Reason = Literal["goal", "iterations", "stagnation", "validation"]  #: why a training stopped
+
+FIRST_DAMPING = 1e-3  #: of the largest diagonal entry of JᵀJ
+LARGEST_DAMPING = 1e12  #: in the same unit; no step is found by damping more
+
+
+@dataclass(frozen=True)
+class Point:
+    """Weights and what they cost."""
+
+    hidden: Tensor  #: (n_hidden, n_in+1)
+    output: Tensor  #: (n_out, n_hidden + n_linear)
+    cost: float  #: what is minimised
+    mse: float  #: what is reported
+
+
+class Model(Protocol):
+    """The squared error near a point as a quadratic."""
+
+    @property
+    def scale(self) -> float:
+        """Size of the matrix's diagonal, the unit of the first damping."""
+
+    def step(self, damping: float) -> tuple[Point, float] | None:
+        """The point after a damped step and the fall in cost the quadratic promises; None if singular."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a training ended."""
+
+    iterations: int
+    mse: float
+    reason: Reason
+
+
+class Stop:
+    """Decides after every iteration whether to stop, and why."""
+
+    def __init__(self, config: TrainingConfig) -> None:
+        self.config = config
+        self.errors: list[float] = []
+
+    def reason(self, mse: float) -> Reason | None:
+        self.errors.append(mse)
+        if self.config.goal_mse is not None and mse <= self.config.goal_mse:
+            return "goal"
+        if len(self.errors) > self.config.max_iterations:
+            return "iterations"
+        if len(self.errors) > self.config.patience:
+            before = self.errors[-1 - self.config.patience]
+            if mse > (1.0 - self.config.least_gain) * before:
+                return "stagnation"
+        return None
+
+
+class Best:
+    """Keeps the point that a judge likes best, where there is one; otherwise the last."""
+
+    def __init__(self, judge: Callable[[Point], float] | None, patience: int) -> None:
+        self.judge, self.patience = judge, patience
+        self.error, self.waited = math.inf, 0
+        self.point: Point | None = None
+
+    def sees(self, point: Point) -> bool:
+        """Take a point in; False once the judge has liked none better for `patience` points."""
+        error = 0.0 if self.judge is None else self.judge(point)
+        self.waited = 0 if self.judge is None or error < self.error else self.waited + 1
+        if not self.waited:
+            self.point, self.error = point, error
+        return self.waited < self.patience
+
+
+def minimise(
+    start: Point,
+    linearise: Callable[[Point], Model],
+    config: TrainingConfig,
+    progress: Progress,
+    judge: Callable[[Point], float] | None = None,
+) -> tuple[Point, Outcome]:
+    """Follow damped Gauss-Newton steps downhill from `start`.
+
+    With a `judge`, the error on samples that the cost does not see, the point it likes best is the result, and the
+    descent ends when it has liked none better for half of the patience.
+
+    Notes
+    -----
+    Damping after Nielsen (Madsen, Nielsen, Tingleff, *Methods for non-linear least squares problems*, 2004,
+    sec. 3.2): ρ compares the fall in cost with the promised one; after a good step μ shrinks smoothly, by 3
+    at most, after each step uphill it grows by 2, 4, 8 ... A step uphill costs a factorisation, not a new
+    matrix, and is no iteration.
+    """
+    point, stop, iteration = start, Stop(config), 0
+    best = Best(judge, max(1, config.patience // 2))
+    damping, growth = 0.0, 2.0
+
+    def ended(reason: Reason) -> tuple[Point, Outcome]:
+        assert best.point is not None
+        return best.point, Outcome(iteration, best.point.mse, reason)
+
+    while True:
+        progress(iteration, point.mse)
+        liked = best.sees(point)
+        reason = stop.reason(point.mse) or (None if liked else "validation")
+        if reason is not None:
+            return ended(reason)
+        model = linearise(point)
+        damping = damping or FIRST_DAMPING * model.scale
+        while True:
+            trial = model.step(damping)
+            if trial is not None and trial[0].cost < point.cost:
+                break
+            damping, growth = damping * growth, growth * 2.0
+            if damping > LARGEST_DAMPING * model.scale:
+                return ended("stagnation")
+        rho = (point.cost - trial[0].cost) / trial[1]
+        damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * rho - 1.0) ** 3), 2.0
+        point, iteration = trial[0], iteration + 1

@@ -1,0 +1,133 @@
+"""Variable projection: the output layer is always the best one, and only the hidden layer is iterated."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from decoupler.model.settings import TrainingConfig
+from decoupler.training.damping import Outcome, Point, Progress, minimise
+from decoupler.training.gauss_newton import Samples
+
+RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
+SCARCE_RIDGE = 1e-4  #: of plain nets with no more samples than output weights; halves their error on new samples
+CLOSE_ENOUGH = 0.1  #: share of the gradient that a step may leave; 0.3 stalls sooner, 0.03 costs more than it gains
+MAX_PRODUCTS = 40  #: with the matrix in a step
+
+
+class Projected:
+    """The quadratic that variable projection sees near a point, as products with its matrix, never formed.
+
+    Notes
+    -----
+    Golub & Pereyra's functional with Kaufman's approximation of its Jacobian (BIT 15, 1975): with the output weights
+    W₂(W₁) = argmin ½‖A W₂ᵀ − T‖² + ½ λ‖W₂‖², the gradient over W₁ is exact, and JᵀJ = K ∘ (ZᵀZ − C M⁻¹ Cᵀ) is the
+    Schur complement of the full matrix (see `gauss_newton`) with M = AᵀA + λI. Its product with a direction V
+    (n_hidden, n_in+1) takes four thin products: D = (X Vᵀ) ∘ s, what A can follow taken from D, times K, then
+    (· ∘ s)ᵀ X. Its diagonal blocks, one a hidden node, precondition conjugate gradients that stop early: a third of
+    the time of a factored step at 36 nodes and 36 inputs, and as many steps.
+    """
+
+    def __init__(self, samples: Samples, ridge: float, point: Point) -> None:
+        self.samples, self.ridge, self.point = samples, ridge, point
+        X, (h, p) = samples.X, point.hidden.shape
+        A = samples.activations(point.hidden)
+        W2 = point.output[:, :h]
+        self.s = 1.0 - A[:, :h] ** 2
+        self.K = W2.T @ W2
+        self.gradient = (((A @ point.output.T - samples.targets) @ W2) * self.s).T @ X  # (h, p)
+        M = A.T @ A
+        M.diagonal().add_(ridge)
+        self.Q = torch.linalg.solve_triangular(torch.linalg.cholesky(M), A.T, upper=False).T  # A M⁻¹ Aᵀ = Q Qᵀ
+        self.blocks = torch.empty(h, p, p, dtype=X.dtype)
+        for j in range(h):
+            Z = self.s[:, j : j + 1] * X
+            followed = self.Q.T @ Z
+            self.blocks[j] = self.K[j, j] * (Z.T @ Z - followed.T @ followed)
+        self.scale = self.blocks.diagonal(dim1=1, dim2=2).max().item()
+
+    def product(self, direction: Tensor) -> Tensor:
+        """JᵀJ times a direction, both (n_hidden, n_in+1)."""
+        D = (self.samples.X @ direction.T) * self.s
+        D = D - self.Q @ (self.Q.T @ D)
+        return ((D @ self.K) * self.s).T @ self.samples.X
+
+    def direction(self, damping: float, close_enough: float, most_products: int) -> Tensor | None:
+        """Solve (JᵀJ + damping·I) d = −gradient nearly; None if singular to rounding."""
+        shifted = self.blocks.clone()
+        shifted.diagonal(dim1=1, dim2=2).add_(damping)
+        factors, info = torch.linalg.cholesky_ex(shifted)
+        if info.any():
+            return None
+
+        def preconditioned(residual: Tensor) -> Tensor:
+            return torch.cholesky_solve(residual[:, :, None], factors)[:, :, 0]
+
+        found = torch.zeros_like(self.gradient)
+        residual = -self.gradient
+        towards = z = preconditioned(residual)
+        energy = first = torch.sum(residual * z)
+        for _ in range(most_products):
+            if energy <= close_enough**2 * first:
+                break
+            image = self.product(towards) + damping * towards
+            length = energy / torch.sum(towards * image)
+            found = found + length * towards
+            residual = residual - length * image
+            z = preconditioned(residual)
+            before, energy = energy, torch.sum(residual * z)
+            towards = z + (energy / before) * towards
+        return found
+
+    def step(self, damping: float) -> tuple[Point, float] | None:
+        """The point after a damped step, and the fall in cost the quadratic promises; None if singular."""
+        direction = self.direction(damping, CLOSE_ENOUGH, MAX_PRODUCTS)
+        if direction is None:
+            return None
+        promised = (direction * (damping * direction - self.gradient)).sum().item() / 2  # true of every CG iterate
+        return projected(self.samples, self.point.hidden + direction, self.ridge), promised
+
+
+def projected(samples: Samples, hidden: Tensor, ridge: float) -> Point:
+    """Hidden weights with the output weights that are best for them; cost ½‖r‖² + ½ ridge ‖W₂‖²."""
+    A = samples.activations(hidden)
+    M = A.T @ A
+    M.diagonal().add_(ridge)
+    output = torch.cholesky_solve(A.T @ samples.targets, torch.linalg.cholesky(M)).T
+    residual = A @ output.T - samples.targets
+    squares = torch.sum(residual**2).item()
+    cost = 0.5 * (squares + ridge * torch.sum(output**2).item())
+    return Point(hidden, output, cost, squares / residual.numel())
+
+
+def train_varpro(
+    samples: Samples, hidden: Tensor, ridge: float, held_out: int, config: TrainingConfig, progress: Progress
+) -> tuple[Point, Outcome]:
+    """Train from the given hidden weights.
+
+    Parameters
+    ----------
+    samples : Samples
+    hidden : tensor, shape (n_hidden, n_in+1)
+    ridge : float
+        λ on the output weights, biases included.
+    held_out : int
+        The last so many samples do not move the hidden layer: it is taken from where they are met best, which may be
+        before the start (hidden weights of 0, a linear map). The output layer is then fitted to all. 0: none.
+    config, progress : TrainingConfig, callable
+    """
+    n = len(samples.X)
+    if not held_out:
+        start = projected(samples, hidden, ridge)
+        return minimise(start, lambda point: Projected(samples, ridge, point), config, progress)
+    fitted, judging = samples[: n - held_out], samples[n - held_out :]
+    share = ridge * (n - held_out) / n
+
+    def judge(point: Point) -> float:
+        return torch.mean((judging.activations(point.hidden) @ point.output.T - judging.targets) ** 2).item()
+
+    start = projected(fitted, hidden, share)
+    best, outcome = minimise(start, lambda point: Projected(fitted, share, point), config, progress, judge)
+    linear = projected(fitted, torch.zeros_like(hidden), share)
+    found = projected(samples, linear.hidden if judge(linear) <= judge(best) else best.hidden, ridge)
+    return found, replace(outcome, mse=found.mse)

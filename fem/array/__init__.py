@@ -1,0 +1,1 @@
+"""The response of a sensor array: one condensed unit cell, copied and coupled."""

@@ -1,0 +1,244 @@
+"""One unit cell, condensed statically onto the port modes of its side faces.
+
+Everything inside the cell is eliminated. What is left is small and dense: the stiffness between port modes, and what
+rectangles of the top face (pads, electrodes) see of them. From that `coupled_cells.py` couples the copies of an array.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.array.port_modes import PARITIES, PortModes, image_signs
+from fem.discretization.elasticity import ElasticBody
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body
+from fem.discretization.patch import patch_means
+from fem.linear.linear_solver import checked_solve, factorized, schur_product
+from geometry.layout import FloatArray
+
+ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CondensedCell:
+    """A cell seen from its ports and from k rectangles of its top face, three functionals (x, y, z) each.
+
+    With port displacements q and forces f [N] spread evenly over the rectangles, the cell pulls its ports by S q − L f,
+    and the mean displacements of the rectangles are Lᵀ q + C f.
+    """
+
+    ports: PortModes
+    stiffness: FloatArray  #: S, (n_modes·3, n_modes·3) [N/mm]
+    reach: FloatArray  #: L, (n_modes·3, k·3), no unit
+    compliance: FloatArray  #: C with the ports held, (k·3, k·3) [mm/N]
+    unknowns: int  #: of the largest system that was factored
+    residual: float  #: largest relative residual of the solves that were checked
+
+    @property
+    def is_definite(self) -> bool:
+        """Whether every displacement of the ports stores energy, as it must with a clamped base."""
+        try:
+            np.linalg.cholesky(self.stiffness)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    def moved_on(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
+        """This cell, moved away from a coarser one of the same ports by a share of their difference."""
+
+        def on(fine: FloatArray, coarse: FloatArray) -> FloatArray:
+            return fine + share * (fine - coarse)
+
+        return replace(
+            self,
+            stiffness=on(self.stiffness, coarser.stiffness),
+            reach=on(self.reach, coarser.reach),
+            compliance=on(self.compliance, coarser.compliance),
+        )
+
+    def exchanged(self, twins: NDArray[np.int64]) -> "CondensedCell":
+        """The cell that this one becomes when x and y are exchanged.
+
+        `twins` (k,) is the number of the rectangle of this cell that becomes each rectangle of the other.
+        """
+        dofs = self.ports.exchanged
+        seen = (twins[:, None] * 3 + np.array([1, 0, 2])).ravel()
+        return replace(
+            self,
+            stiffness=self.stiffness[np.ix_(dofs, dofs)],
+            reach=self.reach[np.ix_(dofs, seen)],
+            compliance=self.compliance[np.ix_(seen, seen)],
+        )
+
+    def of_degree(self, degree: int) -> "CondensedCell":
+        """The same cell with port modes up to a lower degree along sides and upwards, at no cost."""
+        kept = self.ports.up_to(degree)
+        dofs = (kept[:, None] * 3 + np.arange(3)).ravel()
+        return replace(
+            self,
+            ports=replace(self.ports, side=min(degree, self.ports.side), up=min(degree, self.ports.up)),
+            stiffness=self.stiffness[np.ix_(dofs, dofs)],
+            reach=self.reach[dofs],
+        )
+
+
+def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> CondensedCell:
+    """Condense a meshed cell, whatever its mesh.
+
+    Parameters
+    ----------
+    body : ElasticBody
+        The cell x, y ∈ [−a, a], its base clamped, its side faces free.
+    ports : PortModes
+    rectangles : array, shape (k, 4)
+        x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed [mm].
+
+    Notes
+    -----
+    S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
+    the side faces, which follow the port modes Φ, and I the others, all pressures included.
+    """
+    parts = condensation(body, ports, rectangles)
+    S, L, C, residual = _eliminate(body, parts)
+    return CondensedCell(
+        ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Condensation:
+    """A body's system split into what follows port modes and what is eliminated; notation of `condense`."""
+
+    inner: NDArray[np.int64]  #: I, numbers of unknowns
+    outer: NDArray[np.int64]  #: B
+    K_II: sp.csr_matrix
+    K_IB: sp.csr_matrix
+    K_BB: sp.csr_matrix
+    modes: FloatArray  #: Φ, (len(outer), n_modes·3)
+    loads: FloatArray  #: f, (unknowns, k·3)
+
+    @classmethod
+    def of(cls, body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray) -> "Condensation":
+        """`at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n)."""
+        on_port = np.zeros(body.matrix.shape[0], dtype=bool)
+        on_port[np.searchsorted(body.free, at_ports)] = True
+        inner, outer = np.flatnonzero(~on_port), np.flatnonzero(on_port)
+        of_inner = body.matrix[inner]
+        return cls(
+            inner=inner,
+            outer=outer,
+            K_II=of_inner[:, inner].tocsr(),
+            K_IB=of_inner[:, outer],
+            K_BB=body.matrix[outer][:, outer],
+            modes=modes,
+            loads=loads,
+        )
+
+
+def condensation(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Condensation:
+    """Split a whole cell's system; parameters as in `condense`."""
+    nodes = body.basis.doflocs
+    on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
+    at_ports = body.free[on_side[body.free // 3]]  # displacement degrees of freedom on the side faces
+    number, place = np.unique(at_ports // 3, return_inverse=True)
+    modes = np.zeros((len(at_ports), ports.n_modes, 3))
+    modes[np.arange(len(at_ports)), :, at_ports % 3] = ports.values(nodes[:, number].T)[place]
+    loads = body.loads(patch_means(body.basis, rectangles).T.toarray())
+    return Condensation.of(body, at_ports, modes.reshape(len(at_ports), -1), loads)
+
+
+def condense_by_parity(
+    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, rectangles: FloatArray
+) -> CondensedCell:
+    """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
+
+    A displacement splits into four parities (`PARITIES`), each a problem of the quarter with its own conditions on the
+    mirror planes; four quarters cost far less than one whole. Where the grid is the same in x and y, parity (−1, 1) is
+    (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole cell. Otherwise
+    as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    """
+    k = len(rectangles)
+    square = _is_square(basis.grid)
+    if square:
+        rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
+    images = _image_means(basis, rectangles)
+    parts = {
+        parity: _parity_part(basis, stiffness, ports, images, parity)
+        for parity in PARITIES
+        if not (square and parity == (-1, 1))
+    }
+    if square:
+        parts[-1, 1] = parts[1, -1].exchanged(twins=np.roll(np.arange(2 * k), k))
+    return CondensedCell(
+        ports=ports,
+        stiffness=np.sum([part.stiffness for part in parts.values()], axis=0),
+        reach=np.sum([part.reach[:, : 3 * k] for part in parts.values()], axis=0),
+        compliance=np.sum([part.compliance[: 3 * k, : 3 * k] for part in parts.values()], axis=0),
+        unknowns=max(part.unknowns for part in parts.values()),
+        residual=max(part.residual for part in parts.values()),
+    )
+
+
+def _parity_part(
+    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, images: FloatArray, parity: tuple[int, int]
+) -> CondensedCell:
+    """What displacements of one parity add to a cell; `images` of `_image_means`."""
+    nodes = basis.doflocs
+    on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
+    body = grid_body(basis, stiffness, mirrors=parity)
+    at_ports = body.free[on_side[body.free // 3]]
+    number, place = np.unique(at_ports // 3, return_inverse=True)
+    modes = ports.parity_values(nodes[:, number].T, parity).reshape(len(number), 3, -1)[place, at_ports % 3]
+    # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
+    signs = np.stack([image_signs(parity, image) for image in PARITIES])
+    gathered = np.einsum("nqki,qi->nki", images, signs).reshape(len(images), -1)
+    S, L, C, residual = _eliminate(body, Condensation.of(body, at_ports, modes, body.loads(gathered)))
+    share = ports.parity_share(parity)
+    return CondensedCell(
+        ports=ports,
+        stiffness=4 * (share.T @ (share.T @ S).T),
+        reach=share.T @ L,
+        compliance=C / 4,
+        unknowns=len(body.free),
+        residual=residual,
+    )
+
+
+def _is_square(grid: Grid) -> bool:
+    """Whether a grid stays what it is when x and y are exchanged."""
+    if not (np.array_equal(grid.x, grid.y) and grid.lean[0] == grid.lean[1]):
+        return False
+    region = np.broadcast_to(grid.region, grid.shape)
+    return np.array_equal(region, region.swapaxes(0, 1))
+
+
+def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
+    """`patch_means` of rectangles (k, 4) in their four mirror images (`PARITIES`), shape (n_displacement, 4, k, 3)."""
+    mirrored = np.vstack([_mirrored(rectangles, image) for image in PARITIES])
+    different, number = np.unique(mirrored, axis=0, return_inverse=True)
+    means = patch_means(basis, different).T.toarray().reshape(-1, len(different), 3)
+    return means[:, number.reshape(len(PARITIES), -1)]
+
+
+def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """S, L and C of `condense`, and the residual of the first rectangle's solves."""
+    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
+    n, loads = parts.modes.shape[1], parts.loads
+    product = schur_product(factor, np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]]))
+    S = parts.modes.T @ (parts.K_BB @ parts.modes) - product[:n, :n]
+    L = parts.modes.T @ loads[parts.outer] - product[:n, n:]
+    C = product[n:, n:]
+    _, residual = checked_solve(parts.K_II, factor, loads[parts.inner][:, :3])
+    return (S + S.T) / 2, L, (C + C.T) / 2, residual
+
+
+def _mirrored(rectangles: FloatArray, image: tuple[int, int]) -> FloatArray:
+    """Rectangles (k, 4) mirrored in the axes whose sign is −1."""
+    x0, y0, x1, y1 = np.asarray(rectangles, dtype=float).T
+    if image[0] < 0:
+        x0, x1 = -x1, -x0
+    if image[1] < 0:
+        y0, y1 = -y1, -y0
+    return np.stack([x0, y0, x1, y1], axis=1)

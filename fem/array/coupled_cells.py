@@ -1,0 +1,117 @@
+"""Copies of a condensed cell, coupled at their ports into an array.
+
+Cells that touch share the modes of their common face and edges, so the array is a sparse system of small dense blocks.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.array.cell import CondensedCell
+from fem.array.port_modes import EDGES, FACES, PortModes
+from fem.linear.linear_solver import checked_solve, factorized
+from geometry.layout import FloatArray
+
+COLUMNS = 128  #: load cases solved for at a time
+
+
+class CoupledArray:
+    """rows × cols copies of a cell, factored once.
+
+    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j.
+    """
+
+    def __init__(self, cell: CondensedCell, rows: int, cols: int) -> None:
+        self.cell, self.rows, self.cols = cell, rows, cols
+        self._dofs, self._n = port_dofs(cell.ports, rows, cols)
+        number = np.arange(self._dofs.size)
+        self._gather = sp.csr_matrix((np.ones(len(number)), (self._dofs.ravel(), number)), shape=(self._n, len(number)))
+        self._matrix = self._assembled()
+        self._factor = factorized(self._matrix, definite=True)
+
+    @property
+    def n_cells(self) -> int:
+        return self.rows * self.cols
+
+    def moved(self, forces: FloatArray) -> tuple[FloatArray, float]:
+        """Mean displacements of every cell's rectangles under forces on them.
+
+        Parameters
+        ----------
+        forces : array, shape (n_cells, m, k)
+            k load cases: the force on each of the m functionals of each cell [N].
+
+        Returns
+        -------
+        array, shape (n_cells, m, k)
+            Mean displacements [mm].
+        float
+            Relative residual of the solve.
+        """
+        q, residual = self.port_displacements(forces)
+        return self.cell.reach.T @ q + self.cell.compliance @ forces, residual
+
+    def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
+        """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
+        rhs = self._gathered(self.cell.reach @ forces)
+        q, residual = checked_solve(self._matrix, self._factor, rhs, self._product)
+        return q[self._dofs], residual
+
+    def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:
+        """What 1 N on one functional of a cell does to another functional of each cell, for all cells.
+
+        Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
+        """
+        found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
+        residual = 0.0
+        at_once = max(1, COLUMNS // len(loads))  # bounds the memory
+        for first in range(0, self.n_cells, at_once):
+            loaded = np.arange(first, min(first + at_once, self.n_cells))
+            forces = np.zeros((self.n_cells, self.cell.reach.shape[1], len(loaded), len(loads)))
+            for k, number in enumerate(loaded):
+                forces[number, loads, k, np.arange(len(loads))] = 1.0
+            moved, misfit = self.moved(forces.reshape(*forces.shape[:2], -1))
+            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), len(loaded), len(loads))
+            residual = max(residual, misfit)
+        return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
+
+    def _product(self, q: FloatArray) -> FloatArray:
+        """Stiffness of all ports times their displacements (n, k), cell by cell: faster than the sparse product."""
+        pulls = np.tensordot(self.cell.stiffness, q[self._dofs], axes=(1, 1))  # (n_modes·3, n_cells, k), in one product
+        return self._gathered(pulls.swapaxes(0, 1))
+
+    def _gathered(self, forces: FloatArray) -> FloatArray:
+        """Sum at the shared ports of what cells exert there, (n_cells, n_modes·3, k), shape (n, k)."""
+        return self._gather @ forces.reshape(self._dofs.size, -1)
+
+    def _assembled(self) -> sp.bsr_matrix:
+        """Stiffness of all ports, in the blocks that edges and bubbles share: `up` functions along three axes."""
+        size = self.cell.ports.up * 3
+        count = self._dofs.shape[1] // size
+        blocks = self.cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
+        numbers = self._dofs[:, ::size] // size
+        n = self._n // size
+        keys, entry = np.unique(numbers[:, :, None] * n + numbers[:, None, :], return_inverse=True)
+        data = np.zeros((len(keys), size, size))
+        for own in entry.reshape(self.n_cells, count, count):
+            data[own] += blocks
+        indptr = np.searchsorted(keys, np.arange(n + 1) * n)
+        return sp.bsr_matrix((data, keys % n, indptr), shape=(self._n, self._n))
+
+
+def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64], int]:
+    """Global number of every cell's port degrees of freedom, shape (rows·cols, n_modes·3), and how many there are."""
+    edge_size, face_size = ports.per_edge * 3, ports.per_face * 3
+    edges = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1) * edge_size
+    first = edges.size * edge_size
+    across_x = first + np.arange(rows * (cols + 1)).reshape(rows, cols + 1) * face_size
+    first += across_x.size * face_size
+    across_y = first + np.arange((rows + 1) * cols).reshape(rows + 1, cols) * face_size
+    i, j = np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij")
+    starts = [edges[i + (sy > 0), j + (sx > 0)][..., None] + np.arange(edge_size) for sx, sy in EDGES]
+    for axis, sign in FACES:
+        corner = across_x[i, j + (sign > 0)] if axis == 0 else across_y[i + (sign > 0), j]
+        starts.append(corner[..., None] + np.arange(face_size))
+    return np.concatenate(starts, axis=-1).reshape(rows * cols, -1), first + across_y.size * face_size

@@ -1,0 +1,300 @@
+"""Arrays as copies of one condensed cell, refined until the answer is as accurate as asked.
+
+A cell of one rubber is a grid of hexahedra, of which a quarter suffices; a cell with pillars of another rubber is a
+mesh of tetrahedra. Either way the array itself is never meshed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from fem.array.cell import CondensedCell, condense, condense_by_parity
+from fem.array.cell_file import RefinedCell, read_refined, write_refined
+from fem.array.coupled_cells import CoupledArray
+from fem.array.layer import layer_mean_compliance
+from fem.array.port_modes import PortModes
+from fem.array.whole_array import elastic_body
+from fem.discretization.grid import Attractor, Grid, graded_lines
+from fem.discretization.hexahedra import GridBasis, HexElement, grid_stiffness
+from fem.methods.richardson import error_after
+from geometry.design import SensorDesign
+from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
+from geometry.storage.files import cache_folder, digest, keep
+
+VERSION = (
+    1  #: raise when the same design gives another refined cell, by another mesh too: cached ones are not reused then
+)
+
+#: two levels of the grid and the degree of the port modes, dearer from stage to stage
+GRID_STAGES = ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9))
+#: two levels of the mesh, which divide the edges of the usual settings, and the degree
+MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
+COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth trying, below which the last one is
+COARSE_MESH = 2e-2  #: tolerance from which the first stage of meshes is worth trying
+GRID_RATE = 3.0  #: at which condensed grids are extrapolated; 2.3 to 4 was measured
+LEFT = 0.35  #: share of the extrapolation's own step that is left as error, for rates from 2.3 to 4
+#: share of what the highest degree of the ports changed that is left as error; times 1.2 height over pitch where that
+#: is more than 1, because polynomials up a tall side converge slowly: held against scenes of the whole slab
+PORTS_LEFT = 0.7
+#: weights of attractors of a cell's grid; side and base matter at the rim of the array, where a clamped edge is free
+PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0
+FAR = 0.1  #: of the tolerance: influence below this share of a pad's own is far, and left out
+#: among a cell's functionals
+PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
+JUDGED = 3  #: rows and columns of the array that a cell's error is judged on, at most
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellAnswer:
+    """Influence of an array, and what it took."""
+
+    influence_mm_per_n: FloatArray  #: (rows, cols, 2, 3, rows, cols, 3)
+    error_estimate: float  #: of any block, relative to the loaded unit's own
+    residual: float
+    unknowns: int  #: of the largest system factored
+    seconds: dict[str, float]  #: mesh, condense, couple
+    steps: tuple[str, ...]  #: one line a stage
+
+
+def response_by_cells(
+    design: SensorDesign,
+    tolerance: float,
+    element: HexElement = "Q2",
+    far: bool = True,
+    progress: Callable[[str], None] = lambda step: None,
+    cached: bool = False,
+) -> CellAnswer:
+    """Influence of every pad on every electrode, from one condensed cell.
+
+    Parameters
+    ----------
+    design : SensorDesign
+    tolerance : float
+        Wanted error of each pad's own block, relative.
+    element : {"Q2", "S2"}
+        Hexahedron of a homogeneous cell.
+    far : bool
+        Whether a large array is put together from one of 2m + 1 units a side, m the range beyond which influence is
+        below `FAR` of the tolerance; a unit deeper inside than that cannot tell how deep.
+    progress : function
+        Called with the name of each step as it begins.
+    cached : bool
+        Take the refined cell from the cache if it is there, and leave it there: arrays of another size share it.
+
+    Raises
+    ------
+    GeometryError, SolverError
+        If a mesh or an answer cannot be trusted.
+    """
+    reach = influence_range(design, FAR * tolerance) if far else max(design.array.rows, design.array.cols)
+    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
+    path = cache_folder() / f"cell-{cell_recipe(design, tolerance, element)}.npz"
+    refined = read_refined(path) if cached else None
+    if refined is None:
+        refined = _refined_cell(design, tolerance, element, seconds, progress)
+        if cached:
+            keep(lambda path: write_refined(refined, path), path)
+    start = perf_counter()
+    progress(f"coupling {rows} × {cols}")
+    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
+    seconds["couple"] += perf_counter() - start
+    shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
+    return CellAnswer(
+        influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
+        error_estimate=refined.error_estimate,
+        residual=max(refined.cell.residual, misfit),
+        unknowns=refined.cell.unknowns,
+        seconds=seconds,
+        steps=refined.steps,
+    )
+
+
+def cell_recipe(design: SensorDesign, tolerance: float, element: HexElement) -> str:
+    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `JUDGED`."""
+    array = replace(design.array, rows=min(JUDGED, design.array.rows), cols=min(JUDGED, design.array.cols))
+    bent = replace(design, array=array, resistivity_ohm_mm=1.0)
+    return digest("cell", VERSION, bent, tolerance, element)
+
+
+def _refined_cell(
+    design: SensorDesign,
+    tolerance: float,
+    element: HexElement,
+    seconds: dict[str, float],
+    progress: Callable[[str], None],
+) -> RefinedCell:
+    """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end."""
+    steps = []
+    for stage in _stages(design, tolerance):
+        progress(f"cell, level {stage[1]:g}")
+        cell, estimate, step = _cell_of_stage(design, stage, element, seconds)
+        steps.append(step)
+        if estimate <= tolerance:
+            break
+    return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
+
+
+def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
+    if not design.is_homogeneous:
+        return mesh_stages(tolerance)
+    first = 0 if tolerance >= COARSE else 1
+    return GRID_STAGES[first:] if tolerance < FINE else GRID_STAGES[first:-1]
+
+
+def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
+    """Those of `MESH_STAGES` that are worth trying."""
+    return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
+
+
+def _cell_of_stage(
+    design: SensorDesign, stage: tuple[float, float, int], element: HexElement, seconds: dict[str, float]
+) -> tuple[CondensedCell, float, str]:
+    """A cell condensed at two levels, the estimated error of arrays of it, and a line that says so.
+
+    Condensed grids are extrapolated to the limit; meshes, which differ by chance as well, are not. The error is judged
+    on an array of `JUDGED` rows and columns at most, which has every kind of neighbourhood. It has two parts: of the
+    levels, and of the ports, from what the highest degree of the port modes changed.
+    """
+    coarse, fine, degree = stage
+    start = perf_counter()
+    alone = lone_unit(design)
+    rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
+    (one, meshed_one), (two, meshed_two) = (
+        condensed_cell(design, level, degree, element, rectangles) for level in (coarse, fine)
+    )
+    condensed = perf_counter()
+    rows, cols = min(JUDGED, design.array.rows), min(JUDGED, design.array.cols)
+
+    def array_of(cell: CondensedCell) -> FloatArray:
+        return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
+
+    if design.is_homogeneous:
+        cell = two.moved_on(one, 1 / ((fine / coarse) ** GRID_RATE - 1))
+        if not cell.is_definite:  # the coarse level may not know the highest modes
+            cell = two
+        answer = array_of(cell)
+        step_on = LEFT * block_error(array_of(two), answer)
+        levels = step_on or error_after([coarse, fine], [block_error(array_of(one), answer)])
+    else:
+        cell, answer = two, array_of(two)
+        levels = error_after([coarse, fine], [block_error(array_of(one), answer)])
+    slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
+    ports = PORTS_LEFT * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
+    seconds["mesh"] += meshed_one + meshed_two
+    seconds["condense"] += condensed - start - meshed_one - meshed_two
+    seconds["couple"] += perf_counter() - condensed
+    step = (
+        f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} unknowns in the cell, "
+        f"{cell.stiffness.shape[0]} at its ports; estimated error {levels:.1e} of the cell, {ports:.1e} of the ports"
+    )
+    return cell, levels + ports, step
+
+
+def block_error(influence: FloatArray, reference: FloatArray) -> float:
+    """Largest difference of any unit's block from a reference's, relative to the loaded unit's own block.
+
+    Both have shape (rows, cols, n_observed, rows, cols, n_loads), observed first.
+    """
+    difference = np.linalg.norm(influence - reference, axis=(2, 5))
+    own = np.linalg.norm(np.einsum("ijoijl->ijol", reference), axis=(2, 3))
+    return float((difference / own).max())
+
+
+def influence_range(design: SensorDesign, share: float) -> int:
+    """Pitches beyond which a pad moves a pad of the infinite layer by less than a share of what it moves itself."""
+    pitch, half = design.array.pitch_mm, design.pad.size_mm / 2
+    steps = np.arange(64) * pitch
+    targets = np.stack([steps - half, np.full(64, -half), steps + half, np.full(64, half)], axis=1)
+    loads = np.broadcast_to([-half, -half, half, half], (64, 4))
+    moved = np.linalg.norm(
+        layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material), axis=(1, 2)
+    )
+    near = np.flatnonzero(moved >= share * moved[0])
+    return int(near[-1]) + 1
+
+
+def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
+    """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
+
+    The smaller one's has shape (r, c, 2, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
+    array's middle ones; what lies beyond `reach` is 0.
+    """
+    small_rows, small_cols = influence.shape[:2]
+    if (small_rows, small_cols) == (rows, cols):
+        return influence
+    whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
+    for i in range(rows):
+        i_small = _alike(i, rows, small_rows)
+        i0, i1 = max(0, i - min(reach, i_small)), min(rows, i + min(reach, small_rows - 1 - i_small) + 1)
+        for j in range(cols):
+            j_small = _alike(j, cols, small_cols)
+            j0, j1 = max(0, j - min(reach, j_small)), min(cols, j + min(reach, small_cols - 1 - j_small) + 1)
+            di, dj = i_small - i, j_small - j
+            whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
+    return whole
+
+
+def _alike(index: int, count: int, small: int) -> int:
+    """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
+    middle = small // 2
+    return index if index <= middle else max(middle, small - (count - index))
+
+
+def condensed_cell(
+    design: SensorDesign, level: float, degree: int, element: HexElement, rectangles: FloatArray
+) -> tuple[CondensedCell, float]:
+    """A cell at a level of refinement, and the seconds that meshing it took.
+
+    `rectangles` (k, 4) of its top face are loaded or observed; `degree` is that of the port modes.
+    """
+    ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
+    start = perf_counter()
+    if design.is_homogeneous:
+        basis = GridBasis(cell_grid(design, int(level)), element)
+        meshed = perf_counter() - start
+        return condense_by_parity(basis, grid_stiffness(basis, [design.matrix_material]), ports, rectangles), meshed
+    alone = lone_unit(design)
+    mesh, _, _ = sensor_mesh(alone, finer(suited_settings(design), level))
+    meshed = perf_counter() - start
+    return condense(elastic_body(alone, mesh), ports, rectangles), meshed
+
+
+def lone_unit(design: SensorDesign) -> SensorDesign:
+    """The design with one unit, whose slab is the cell."""
+    return replace(design, array=replace(design.array, rows=1, cols=1))
+
+
+def cell_grid(design: SensorDesign, level: int) -> Grid:
+    """Grid of the quarter x, y ∈ [0, pitch/2] of a homogeneous cell, crowding at the edges of pad and electrodes."""
+    half, height = design.array.pitch_mm / 2, design.unit.height_mm
+    alone = lone_unit(design)
+    length = min(height, design.pad.size_mm)
+    lines = []
+    for axis in (0, 1):
+        pad_edges = np.unique(np.round(np.abs(pad_squares(alone)[:, axis::2]), 9))
+        electrode_edges = np.unique(np.round(np.abs(electrode_squares(alone)[:, axis::2]), 9))
+        weights = dict.fromkeys(electrode_edges.tolist(), ELECTRODE_EDGE) | dict.fromkeys(pad_edges.tolist(), PAD_EDGE)
+        attractors = [Attractor(sign * place, length, weight) for place, weight in weights.items() for sign in (-1, 1)]
+        attractors.append(Attractor(half, length, SIDE))
+        lines.append(graded_lines([0.0, half, *pad_edges], attractors, level))
+    z = graded_lines([0.0, height], [Attractor(height, length, TOP), Attractor(0.0, length, BASE)], level)
+    return Grid(x=lines[0], y=lines[1], z=z)
+
+
+def mirrored(lines: FloatArray) -> FloatArray:
+    """Lines of a quarter, from 0 on, and their mirror images."""
+    return np.concatenate([-lines[:0:-1], lines])
+
+
+def finer(settings: MeshSettings, level: float) -> MeshSettings:
+    """Mesh settings with all edges divided by a level."""
+    return replace(
+        settings,
+        edge_top_mm=settings.edge_top_mm / level,
+        edge_base_mm=settings.edge_base_mm / level,
+        envelope_mm=min(settings.envelope_mm, 0.1 * settings.edge_top_mm / level),
+    )

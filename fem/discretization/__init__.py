@@ -1,0 +1,1 @@
+"""Meshes, elements and their matrices."""

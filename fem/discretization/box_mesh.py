@@ -1,0 +1,311 @@
+"""A mesh of boxes, each of which can be split along any axis: fine boxes meet coarse ones, and no line runs through.
+
+Every axis is a forest of intervals (`AxisTree`). A box is one interval of each axis, so boxes that meet have faces and
+edges of which one holds the other, once `BoxMesh` has split those that would cross. Nodes on the face or edge of a
+larger box are no unknowns: they take what that box's functions give there (`Nodes.constraint`), so displacements stay
+continuous.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.discretization.kronecker import lobatto_points, shape_functions
+from geometry.layout import FloatArray
+
+IntArray = NDArray[np.int64]
+
+TOWARD_STOP = 0.2  #: of an interval that ends at a stop, the part on that side when it is split; 0.15 and 0.3 do alike
+BITS = 20  #: of a number of a vertex or an interval, in the key of an entity
+#: an element's vertices, edges and faces: along each axis its low end, its inside or its high end
+ENTITIES = tuple(place for place in product(range(3), repeat=3) if place != (1, 1, 1))
+
+
+class AxisTree:
+    """Vertices and intervals of one axis, in one numbering; splitting an interval adds a vertex and two intervals.
+
+    Parameters
+    ----------
+    lines : array, shape (n + 1,)
+        Ends of the first intervals, rising [mm].
+    stops : array, shape (k,)
+        Places at which the stress may be singular [mm]: an interval is split at one, or near those at its ends.
+    """
+
+    def __init__(self, lines: FloatArray, stops: FloatArray) -> None:
+        self.low: list[float] = []  #: of every vertex and interval [mm]
+        self.high: list[float] = []
+        self.parent: list[int] = []  #: the interval by whose splitting it came to be; −1 of the first ones
+        self.ends: list[tuple[int, int]] = []  #: vertices of an interval; −1 of a vertex
+        self._stops = np.sort(stops)
+        self._children: dict[int, tuple[int, int]] = {}
+        vertices = [self._vertex(float(x), -1) for x in lines]
+        self.first, self.last = vertices[0], vertices[-1]
+        self.roots = [self._interval(a, b, -1) for a, b in pairwise(vertices)]
+
+    def _vertex(self, x: float, parent: int) -> int:
+        return self._add(x, x, parent, (-1, -1))
+
+    def _interval(self, a: int, b: int, parent: int) -> int:
+        return self._add(self.low[a], self.low[b], parent, (a, b))
+
+    def _add(self, low: float, high: float, parent: int, ends: tuple[int, int]) -> int:
+        self.low.append(low)
+        self.high.append(high)
+        self.parent.append(parent)
+        self.ends.append(ends)
+        return len(self.low) - 1
+
+    def split(self, interval: int) -> tuple[int, int]:
+        """The two parts of an interval, divided at the stop next to its middle, near one at an end, or evenly."""
+        if interval not in self._children:
+            a, b = self.ends[interval]
+            low, high = self.low[a], self.low[b]
+            inside = self._stops[(self._stops > low) & (self._stops < high)]
+            at_low, at_high = np.isin([low, high], self._stops)
+            if len(inside):
+                place = float(inside[np.argmin(np.abs(inside - (low + high) / 2))])
+            elif at_low == at_high:
+                place = (low + high) / 2
+            else:
+                place = low + (TOWARD_STOP if at_low else 1 - TOWARD_STOP) * (high - low)
+            middle = self._vertex(place, interval)
+            self._children[interval] = self._interval(a, middle, interval), self._interval(middle, b, interval)
+        return self._children[interval]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """An axis as arrays, one entry for each vertex and interval."""
+
+    low: FloatArray
+    high: FloatArray
+    parent: IntArray
+    ends: IntArray  #: shape (n, 2)
+
+    @cached_property
+    def is_vertex(self) -> NDArray[np.bool_]:
+        return self.ends[:, 0] < 0
+
+    @cached_property
+    def depth(self) -> IntArray:
+        """How many splittings made it; parents have lower numbers than what they were split into."""
+        depth = np.zeros(len(self.parent), dtype=np.int64)
+        for number, parent in enumerate(self.parent):
+            depth[number] = 0 if parent < 0 else depth[parent] + 1
+        return depth
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Nodes on the surfaces of the elements, and what those on larger elements' faces and edges are made of."""
+
+    of_elements: IntArray  #: (n_elements, n_surface), in the lexicographic order of an element's nodes
+    constraint: sp.csr_matrix  #: (n_nodes, n_nodes): takes values of independent nodes to those of all
+    independent: NDArray[np.bool_]  #: (n_nodes,)
+    vertex: IntArray  #: (n_nodes, 3): the vertex of each axis on which a node lies, −1 if inside an interval
+
+
+class BoxMesh:
+    """Boxes over three axes; the first ones fill the whole grid of the axes' first intervals."""
+
+    def __init__(self, axes: tuple[AxisTree, AxisTree, AxisTree]) -> None:
+        self.axes = axes
+        self.boxes: IntArray = np.array(list(product(*(axis.roots for axis in axes))))  #: (n, 3), an interval an axis
+
+    def split(self, marks: NDArray[np.bool_]) -> None:
+        """Split boxes along the axes that `marks`, shape (n, 3), names; then those whose faces would cross."""
+        while marks.any():
+            chosen = marks.any(axis=1)
+            new: list[tuple[int, ...]] = []
+            for box, along in zip(self.boxes[chosen].tolist(), marks[chosen], strict=True):
+                new += product(
+                    *(axis.split(i) if cut else (i,) for axis, i, cut in zip(self.axes, box, along, strict=True))
+                )
+            self.boxes = np.vstack([self.boxes[~chosen], np.array(new)])
+            marks = self._crossing()
+
+    def tables(self) -> tuple[Table, Table, Table]:
+        """The axes as arrays."""
+        x, y, z = (
+            Table(np.array(a.low), np.array(a.high), np.array(a.parent), np.array(a.ends, dtype=np.int64))
+            for a in self.axes
+        )
+        return x, y, z
+
+    @property
+    def corners(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of every box, each of shape (n, 3) [mm]."""
+        tables = self.tables()
+        low, high = (
+            np.stack([getattr(t, side)[self.boxes[:, d]] for d, t in enumerate(tables)], axis=1)
+            for side in ("low", "high")
+        )
+        return low, high
+
+    def _crossing(self) -> NDArray[np.bool_]:
+        """Boxes to split, shape (n, 3), because a face is narrower one way and wider the other than what it meets."""
+        tables, n = self.tables(), len(self.boxes)
+        marks = np.zeros((n, 3), dtype=bool)
+        for normal in range(3):
+            one, two = (d for d in range(3) if d != normal)
+            plane = tables[normal].ends[self.boxes[:, normal]].T.ravel()
+            i, j = np.tile(self.boxes[:, one], 2), np.tile(self.boxes[:, two], 2)
+            at, up = _ancestors(tables[one].parent, i)
+            wider, owner = _key(plane[at], up, j[at]), at
+            at, up = _ancestors(tables[two].parent, j)
+            longer = _key(plane[at], i[at], up)
+            marks[owner[np.isin(wider, longer)] % n, two] = True
+        return marks
+
+    def nodes(self, order: int) -> Nodes:
+        """Number the nodes of functions of an order on the boxes' surfaces, and constrain those on larger boxes."""
+        tables = self.tables()
+        places = [
+            np.column_stack([t.ends[self.boxes[:, d], 0], self.boxes[:, d], t.ends[self.boxes[:, d], 1]])
+            for d, t in enumerate(tables)
+        ]
+        keys = np.column_stack([_key(*(places[d][:, at[d]] for d in range(3))) for at in ENTITIES])
+        entity_keys, of_boxes = np.unique(keys, return_inverse=True)
+        entities = np.column_stack([entity_keys >> (2 * BITS), (entity_keys >> BITS) % 2**BITS, entity_keys % 2**BITS])
+        within = np.column_stack([~t.is_vertex[entities[:, d]] for d, t in enumerate(tables)])
+        count = (order - 1) ** within.sum(axis=1)
+        start = np.concatenate([[0], np.cumsum(count)])
+
+        inside = [[0], list(range(1, order)), [order]]
+        local = [
+            [(i * (order + 1) + j) * (order + 1) + k for i, j, k in product(*(inside[p] for p in at))]
+            for at in ENTITIES
+        ]
+        by_place = np.argsort(np.concatenate(local))
+        numbered = np.hstack(
+            [
+                start[of_boxes.reshape(keys.shape)[:, column]][:, None] + np.arange(len(local[column]))
+                for column in range(len(ENTITIES))
+            ]
+        )
+        master = _masters(tables, entities, entity_keys, within)
+        slave = master != np.arange(len(entities))
+        constraint = _constraint(order, tables, entities, entity_keys, start, master)
+        on_vertex = np.repeat(np.where(within, -1, entities), count, axis=0)
+        return Nodes(numbered[:, by_place], constraint, np.repeat(~slave, count), on_vertex)
+
+
+def _key(i: IntArray, j: IntArray, k: IntArray) -> IntArray:
+    """One number for a vertex or interval of each axis."""
+    return (i << (2 * BITS)) | (j << BITS) | k
+
+
+def _ancestors(parent: IntArray, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Every ancestor of each cell: the row of the cell, and the ancestor."""
+    rows, up = np.arange(len(cells)), parent[cells]
+    found = [(rows[:0], up[:0])]
+    while len(rows := rows[up >= 0]):
+        up = up[up >= 0]
+        found.append((rows, up))
+        up = parent[up]
+    return np.concatenate([at for at, _ in found]), np.concatenate([up for _, up in found])
+
+
+def _masters(
+    tables: tuple[Table, Table, Table], entities: IntArray, keys: IntArray, within: NDArray[np.bool_]
+) -> IntArray:
+    """The entity that gives each its values, shape (n,): itself, or the largest face or edge that holds it."""
+    dimension = within.sum(axis=1)
+    depth = np.sum([t.depth[entities[:, d]] for d, t in enumerate(tables)], axis=0)
+    size = dimension * 1000 - depth  # a face goes before an edge, an ancestor before what was split from it
+    master = np.arange(len(entities))
+    best = size.copy()
+    x, rows_x = entities[:, 0], np.arange(len(entities))
+    while len(rows_x):
+        y, rows_y, x_y = entities[rows_x, 1], rows_x, x
+        while len(rows_y):
+            z, rows_z, x_z, y_z = entities[rows_y, 2], rows_y, x_y, y
+            while len(rows_z):
+                key = _key(x_z, y_z, z)
+                found = np.searchsorted(keys, key) % len(keys)
+                hit = keys[found] == key
+                row, holder = rows_z[hit], found[hit]
+                larger = size[holder] > best[row]
+                master[row[larger]], best[row[larger]] = holder[larger], size[holder[larger]]
+                z = tables[2].parent[z]
+                z, rows_z, x_z, y_z = (values[z >= 0] for values in (z, rows_z, x_z, y_z))
+            y = tables[1].parent[y]
+            y, rows_y, x_y = (values[y >= 0] for values in (y, rows_y, x_y))
+        x = tables[0].parent[x]
+        x, rows_x = (values[x >= 0] for values in (x, rows_x))
+    return master
+
+
+def _constraint(
+    order: int,
+    tables: tuple[Table, Table, Table],
+    entities: IntArray,
+    keys: IntArray,
+    start: IntArray,
+    master: IntArray,
+) -> sp.csr_matrix:
+    """Values of all nodes from those of the independent ones, shape (n_nodes, n_nodes)."""
+    number = {int(key): entity for entity, key in enumerate(keys)}
+    share = (lobatto_points(order)[1:-1] + 1) / 2
+    closures: dict[int, IntArray] = {}
+
+    def closure(entity: int) -> IntArray:
+        """All nodes of an entity, its own and those of its edges and vertices, in lexicographic order."""
+        if entity not in closures:
+            cells = entities[entity]
+            parts = [
+                [(c, slice(0, 1))]
+                if t.is_vertex[c]
+                else [
+                    (t.ends[c, 0], slice(0, 1)),
+                    (c, slice(1, order)),
+                    (t.ends[c, 1], slice(order, order + 1)),
+                ]
+                for t, c in zip(tables, cells, strict=True)
+            ]
+            lattice = np.zeros([1 if len(part) == 1 else order + 1 for part in parts], dtype=np.int64)
+            for (i, along_x), (j, along_y), (k, along_z) in product(*parts):
+                part = number[(int(i) << (2 * BITS)) | (int(j) << BITS) | int(k)]
+                where = lattice[along_x, along_y, along_z]
+                where[...] = np.arange(start[part], start[part + 1]).reshape(where.shape)
+            closures[entity] = lattice.ravel()
+        return closures[entity]
+
+    interpolations: dict[tuple[int, int, int], FloatArray] = {}
+
+    def interpolation(d: int, own: int, holder: int) -> FloatArray:
+        """Functions of an interval, or the one of a vertex, at the nodes within a vertex or interval that it holds."""
+        if (d, own, holder) not in interpolations:
+            t = tables[d]
+            if t.is_vertex[holder]:
+                values = np.ones((1, 1))
+            else:
+                at = t.low[own, None] if t.is_vertex[own] else t.low[own] + share * (t.high[own] - t.low[own])
+                values = shape_functions(order, 2 * (at - t.low[holder]) / (t.high[holder] - t.low[holder]) - 1)[0]
+            interpolations[d, own, holder] = values
+        return interpolations[d, own, holder]
+
+    slave = master != np.arange(len(entities))
+    independent = np.repeat(~slave, np.diff(start))
+    rows, columns, values = [np.flatnonzero(independent)], [np.flatnonzero(independent)], [np.ones(independent.sum())]
+    for entity in np.flatnonzero(slave):
+        holder = master[entity]
+        X, Y, Z = (interpolation(d, int(entities[entity, d]), int(entities[holder, d])) for d in range(3))
+        weights = np.einsum("ai,bj,ck->abcijk", X, Y, Z)
+        own, others = np.arange(start[entity], start[entity + 1]), closure(int(holder))
+        rows.append(np.repeat(own, len(others)))
+        columns.append(np.tile(others, len(own)))
+        values.append(weights.ravel())
+    shape = (int(start[-1]),) * 2
+    direct = sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    direct.data[np.abs(direct.data) < 1e-14] = 0.0  # what is zero but for rounding would couple distant nodes
+    direct.eliminate_zeros()
+    constraint = direct
+    while not independent[constraint.indices].all():  # a larger face may itself hang on a yet larger one
+        constraint = (constraint @ direct).tocsr()
+    return constraint

@@ -1,0 +1,135 @@
+"""Linear elasticity of nearly incompressible bodies: Taylor-Hood tetrahedra, displacement P2 and pressure P1.
+
+Find u, vanishing on the base, and p with
+
+    ∫ 2μ ε(u):ε(v) + ∫ p div v = ∫ t·v      for all v,
+    ∫ div u q − ∫ p q / λ      = 0           for all q,
+
+so that p → λ div u. Displacement-only elements of low order lock as λ/μ grows (49 at ν = 0.49); this pair does not,
+for any ν up to the incompressible limit. The matrix is symmetric and quasi-definite, so factoring it needs no pivoting.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
+
+from fem.discretization.assembly import IntArray, SparsePattern, elastic_blocks
+from geometry.design import Material
+from geometry.layout import FloatArray
+
+MIN_POISSON = 1e-6  #: to which the mixed form raises ν: see `taylor_hood`
+
+
+@dataclass(frozen=True)
+class ElasticBody:
+    """A meshed elastic body with its base clamped, ready to be factored.
+
+    Displacement degrees of freedom interleave: component i of P2 node n is n·3 + i. In the system matrix they come
+    first, the P1 pressures (absent in the displacement-only form) after them.
+    """
+
+    basis: Basis  #: scalar P1 or P2 basis of one displacement component
+    matrix: sp.csr_matrix  #: system on the free degrees of freedom, symmetric
+    free: NDArray[np.int64]  #: free displacement degrees of freedom
+    n_pressure: int  #: pressure unknowns at the end of the system
+
+    @property
+    def n_displacement(self) -> int:
+        """Number of displacement degrees of freedom, clamped ones included."""
+        return self.basis.N * 3
+
+    def loads(self, forces: FloatArray) -> FloatArray:
+        """System right-hand sides (n_unknowns, k) of nodal forces (n_displacement, k) [N]."""
+        return np.vstack([forces[self.free], np.zeros((self.n_pressure, forces.shape[1]))])
+
+    def displacements(self, solution: FloatArray) -> FloatArray:
+        """Nodal displacements (n_displacement, k) [mm] of a solution (n_unknowns, k)."""
+        u = np.zeros((self.n_displacement, solution.shape[1]))
+        u[self.free] = solution[: len(self.free)]
+        return u
+
+
+def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> ElasticBody:
+    """The mixed P2-P1 form, which does not lock at any ν below 0.5.
+
+    Parameters
+    ----------
+    mesh : MeshTet
+        Points in mm; its base z = 0 is clamped.
+    material : list of Material
+        One per region.
+    region : array, shape (n_elements,)
+        Index into `material` of each element.
+
+    Returns
+    -------
+    ElasticBody
+
+    Notes
+    -----
+    1/λ → (1+ν)(1−2ν)/(Eν) grows without bound as ν → 0, where the displacement form is the right choice; ν is taken as
+    at least 1e-6 here, which changes no stress by more than about that share.
+    """
+    basis = Basis(mesh, ElementTetP2(), intorder=2)
+    pressure = Basis(mesh, ElementTetP1(), quadrature=basis.quadrature)
+    lame_mpa, mu_mpa = lame_of_regions(material, region, at_least_poisson=MIN_POISSON)
+
+    nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
+    A = nodes.vector_matrix(elastic_blocks(basis, np.zeros_like(mu_mpa), mu_mpa))
+
+    shape_p = np.stack([np.broadcast_to(np.asarray(functions[0]), basis.dx.shape) for functions in pressure.basis])
+    gradients = np.stack([functions[0].grad for functions in basis.basis])  # (b, j, e, q)
+    div = np.einsum("aeq,bjeq,eq->eabj", shape_p, gradients, basis.dx, optimize=True)
+    corners = pressure_dofs(mesh, region)
+    n_pressure = int(corners.max()) + 1
+    B = SparsePattern(corners, basis.element_dofs, (n_pressure, basis.N)).vector_matrix(div[:, :, :, None, :])
+    mass = np.einsum("aeq,beq,eq->eab", shape_p, shape_p, basis.dx / lame_mpa[:, None], optimize=True)
+    C = SparsePattern(corners, corners, (n_pressure, n_pressure)).matrix(mass)
+
+    free = _free_dofs(basis)
+    A, B = A[free][:, free], B[:, free]
+    matrix = sp.bmat([[A, B.T], [B, -C]], format="csr")
+    return ElasticBody(basis=basis, matrix=matrix, free=free, n_pressure=n_pressure)
+
+
+def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
+    """Number of the pressure at each corner of each element, shape (4, n_elements).
+
+    Elements of one region share the pressure at a common corner, those of different regions do not: across an interface
+    the pressure jumps, and a continuous one would spoil the order of convergence.
+    """
+    keys = mesh.t.astype(np.int64) * (int(region.max()) + 1) + region
+    _, numbers = np.unique(keys, return_inverse=True)
+    return numbers.reshape(keys.shape)
+
+
+def displacement_form(
+    mesh: MeshTet, material: list[Material], region: IntArray, element: type[ElementTetP1 | ElementTetP2]
+) -> ElasticBody:
+    """The plain displacement form with P1 or P2 tetrahedra: kept as the contrast; it locks as ν → 0.5.
+
+    Parameters as for `taylor_hood`; `element` is scikit-fem's ElementTetP1 or ElementTetP2.
+    """
+    basis = Basis(mesh, element(), intorder=2)
+    nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
+    A = nodes.vector_matrix(elastic_blocks(basis, *lame_of_regions(material, region)))
+    free = _free_dofs(basis)
+    return ElasticBody(basis=basis, matrix=A[free][:, free].tocsr(), free=free, n_pressure=0)
+
+
+def lame_of_regions(
+    material: list[Material], region: IntArray, at_least_poisson: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
+    table = np.array(
+        [Material(young_mpa=m.young_mpa, poisson=max(m.poisson, at_least_poisson)).lame_mpa for m in material]
+    )
+    return table[region, 0], table[region, 1]
+
+
+def _free_dofs(basis: Basis) -> NDArray[np.int64]:
+    on_base = basis.doflocs[2] == 0.0
+    return np.flatnonzero(np.repeat(~on_base, 3))

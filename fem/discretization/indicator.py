@@ -1,0 +1,210 @@
+"""Where a finite-element answer misses equilibrium, element by element: what adaptive refinement goes by.
+
+The residual of an answer u is what the stress leaves unbalanced: div σ inside the elements, jumps of the traction σ·n
+across their faces, traction missing on the surface, and div u − p/λ in the mixed form. The error of a probe is at most
+a constant times the sum over the elements of the product of two such residuals: of the answer, and of the answer to a
+unit load on the probe (Becker and Rannacher, Acta Numerica 10, 2001).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from skfem import MeshTet
+
+from fem.discretization.assembly import IntArray
+from fem.discretization.elasticity import ElasticBody, pressure_dofs
+from fem.scene.solution import SMALLEST_SHARE
+from geometry.layout import FloatArray
+
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  #: of a tetrahedron, in scikit-fem's order and VTK's
+MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
+SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
+
+Traction = Callable[[FloatArray], FloatArray]  #: points (..., 3) on the top face to tractions (..., 3) [MPa]
+
+
+def corner_gradients(body: ElasticBody, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradient of a displacement at the corners of each element.
+
+    Parameters
+    ----------
+    body : ElasticBody
+        Of P1 or P2 tetrahedra: gradients are linear, so their values at the corners say all.
+    u : array, shape (n_displacement,)
+
+    Returns
+    -------
+    array, shape (m, 4, 3, 3): entry [e, v, i, j] is ∂ⱼuᵢ at corner v
+    array, shape (m, 4, 3): gradients of the barycentric coordinates [1/mm]
+    """
+    mesh = body.basis.mesh
+    corners = mesh.p.T[mesh.t.T]
+    of_last_three = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    slopes = np.concatenate([-of_last_three.sum(axis=1, keepdims=True), of_last_three], axis=1)
+    nodes = u.reshape(-1, 3)
+    at_corners = nodes[body.basis.nodal_dofs[0][mesh.t.T]]
+    if not body.basis.edge_dofs.size:
+        gradient = np.einsum("eai,eaj->eij", at_corners, slopes)
+        return np.repeat(gradient[:, None], 4, axis=1), slopes
+    at_edges = nodes[body.basis.edge_dofs[0][mesh.t2e.T]]
+    # at a corner v the slope of φₐ = Lₐ(2Lₐ − 1) is (4δ(a,v) − 1) ∇Lₐ, that of 4LₐL_b is 4(δ(a,v) ∇L_b + δ(b,v) ∇Lₐ)
+    gradient = np.einsum("va,eai,eaj->evij", 4 * np.eye(4) - 1, at_corners, slopes, optimize=True)
+    for number, (a, b) in enumerate(EDGES):
+        gradient[:, a] += 4 * at_edges[:, number, :, None] * slopes[:, b, None, :]
+        gradient[:, b] += 4 * at_edges[:, number, :, None] * slopes[:, a, None, :]
+    return gradient, slopes
+
+
+def residuals(
+    body: ElasticBody,
+    u: FloatArray,
+    pressure: FloatArray,
+    region: IntArray,
+    lame_mpa: FloatArray,
+    mu_mpa: FloatArray,
+    traction: Traction | None,
+) -> FloatArray:
+    """Squared residual of an answer in each element, in units of energy.
+
+    Parameters
+    ----------
+    body : ElasticBody
+    u : array, shape (n_displacement,)
+        Nodal displacements [mm].
+    pressure : array, shape (n_pressure,)
+        Of the mixed form; empty in the displacement form.
+    region, lame_mpa, mu_mpa : arrays, shape (m,)
+        Region, λ and μ of each element.
+    traction : function, optional
+        On the top face; None where nothing loads it.
+
+    Returns
+    -------
+    array, shape (m,) [N mm]
+    """
+    mesh = body.basis.mesh
+    points, cells = mesh.p.T, mesh.t.T
+    gradient, slopes = corner_gradients(body, u)
+    divergence = np.trace(gradient, axis1=2, axis2=3)
+    if len(pressure):
+        p = pressure[pressure_dofs(mesh, region).T]
+    else:
+        p = lame_mpa[:, None] * divergence
+    stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
+    for i in range(3):
+        stress[..., i, i] += p
+
+    corners = points[cells]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
+    unbalanced = np.einsum("evij,evj->ei", stress, slopes)
+    squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
+    if len(pressure):
+        squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
+
+    facets, sides = mesh.facets.T, mesh.f2t
+    triangles = points[facets]
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    areas = np.linalg.norm(normal, axis=1) / 2
+    normal /= 2 * areas[:, None]
+
+    def tractions(side: int, chosen: IntArray) -> FloatArray:
+        """σ·n at the corners of facets, from the elements on one side, shape (k, 3, 3)."""
+        element = sides[side, chosen]
+        corner = (cells[element][:, None, :] == facets[chosen][:, :, None]).argmax(axis=2)
+        return np.einsum("fvij,fj->fvi", stress[element[:, None], corner], normal[chosen])
+
+    inner = np.flatnonzero(sides[1] >= 0)
+    jump = _integral_of_square(tractions(0, inner) - tractions(1, inner), areas[inner]) * np.sqrt(areas[inner])
+    for side in (0, 1):
+        element = sides[side, inner]
+        squared += np.bincount(element, 0.5 * jump / mu_mpa[element], len(cells))
+
+    outer = np.flatnonzero((sides[1] < 0) & (triangles[..., 2] != 0.0).any(axis=1))
+    element = sides[0, outer]
+    outward = triangles[outer].mean(axis=1) - corners[element].mean(axis=1)
+    missing = tractions(0, outer) * np.sign((outward * normal[outer]).sum(axis=1))[:, None, None]
+    misfit = _integral_of_square(missing, areas[outer])
+    if traction is not None:
+        top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
+        weights = _middles(SUBDIVISION)
+        places = np.einsum("qv,fvi->fqi", weights, triangles[outer][top])
+        found = np.einsum("qv,fvi->fqi", weights, missing[top])
+        misfit[top] = ((found - traction(places)) ** 2).sum(axis=2).mean(axis=1) * areas[outer][top]
+    return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
+
+
+def probe_indicators(of_answer: FloatArray, of_duals: list[FloatArray], scales: FloatArray) -> FloatArray:
+    """Share of each element in the relative errors of the probes, up to a constant, shape (m,).
+
+    `of_answer` and `of_duals` are `residuals`; `scales` are the sizes of the probes' displacements.
+    """
+    return sum(
+        (np.sqrt(of_answer * dual) / scale for dual, scale in zip(of_duals, scales, strict=True)),
+        start=np.zeros_like(of_answer),
+    )
+
+
+def dual_weights(probes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit loads on probes by whose answers their errors are traced to elements.
+
+    One for each probe and axis; of more than `MAX_DUALS`, as many sums of all with random signs, which together mark
+    the same elements.
+
+    Parameters
+    ----------
+    probes : array, shape (n_probes, 3)
+        Displacements of the probes [mm].
+
+    Returns
+    -------
+    array, shape (k, n_probes, 3): the weight of each probe's components in each load
+    array, shape (k,): the displacement that each load's error is relative to [mm]
+    """
+    size = np.linalg.norm(probes, axis=1)
+    scale = np.maximum(size, SMALLEST_SHARE * size.max())
+    scale[scale == 0.0] = 1.0
+    n = len(probes)
+    if 3 * n > MAX_DUALS:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_DUALS, n, 3))
+        return signs / scale[:, None], np.ones(MAX_DUALS)
+    return np.eye(3 * n).reshape(3 * n, n, 3), np.repeat(scale, 3)
+
+
+def largest_contributors(indicators: FloatArray, share: float) -> IntArray:
+    """The fewest elements that hold a share of the sum of all indicators (Dörfler's rule)."""
+    order = np.argsort(-indicators)
+    running = np.cumsum(indicators[order])
+    return order[: int(np.searchsorted(running, share * running[-1])) + 1]
+
+
+def uniform_tractions(rectangles: FloatArray, tractions_mpa: FloatArray) -> Traction:
+    """The traction of uniform loads on rectangles (n, 4), which add up where they overlap."""
+
+    def traction(points: FloatArray) -> FloatArray:
+        total = np.zeros(points.shape)
+        for (x0, y0, x1, y1), value in zip(rectangles, tractions_mpa, strict=True):
+            x, y = points[..., 0], points[..., 1]
+            total[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)] += value
+        return total
+
+    return traction
+
+
+def cell_sizes(mesh: MeshTet) -> FloatArray:
+    """Edge of the cube with six times the volume of each tetrahedron, shape (m,) [mm]."""
+    corners = mesh.p.T[mesh.t.T]
+    return np.cbrt(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])))
+
+
+def _integral_of_square(values: FloatArray, measures: FloatArray) -> FloatArray:
+    """∫ |v|² over simplices, exact for linear v with values (n, d + 1, k) at the corners."""
+    corners = values.shape[1]
+    total = (values**2).sum(axis=(1, 2)) + (values.sum(axis=1) ** 2).sum(axis=1)
+    return measures / (corners * (corners + 1)) * total
+
+
+def _middles(n: int) -> FloatArray:
+    """Barycentric coordinates of the middles of n² equal parts of a triangle, shape (n², 3)."""
+    upward = [(i + 1 / 3, j + 1 / 3, n - i - j - 2 / 3) for i in range(n) for j in range(n - i)]
+    downward = [(i + 2 / 3, j + 2 / 3, n - i - j - 4 / 3) for i in range(n - 1) for j in range(n - 1 - i)]
+    return np.array(upward + downward) / n

@@ -1,0 +1,1 @@
+"""Displacement and stress anywhere in a loaded body, for pictures."""

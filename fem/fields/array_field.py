@@ -1,0 +1,192 @@
+"""Displacement and stress anywhere in a loaded array, by superposition on one unit cell: for pictures.
+
+The array is never meshed. One cell is solved for every port mode and every pad force, the copies are coupled as for the
+response, and what is observed at points of the cell follows for all units by one matrix product.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.array.coupled_cells import CoupledArray
+from fem.array.port_modes import PortModes
+from fem.array.substructured import cell_grid, finer, lone_unit, mirrored
+from fem.array.whole_array import elastic_body
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.fields.cell_field import CellInterior, cell_interior
+from geometry.design import SensorDesign
+from geometry.errors import DesignError
+from geometry.layout import AXES, FloatArray, pad_squares
+from geometry.mesh import sensor_mesh, suited_settings
+
+GRID_LEVEL, GRID_DEGREE = (
+    2,
+    6,
+)  #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (3, 6: 0.3 %, in four times the time)
+MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
+BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FieldState:
+    """What loads an array, and how its cells answer: all that observers need."""
+
+    force_n: FloatArray  #: (n_units, 3) on each pad, z negative pushing down; of k loaded rectangles (n_units, k·3)
+    port_mm: FloatArray  #: (n_units, n_modes·3), port displacements of each cell
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """Port displacements and forces of each cell, shape (n_units, n_modes·3 + k·3)."""
+        return np.hstack([self.port_mm, self.force_n])
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """Points of the cell at which displacement and stress of every unit are seen; made by `ArrayField.observe`."""
+
+    interior: CellInterior = field(repr=False)
+    points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
+    region: int | None = None
+
+    def displacement_mm(self, state: FieldState) -> FloatArray:
+        """Displacement at the points of every unit, shape (n_units, k, 3) [mm]."""
+        return (state.amplitudes @ self._moved).reshape(len(state.force_n), -1, 3)
+
+    def stress_mpa(self, state: FieldState) -> FloatArray:
+        """Stress there: xx, yy, zz, yz, xz, xy, tension positive; shape (n_units, k, 6) [MPa]."""
+        return (state.amplitudes @ self._stress).reshape(len(state.force_n), -1, 6)
+
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.int64], FloatArray]:
+        return self.interior.elements.places(self.points_mm, self.region)
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Displacement per unit amplitude, shape (n_amplitudes, k·3)."""
+        nodes = self.interior.moved_mm
+        found = self.interior.elements.interpolation(*self._places) @ nodes.reshape(len(nodes), -1)
+        return np.ascontiguousarray(found.reshape(-1, nodes.shape[2]).T)
+
+    @cached_property
+    def _stress(self) -> FloatArray:
+        """Stress per unit amplitude, shape (n_amplitudes, k·6); worked out when first asked for."""
+        found = self.interior.stress.at(self.interior.elements, *self._places)
+        return np.ascontiguousarray(found.reshape(-1, found.shape[2]).T)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArrayField:
+    """An array ready to be loaded: its cell solved, its copies coupled and factored."""
+
+    design: SensorDesign
+    rectangles_mm: FloatArray  #: (k, 4): x0, y0, x1, y1 of what can be loaded on each cell; one, the pad, unless told
+    interior: CellInterior = field(repr=False)
+    coupled: CoupledArray = field(repr=False)
+
+    def state(self, traction_mpa: FloatArray) -> FieldState:
+        """Load the pads.
+
+        Parameters
+        ----------
+        traction_mpa : array, shape (n_units, 3)
+            Uniform traction on each unit's pad along x, y, z; z negative pushes down [MPa].
+
+        Raises
+        ------
+        DesignError
+            If the tractions have another shape, or are not finite.
+        SolverError
+            If the answer cannot be trusted.
+        """
+        traction = np.asarray(traction_mpa, dtype=float)
+        if traction.shape != (self.design.n_units, 3) or not np.isfinite(traction).all():
+            raise DesignError(
+                f"traction_mpa has shape {traction.shape}, expected finite numbers ({self.design.n_units}, 3): "
+                "one row a unit, along x, y and z."
+            )
+        return self.under(traction * self.design.pad.size_mm**2)
+
+    def under(self, force_n: FloatArray) -> FieldState:
+        """Load every cell's rectangles: forces (n_units, k·3) spread evenly over each, along x, y, z [N]."""
+        port, _ = self.coupled.port_displacements(force_n[:, :, None])
+        return FieldState(force_n=force_n, port_mm=port[:, :, 0])
+
+    def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
+        """Choose points of the cell to look at.
+
+        Parameters
+        ----------
+        points_mm : array, shape (k, 3)
+            In the cell's own coordinates: origin at the unit's centre, base z = 0; inside or on the cell [mm].
+        region : int, optional
+            On which side of an interface stress is taken: 0 the matrix's, 1 the pillars'. Without it, and in a
+            homogeneous cell, it does not matter.
+
+        Raises
+        ------
+        DesignError
+            If a point lies outside the cell.
+        """
+        points = np.atleast_2d(np.asarray(points_mm, dtype=float))
+        pitch, height = self.design.array.pitch_mm, self.design.unit.height_mm
+        middle = np.array([0.0, 0.0, height / 2])
+        outside = np.abs(points - middle).max(axis=0) > np.array([pitch, pitch, height]) / 2 + BEYOND * pitch
+        if outside.any():
+            raise DesignError(
+                f"points reach outside the cell along {', '.join(np.array(AXES)[outside])}: |x| and |y| must be at "
+                f"most half the pitch, {pitch / 2:g} mm, and z from 0 to {height:g} mm."
+            )
+        return Observer(self.interior, points, None if self.design.is_homogeneous else region)
+
+
+def array_field(
+    design: SensorDesign,
+    progress: Callable[[str], None] = lambda step: None,
+    rectangles_mm: FloatArray | None = None,
+) -> ArrayField:
+    """Solve a design's cell inside and out, and couple its copies.
+
+    Parameters
+    ----------
+    design : SensorDesign
+    progress : function
+        Called with the name of each step as it begins.
+    rectangles_mm : array, shape (k, 4), optional
+        What can be loaded on each cell instead of its pad: x0, y0, x1, y1 in the cell's own coordinates; then `under`
+        takes the forces.
+
+    Raises
+    ------
+    GeometryError, SolverError
+        If a mesh or an answer cannot be trusted.
+
+    Notes
+    -----
+    A cell of one rubber is a grid; its level and the degree of its ports are chosen for pictures, and not extrapolated
+    to the limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
+    """
+    pitch, height = design.array.pitch_mm, design.unit.height_mm
+    alone = lone_unit(design)
+    rectangles = pad_squares(alone) if rectangles_mm is None else rectangles_mm
+    if design.is_homogeneous:
+        progress("cell")
+        quarter = cell_grid(design, GRID_LEVEL)
+        grid = Grid(x=mirrored(quarter.x), y=mirrored(quarter.y), z=quarter.z)
+        basis = GridBasis(grid)
+        body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
+        region, degree = np.zeros(basis.element_dofs.shape[1], dtype=np.int64), GRID_DEGREE
+    else:
+        progress("mesh")
+        mesh, _, _ = sensor_mesh(alone, finer(suited_settings(design), MESH_LEVEL))
+        progress("cell")
+        body = elastic_body(alone, mesh)
+        region, degree = mesh.region.astype(np.int64), MESH_DEGREE
+    ports = PortModes(pitch / 2, height, degree, degree)
+    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles)
+    progress(f"coupling {design.array.rows} × {design.array.cols}")
+    coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
+    return ArrayField(design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled)

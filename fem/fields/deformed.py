@@ -1,0 +1,204 @@
+"""The parts of a loaded sensor as points and cells that carry displacement and stress: what pictures are drawn from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.array.substructured import cell_grid, mirrored
+from fem.discretization.assembly import IntArray
+from fem.fields.array_field import ArrayField, FieldState
+from fem.scene.solution import HEXAHEDRON, QUADRILATERAL
+from geometry.design import Unit
+from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres, upper_electrodes
+
+SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
+ACROSS = 12  #: squares along a pad's side
+APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
+FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
+
+Surface = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Part:
+    """Points, cells between them, and what was found at the points."""
+
+    points_mm: FloatArray  #: (n, 3), at rest
+    cells: NDArray[np.int64]  #: (m, k), in VTK's order of points
+    cell_type: int  #: VTK's number
+    displacement_mm: FloatArray  #: (n, 3)
+    stress_mpa: FloatArray | None = None  #: (n, 6) where asked for: xx, yy, zz, yz, xz, xy; tension positive
+    traction_mpa: FloatArray | None = None  #: (m, 3), on the cells of a part that is loaded
+
+    @property
+    def stress(self) -> FloatArray:
+        """Stress at the points, (n, 6) [MPa]; ValueError where it was not asked for."""
+        if self.stress_mpa is None:
+            raise ValueError("this part has no stress: ask for it where parts are made.")
+        return self.stress_mpa
+
+    @property
+    def strength_mpa(self) -> FloatArray:
+        """Size of the traction on the cells, (m,); ValueError where there is none."""
+        if self.traction_mpa is None:
+            raise ValueError("this part has no traction: only pads have.")
+        return np.linalg.norm(self.traction_mpa, axis=1)
+
+    def times(self, share: float) -> "Part":
+        """The same under a share of the load: everything is linear."""
+
+        def part_of(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else share * values
+
+        return replace(
+            self,
+            displacement_mm=share * self.displacement_mm,
+            stress_mpa=part_of(self.stress_mpa),
+            traction_mpa=part_of(self.traction_mpa),
+        )
+
+
+Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads
+
+
+def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
+    """Pillars, matrix, electrodes and pads of a loaded array.
+
+    Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
+    pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
+    0.06 mm all around, which nobody sees.
+    """
+    unit = array.design.unit
+    return {
+        "pillars": _on_units(array, state, pillar_surface(unit, apart_mm=APART_MM), stress, region=1),
+        "matrix": _slab(array, state, stress),
+        "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
+        "pads": _pads(array, state, stress),
+    }
+
+
+def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Surface:
+    """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
+
+    The first is smaller by `apart_mm` all around, the second by twice as much, the third by three times: no two of
+    their faces coincide.
+    """
+    turn = np.linspace(-0.5, 0.5, around + 1)[:-1]
+    side = np.full(around, 0.5)
+    ring = np.column_stack(
+        [np.concatenate([turn, side, -turn, -side]), np.concatenate([-side, turn, side, -turn]), np.zeros(4 * around)]
+    )
+    share = np.linspace(0.0, 1.0, slices + 1)
+    surfaces = []
+    for number, (ends, full) in enumerate(zip(pillar_ends(unit), pillar_sections(unit), strict=True), start=1):
+        inward = number * apart_mm
+        section = full - 2 * inward
+        bottom, top = ends + np.outer([1, -1], (ends[1] - ends[0]) * (inward / np.ptp(ends[:, 2])))
+        axis = bottom + share[:, None] * (top - bottom)
+        wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
+        place = np.arange(len(wall)).reshape(slices + 1, -1)
+        quads = [place[:-1], np.roll(place[:-1], -1, 1), np.roll(place[1:], -1, 1), place[1:]]
+        surfaces.append((wall, np.stack(quads, axis=-1).reshape(-1, 4)))
+        surfaces += [rectangle_surface(end, section, around) for end in (bottom, top)]
+    return joined(surfaces)
+
+
+def electrode_surface(unit: Unit) -> Surface:
+    """The four electrodes of a unit, U1, U2, L1, L2, in its own frame."""
+    upper = upper_electrodes(unit)
+    lower = pillar_ends(unit)[:2, 0]
+    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in (*upper, *lower)])
+
+
+def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Surface:
+    """A horizontal rectangle of steps × steps quadrilaterals."""
+    share = np.linspace(-0.5, 0.5, steps + 1)
+    x, y = np.meshgrid(share * size_mm[0], share * size_mm[1], indexing="ij")
+    number = np.arange(x.size).reshape(x.shape)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+    return centre_mm + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), quads.reshape(-1, 4)
+
+
+def joined(surfaces: list[Surface]) -> Surface:
+    """Several surfaces as one; points are not shared between them."""
+    first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
+    quads = [quads + start for (_, quads), start in zip(surfaces, first[:-1], strict=True)]
+    return np.vstack([points for points, _ in surfaces]), np.vstack(quads)
+
+
+def _on_units(
+    array: ArrayField,
+    state: FieldState,
+    surface: Surface,
+    stress: bool,
+    region: int,
+    units: slice | IntArray = slice(None),
+) -> Part:
+    """A surface of the cell on all units, or some."""
+    points, quads = surface
+    observer = array.observe(points, region)
+    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))[units]
+    copies = np.arange(len(centres))[:, None, None] * len(points)
+    return Part(
+        points_mm=(centres[:, None] + points).reshape(-1, 3),
+        cells=(copies + quads).reshape(-1, 4),
+        cell_type=QUADRILATERAL,
+        displacement_mm=observer.displacement_mm(state)[units].reshape(-1, 3),
+        stress_mpa=observer.stress_mpa(state)[units].reshape(-1, 6) if stress else None,
+    )
+
+
+def _pads(array: ArrayField, state: FieldState, stress: bool) -> Part:
+    """The rectangles that are loaded, each with its traction; all if none is."""
+    parts, tractions = [], []
+    forces = state.force_n.reshape(array.design.n_units, -1, 3)
+    for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
+        units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
+        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, array.design.unit.height_mm])
+        surface = rectangle_surface(centre, np.array([x1 - x0, y1 - y0]), ACROSS)
+        parts.append(_on_units(array, state, surface, stress, 0, units))
+        traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
+        tractions.append(np.repeat(traction, ACROSS**2, axis=0))
+    points, cells = joined([(part.points_mm, part.cells) for part in parts])
+    return Part(
+        points_mm=points,
+        cells=cells,
+        cell_type=QUADRILATERAL,
+        displacement_mm=np.vstack([part.displacement_mm for part in parts]),
+        stress_mpa=np.vstack([part.stress for part in parts]) if stress else None,
+        traction_mpa=np.vstack(tractions),
+    )
+
+
+def _slab(array: ArrayField, state: FieldState, stress: bool) -> Part:
+    """The whole slab in boxes, units sharing the points between them."""
+    design = array.design
+    grid = cell_grid(design, FINENESS)
+    x, y = mirrored(grid.x), mirrored(grid.y)
+    local = np.stack(np.meshgrid(x, y, grid.z, indexing="ij"), axis=-1)
+    nx, ny, nz = (count - 1 for count in local.shape[:3])
+    cols, rows = design.array.cols, design.array.rows
+    shape = (cols * nx + 1, rows * ny + 1, nz + 1)
+    observer = array.observe(local.reshape(-1, 3), region=0)
+    number = np.arange(np.prod(shape)).reshape(shape)
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    boxes = [number[a : a + shape[0] - 1, b : b + shape[1] - 1, c : c + shape[2] - 1] for a, b, c in corners]
+
+    def together(of_units: FloatArray) -> FloatArray:
+        """Values at the points of every unit's cell, (n_units, k, c), at those of the slab."""
+        whole = np.empty((*shape, of_units.shape[2]))
+        for unit, values in enumerate(of_units.reshape(len(of_units), *local.shape[:3], -1)):
+            i, j = divmod(unit, cols)
+            whole[j * nx : (j + 1) * nx + 1, i * ny : (i + 1) * ny + 1] = values
+        return whole.reshape(-1, of_units.shape[2])
+
+    centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
+    return Part(
+        points_mm=together(centres[:, None] + local.reshape(-1, 3)),
+        cells=np.stack(boxes, axis=-1).reshape(-1, 8),
+        cell_type=HEXAHEDRON,
+        displacement_mm=together(observer.displacement_mm(state)),
+        stress_mpa=together(observer.stress_mpa(state)) if stress else None,
+    )

@@ -1,0 +1,1 @@
+"""Sparse direct factorisations and checked solves."""

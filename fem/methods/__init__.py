@@ -1,0 +1,1 @@
+"""How a scene is solved: the plan that chooses a method, and the methods."""

@@ -1,0 +1,257 @@
+"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of order 4 or 3, split where needed.
+
+The first mesh has a line at every edge of body, regions and loads, and little else. Each solve tells which boxes the
+errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
+neither moduli far apart nor ν near 0.5 cost more than anything else.
+"""
+
+from time import perf_counter
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from fem.discretization.box_mesh import AxisTree, BoxMesh
+from fem.discretization.box_system import BoxSystem, Condensed, Kind
+from fem.discretization.indicator import dual_weights
+from fem.discretization.kronecker import shape_functions
+from fem.discretization.mirrors import flipped_points, images
+from fem.linear.factors import FactorMemoryError, SolverError
+from fem.linear.linear_solver import checked_solve, factorized
+from fem.methods.plan import Plan
+from fem.methods.richardson import estimated_errors
+from fem.methods.structured import VTK_MIRRORED, VTK_PLACES
+from fem.scene.scene import Scene
+from fem.scene.solution import QUADRATIC_HEXAHEDRON, Field, Solution
+from geometry.layout import FloatArray
+
+ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
+LOOSE_ORDER, LOOSE = 3, 1e-2  #: the order from this tolerance on: half the time there
+WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
+MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
+LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
+HAIR = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
+MIN_BOXES = 24  #: fewer see too little for their estimate to be believed: 5e-3 for 1e-2 on a pillar that leans by 67°
+MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
+MAX_MESHES = 30
+SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
+LAST_SHARE = 0.4
+GROWTH = 2.5  #: of the number of boxes, at most, from mesh to mesh
+
+
+def solve_by_splitting(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
+    """Solve a scene whose every region is a box (or the same sheared box) on boxes that are split where it matters.
+
+    Parameters
+    ----------
+    scene : Scene
+    plan : Plan
+        Of method "grid" and element "Q4"; of its mirrors, each with one parity.
+    with_field : bool
+        Also hand back the displacement of the whole body.
+
+    Notes
+    -----
+    The estimate is that of `richardson.estimated_errors`. Where the tolerance asks for more than `MAX_BOXES`,
+    or more memory than there is, the answer is that of the last mesh, its estimate says so, and so do the steps.
+
+    Raises
+    ------
+    SolverError
+        If an answer cannot be trusted.
+    """
+    # OpenBLAS gets products too small for two threads; MKL's factorisation keeps its own
+    with ThreadpoolController().select(internal_api="openblas").limit(limits=1):
+        return _solve(scene, plan, with_field)
+
+
+def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
+    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+    clock = perf_counter()
+
+    def spent(step: str) -> None:
+        nonlocal clock
+        now = perf_counter()
+        seconds[step] += now - clock
+        clock = now
+
+    outline = scene.outline
+    lean_x, lean_y, _ = (np.array(outline.top_mm) - outline.base_mm) / outline.height_mm
+    lean = float(lean_x), float(lean_y)
+    mesh = first_mesh(scene, plan, lean)
+    condensed: dict[Kind, Condensed] = {}
+    order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
+    steps: list[str] = []
+    history: list[tuple[float, FloatArray]] = []
+    found: tuple[BoxSystem, FloatArray, float] | None = None
+    estimate = np.inf
+    while True:
+        spent("mesh")
+        system = BoxSystem(scene, plan, mesh, lean, condensed, order)
+        forces, rows = system.loads(), system.probe_rows()
+        spent("assemble")
+        try:
+            factor = factorized(system.matrix, plan.solver, definite=True)
+        except FactorMemoryError:
+            if found is None:
+                raise
+            steps.append(f"stopped: the factor of {system.n_unknowns} unknowns does not fit in memory")
+            break
+        spent("factor")
+        x, residual = checked_solve(system.matrix, factor, forces[:, None])
+        u = x[:, 0]
+        probes = rows @ u
+        weights, scales = dual_weights(probes)
+        unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
+        duals, _ = checked_solve(system.matrix, factor, np.ascontiguousarray(unit))
+        del factor
+        indicators = system.indicators(u, duals, scales)
+        if not np.isfinite(indicators).all():
+            raise SolverError("indicators of boxes are not numbers: bring moduli and sizes closer.")
+        found = system, u, residual
+        history.append((float(indicators.sum()), probes))
+        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=2).values())
+        estimate = worst
+        steps.append(
+            f"{len(mesh.boxes)} boxes of order {order}: {system.n_unknowns} unknowns"
+            + (f", estimated error {worst:.1e}" if np.isfinite(worst) else "")
+        )
+        spent("solve")
+        if worst <= scene.tolerance and len(mesh.boxes) >= MIN_BOXES:
+            break
+        if len(mesh.boxes) >= MAX_BOXES or len(history) >= MAX_MESHES:
+            steps.append(f"stopped at {len(mesh.boxes)} boxes, short of the tolerance {scene.tolerance:g}")
+            break
+        share = SHARE if worst > 2 * scene.tolerance else LAST_SHARE
+        mesh.split(marked(indicators, share))
+    system, u, residual = found
+    return Solution(
+        probes={probe.name: history[-1][1][number] for number, probe in enumerate(scene.probes)},
+        energy_mj=float(system.loads() @ u) / 2 / system.share,
+        residual=residual,
+        unknowns=system.n_unknowns,
+        error_estimate=estimate,
+        seconds=seconds,
+        steps=tuple(steps),
+        field=_field(system, u) if with_field else None,
+    )
+
+
+def marked(indicators: FloatArray, share: float) -> np.ndarray:
+    """Boxes to split along each axis, shape (n, 3): the largest indicators that hold a share of the sum.
+
+    Fewer where that would make more than `GROWTH` times as many boxes.
+    """
+    order = np.argsort(-indicators, axis=None)
+    running = np.cumsum(indicators.ravel()[order])
+    marks = np.zeros(indicators.shape, dtype=bool)
+    for place in order[: int(np.searchsorted(running, share * running[-1])) + 1]:
+        marks.flat[place] = True
+        if (2.0 ** marks.sum(axis=1)).sum() > GROWTH * len(indicators):
+            break
+    return marks
+
+
+def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
+    """Boxes none of which is much wider than the body's least extent, split at the faces of regions and edges of loads.
+
+    A box is split only where such a face or edge cuts it, so none of them runs through the body.
+    """
+    (low, high), *inner = _solids(scene, plan, lean)
+    slack = scene.rounding_mm
+    stops = [
+        np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
+        for axis in range(3)
+    ]
+    looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
+    widest = WIDEST * looser * min(scene.height_mm, *scene.outline.section_mm)
+    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST / looser:
+        widest *= 1.25
+    lines = [
+        np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
+        for start, end in zip(low, high, strict=True)
+    ]
+    x, y, z = (AxisTree(line, own) for line, own in zip(lines, stops, strict=True))
+    mesh = BoxMesh((x, y, z))
+    while True:
+        lowest, highest = mesh.corners
+        marks = np.zeros(lowest.shape, dtype=bool)
+        for one, two in inner:
+            meets = (lowest <= two + slack) & (highest >= one - slack)
+            for axis in range(3):
+                beside = np.delete(meets, axis, axis=1).all(axis=1)
+                for face in (one[axis], two[axis]):
+                    marks[:, axis] |= beside & (lowest[:, axis] < face - slack) & (highest[:, axis] > face + slack)
+        if not marks.any():
+            return mesh
+        mesh.split(marks)
+
+
+def _solids(scene: Scene, plan: Plan, lean: tuple[float, float]) -> list[tuple[FloatArray, FloatArray]]:
+    """Lowest and highest corner of the body's solved part, of regions and, flat, of loads, where the base shows them.
+
+    What lies beyond a mirror plane is folded to this side. Loads' edges a hair from a face are moved to it.
+    """
+    height = scene.height_mm
+    shift = np.array([*lean, 0.0]) * height  # from the base, where lines are stated, to the top with its loads
+    solids = []
+    for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
+        half = np.array([*prism.section_mm, 0.0]) / 2
+        base = np.array(prism.base_mm)
+        solids.append((base - half, base + half + [0.0, 0.0, prism.height_mm]))
+    n_lasting = len(solids)
+    for x0, y0, x1, y1 in (load.rectangle for load in scene.loads):
+        solids.append((np.array([x0, y0, height]) - shift, np.array([x1, y1, height]) - shift))
+    for mirror in plan.mirrors:
+        axis, place = mirror.axis, mirror.position_mm
+        for one, two in solids:
+            one[axis], two[axis] = np.sort(place + np.abs([one[axis] - place, two[axis] - place]))
+        solids[0][0][axis] = place
+    for axis in range(3):
+        faces = np.array([side[axis] for solid in solids[:n_lasting] for side in solid])
+        for load in solids[n_lasting:]:
+            hair = HAIR * (load[1] - load[0])[axis]
+            for side in load:
+                nearest = faces[np.argmin(np.abs(faces - side[axis]))]
+                if abs(nearest - side[axis]) <= hair:
+                    side[axis] = nearest
+    return solids
+
+
+def _apart(places: list[float], slack: float) -> list[float]:
+    """Places in order, without those that only rounding tells from one named before: the body's own come first."""
+    kept: list[float] = []
+    for place in places:
+        if all(abs(place - other) > slack for other in kept):
+            kept.append(place)
+    return sorted(kept)
+
+
+def _field(system: BoxSystem, u: FloatArray) -> Field:
+    """Displacement of the whole body at the edge nodes of its boxes and midway between them."""
+    corner = system.low[:, None, :] + VTK_PLACES[None, :20] / 2 * system.size[:, None, :]
+    corner[..., :2] += np.array(system.lean) * corner[..., 2:]
+    at = np.stack([_functions_at(system.order, place) for place in VTK_PLACES[:20] - 1.0])
+    moved = np.stack([at @ system.element_values(e, u[:, None])[:, :, 0] for e in range(len(system.size))])
+    points, displacements, cells = [], [], []
+    count = len(system.size) * 20
+    for number, (flipped, signs) in enumerate(images(system.mirrors, system.parity)):
+        own = np.arange(count).reshape(-1, 20)
+        for mirror in flipped:
+            own = own[:, VTK_MIRRORED[mirror.axis][:20]]
+        cells.append(own + number * count)
+        points.append(flipped_points(corner.reshape(-1, 3), flipped))
+        displacements.append(moved.reshape(-1, 3) * signs)
+    return Field(
+        points_mm=np.vstack(points),
+        cells=np.vstack(cells),
+        cell_type=QUADRATIC_HEXAHEDRON,
+        displacement_mm=np.vstack(displacements),
+        region=np.tile(system.region, len(cells)),
+        material=tuple(system.materials),
+    )
+
+
+def _functions_at(order: int, place: FloatArray) -> FloatArray:
+    """An element's functions at a place of [−1, 1]³, shape ((order + 1)³,)."""
+    X, Y, Z = (shape_functions(order, place[d : d + 1])[0][0] for d in range(3))
+    return np.einsum("i,j,k->ijk", X, Y, Z).ravel()

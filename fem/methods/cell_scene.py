@@ -1,0 +1,102 @@
+"""Scenes of arrays whose pillars are of another rubber, by copies of one condensed cell."""
+
+from time import perf_counter
+
+import numpy as np
+
+from fem.array.coupled_cells import CoupledArray
+from fem.array.substructured import condensed_cell, mesh_stages
+from fem.methods.plan import Plan
+from fem.methods.richardson import error_after
+from fem.scene.scene import Rectangle, Scene, SceneError, Sensor
+from fem.scene.solution import Solution, largest_error
+from geometry.layout import FloatArray, unit_centres
+
+Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
+
+
+def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
+    """Solve a scene of an array with loads and mean probes anywhere on its top, at two levels of one cell's mesh.
+
+    Rectangles that lie on several cells are split among them. The error is estimated from the two levels and from the
+    highest degree of the port modes, as in `substructured.response_by_cells`.
+
+    Raises
+    ------
+    SceneError
+        If the body is not an array, or a probe is a point: that needs the whole mesh.
+    SolverError
+        If an answer cannot be trusted.
+    """
+    if not isinstance(scene.body, Sensor) or any(probe.kind == "point" for probe in scene.probes):
+        raise SceneError("cells answer mean probes of arrays only: switch the saving 'substructuring' off.")
+    design = scene.body.design
+    local: dict[Rectangle, int] = {}
+    probes = [split_by_cells(probe.rectangle, scene.body, local) for probe in scene.probes]
+    newtons = forces_on_cells(scene, scene.body, local)
+    rectangles = np.array(list(local))
+    forces = newtons.reshape(design.n_units, -1, 1)
+
+    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+    steps: list[str] = []
+    for coarse, fine, degree in mesh_stages(scene.tolerance):
+        found, meshing, start = [], 0.0, perf_counter()
+        for level in (coarse, fine):
+            cell, meshed = condensed_cell(design, level, degree, "Q2", rectangles)
+            meshing += meshed
+            found.append(cell)
+        seconds["mesh"] += meshing
+        seconds["factor"] += perf_counter() - start - meshing
+        start = perf_counter()
+        answers = []
+        for each in (*found, found[-1].of_degree(degree - 1)):
+            moved, residual = CoupledArray(each, design.array.rows, design.array.cols).moved(forces)
+            moved = moved.reshape(design.n_units, -1, 3)
+            means = {p.name: _gathered(moved, shares) for p, shares in zip(scene.probes, probes, strict=True)}
+            answers.append((means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual))
+        seconds["solve"] += perf_counter() - start
+        (one, _, _), (two, energy, residual), (lower, _, _) = answers
+        estimate = error_after([coarse, fine], [largest_error(one, two)]) + largest_error(lower, two)
+        steps.append(f"cells of level {fine:g}, ports of degree {degree}: estimated error {estimate:.1e}")
+        if estimate <= scene.tolerance:
+            break
+    return Solution(
+        probes=two,
+        energy_mj=energy,
+        residual=max(residual, found[-1].residual),
+        unknowns=found[-1].unknowns,
+        error_estimate=estimate,
+        seconds=seconds,
+        steps=tuple(steps),
+    )
+
+
+def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
+    """What loads put on each cell, (n_units, k, 3) [N], of the k rectangles of cells that `local` then numbers."""
+    loads = [split_by_cells(load.rectangle, body, local) for load in scene.loads]
+    newtons = np.zeros((body.design.n_units, len(local), 3))
+    for load, shares in zip(scene.loads, loads, strict=True):
+        whole = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
+        for unit, rectangle, share in shares:
+            newtons[unit, rectangle] += share * whole
+    return newtons
+
+
+def split_by_cells(rectangle: Rectangle, body: Sensor, local: dict[Rectangle, int]) -> list[Share]:
+    """The parts of a rectangle on each cell, as rectangles in the cell's own coordinates, numbered in `local`."""
+    half = body.design.array.pitch_mm / 2
+    x0, y0, x1, y1 = rectangle
+    shares = []
+    for number, (x, y) in enumerate(unit_centres(body.design)):
+        a0, a1 = max(x0 - x, -half), min(x1 - x, half)
+        b0, b1 = max(y0 - y, -half), min(y1 - y, half)
+        area = max(a1 - a0, 0.0) * max(b1 - b0, 0.0)
+        if area > 1e-12 * (x1 - x0) * (y1 - y0):
+            part = (round(a0, 9), round(b0, 9), round(a1, 9), round(b1, 9))
+            shares.append((number, local.setdefault(part, len(local)), area / ((x1 - x0) * (y1 - y0))))
+    return shares
+
+
+def _gathered(moved: FloatArray, shares: list[Share]) -> FloatArray:
+    """Mean displacement of a rectangle from those of its parts, shape (3,)."""
+    return np.sum([share * moved[unit, rectangle] for unit, rectangle, share in shares], axis=0)

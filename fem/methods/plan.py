@@ -1,0 +1,329 @@
+"""Look at a scene before anything is computed: choose the method, name what is skipped, and say why.
+
+Every saving has a name, by which `no_skip` switches it off: so a benchmark can show what it saves and that the answer
+stays.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangle, parities
+from fem.methods.cost import seconds_by_order, seconds_by_splitting
+from fem.scene.scene import Load, Prism, Rectangle, Scene, SceneError, Sensor
+from geometry.design import Material
+from geometry.layout import AXES
+
+Method = Literal["nothing", "grid", "cells", "tetrahedra"]
+
+SAVINGS = {
+    "zero-load": "a scene without load is answered without a mesh",
+    "one-material": "what is of the body's own material gets no region",
+    "hexahedra": "a structured grid of hexahedra where sides allow; off: tetrahedra",
+    "symmetry": "a half or a quarter of the grid where the body mirrors itself, loads in even and odd parts",
+    "substructuring": "arrays with pillars from one condensed cell; off: the whole array meshed",
+    "field": "no displacement of the whole body, no file for pictures, unless asked for",
+    "cache": "tetrahedral meshes are kept on disk and found again; off: meshed anew",
+}
+GRID_ELEMENTS = {
+    "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
+    "Q4": "boxes of order 4, split where the probes need it, factored: whatever contrast, ν, shear and slenderness",
+    "Q2": "27-node hexahedra, the volume change integrated on 2×2×2 points: fourth order, whatever ν",
+    "S2": "20-node hexahedra, integrated on 2×2×2 points",
+}
+TETRAHEDRAL_ELEMENTS = {
+    "TH": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
+    "P2": "10-node tetrahedra, which converge slowly as ν nears 0.5",
+    "P1": "4-node tetrahedra, which lock as ν nears 0.5",
+}
+SOLVERS = ("pardiso", "cholmod", "superlu", "multigrid")
+SOFT = 0.1  #: modulus of pillars over the matrix's, below which cells err more than they estimate: 1.4 % for 0.9 % at
+#: 0.2, 3.4 % for 1.5 % at 0.025
+SOFT_CELLS = 5e-2  #: tolerance that cells of such pillars keep
+MAX_WHOLE = 4  #: units of such arrays that are meshed as a whole instead
+FOR_DEFINITE = ("cholmod", "multigrid")  #: which the mixed form, TH, is not
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """One choice of the plan and its reason."""
+
+    name: str
+    choice: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.choice}, {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What will be computed, what is skipped, and why."""
+
+    method: Method
+    element: str  #: a key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`
+    solver: str | None  #: one of `SOLVERS`; None: the solver module chooses
+    regions: tuple[tuple[Prism, Material], ...]  #: prisms inside the body that need a region of their own
+    mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
+    keeps: frozenset[str]  #: names of the savings switched off
+    decisions: tuple[Decision, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """The decisions for people, one line each."""
+        return [str(decision) for decision in self.decisions]
+
+    def saves(self, name: str) -> bool:
+        """True unless that saving was switched off."""
+        return name not in self.keeps
+
+    def deciding(self, name: str, choice: str, reason: str) -> "Plan":
+        """The plan with one more decision."""
+        return replace(self, decisions=(*self.decisions, Decision(name=name, choice=choice, reason=reason)))
+
+
+def make_plan(
+    scene: Scene,
+    *,
+    no_skip: Iterable[str] = (),
+    element: str | None = None,
+    solver: str | None = None,
+    field: bool = False,
+) -> Plan:
+    """Decide how to solve a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    no_skip : names of `SAVINGS`
+        Savings to switch off.
+    element : str, optional
+        A key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`; a tetrahedral one also switches the grid off.
+    solver : str, optional
+        One of `SOLVERS`.
+    field : bool
+        True if the displacement of the whole body is asked for.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, or an element that this scene cannot be meshed with.
+    """
+    keeps = frozenset(no_skip)
+    for name in sorted(keeps - SAVINGS.keys()):
+        raise SceneError(f"unknown saving '{name}'; known are {', '.join(SAVINGS)}.")
+    if element is not None and element not in GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS:
+        known = ", ".join(GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)
+        raise SceneError(f"unknown element '{element}'; known are {known}.")
+    if solver is not None and solver not in SOLVERS:
+        raise SceneError(f"unknown solver '{solver}'; known are {', '.join(SOLVERS)}.")
+
+    regions, one_material = _regions(scene, keeps)
+    method, mesh = _method(scene, regions, keeps, element, field)
+    mirrors: tuple[Mirror, ...] = ()
+    decisions = [*one_material, mesh]
+    chosen, why = element or "", ""
+    if method == "grid":
+        mirrors, symmetry = _symmetry(scene, regions, keeps, solver)
+        chosen, why = _element(scene, regions, mirrors, element, solver)
+        if chosen == "Q4" and any(len(mirror.parities) > 1 for mirror in mirrors):
+            mirrors = tuple(mirror for mirror in mirrors if len(mirror.parities) == 1)
+            symmetry = _folded(mirrors)
+        decisions.append(symmetry)
+    elif method != "nothing":
+        chosen, why = _element(scene, regions, None, element, solver)
+    if method != "nothing":
+        decisions.append(Decision(name="element", choice=chosen, reason=why))
+    if chosen == "TH" and solver in FOR_DEFINITE:
+        raise SceneError(
+            f"solver '{solver}' takes definite matrices only, which element TH does not give: take pardiso or superlu, "
+            "or element P2."
+        )
+    if chosen == "Q4" and solver == "multigrid":
+        raise SceneError("element 'Q4' is factored: take solver pardiso, cholmod or superlu, or element Q2.")
+    if chosen == "Qp" and solver is not None:
+        raise SceneError(f"element 'Qp' has an iteration of its own: leave solver '{solver}' away, or take element Q2.")
+    if solver is not None:
+        decisions.append(Decision(name="solver", choice=solver, reason="asked for"))
+    decisions.append(_field(scene, keeps, field))
+    return Plan(
+        method=method,
+        element=chosen,
+        solver=solver,
+        regions=tuple(regions),
+        mirrors=mirrors,
+        keeps=keeps,
+        decisions=tuple(decisions),
+    )
+
+
+def _regions(scene: Scene, keeps: frozenset[str]) -> tuple[list[tuple[Prism, Material]], list[Decision]]:
+    every = scene.regions
+    if not every:
+        return [], []
+    what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
+    own = [entry for entry in every if entry[1] != scene.material]
+    same = len(every) - len(own)
+    if "one-material" in keeps:
+        return every, [Decision(name="one-material", choice="off", reason=f"{_count(every, what)} with a region each")]
+    if not same:
+        theirs = " and ".join(sorted({_rubber(material) for _, material in own}))
+        reason = f"{_count(own, what)} of {theirs} in {_rubber(scene.material)}"
+        return own, [Decision(name="one-material", choice="nothing to skip", reason=reason)]
+    reason = f"{same} of {_count(every, what)} are of the body's own material"
+    return own, [Decision(name="one-material", choice="interfaces skipped", reason=reason)]
+
+
+def _method(
+    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], element: str | None, field: bool
+) -> tuple[Method, Decision]:
+    if scene.is_unloaded and not field and "zero-load" not in keeps:
+        return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
+    oblique = sum(not prism.is_upright for prism, _ in regions)
+    units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
+    if element in TETRAHEDRAL_ELEMENTS:
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=f"element {element} was asked for")
+    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
+    soft = units > 1 and _are_soft(scene)
+    if soft and units > MAX_WHOLE and scene.tolerance < SOFT_CELLS and not field:
+        raise SceneError(
+            f"tolerance={scene.tolerance:g}: pillars less than {SOFT:g} times as stiff as their matrix are known to "
+            f"{SOFT_CELLS:g} only in arrays of more than {MAX_WHOLE} units: ask for that, or for fewer units."
+        )
+    if soft and units <= MAX_WHOLE:
+        reason = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra of the whole array", reason=reason)
+    if units > 1 and seen_by_means and "substructuring" not in keeps and element is None:
+        reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
+        return "cells", Decision(name="mesh", choice="one cell", reason=reason)
+    if oblique or units:
+        what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
+        reason = f"{oblique} of {_count(regions, what)} of another material lean"
+        if element is not None:
+            raise SceneError(
+                f"element '{element}' needs a grid, but {reason}: take one of {', '.join(TETRAHEDRAL_ELEMENTS)}."
+            )
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=reason)
+    if "hexahedra" in keeps:
+        if element is not None:
+            raise SceneError(f"element '{element}' needs the saving 'hexahedra', which was switched off.")
+        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason="the grid was switched off")
+    shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
+    boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
+    return "grid", Decision(name="mesh", choice="structured hexahedra", reason=boxes + shape)
+
+
+def _are_soft(scene: Scene) -> bool:
+    """True of an array whose pillars are so much softer than the matrix that condensed cells say too little."""
+    rubbers = [material.young_mpa for _, material in scene.regions]
+    return isinstance(scene.body, Sensor) and min(rubbers) < SOFT * scene.material.young_mpa
+
+
+def _element(
+    scene: Scene,
+    regions: list[tuple[Prism, Material]],
+    mirrors: tuple[Mirror, ...] | None,
+    element: str | None,
+    solver: str | None,
+) -> tuple[str, str]:
+    """The element and why; `mirrors` are those of a grid, None for tetrahedra."""
+    described = GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS
+    if element is not None:
+        return element, f"asked for: {described[element]}"
+    if mirrors is None:
+        return "TH", described["TH"]
+    if solver is not None:
+        return "Q2", f"solver {solver} needs a matrix: {described['Q2']}"
+    seconds = {"Qp": seconds_by_order(scene, regions, mirrors), "Q4": seconds_by_splitting(scene, regions)}
+    best, other = sorted(seconds, key=seconds.__getitem__)
+    return best, f"predicted {seconds[best]:.1g} s (by {other} {seconds[other]:.1g} s): {described[best]}"
+
+
+def _symmetry(
+    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], solver: str | None
+) -> tuple[tuple[Mirror, ...], Decision]:
+    if "symmetry" in keeps:
+        return (), Decision(name="symmetry", choice="unused", reason="it was switched off")
+    if solver == "multigrid":
+        return (), Decision(name="symmetry", choice="unused", reason="multigrid takes nodes whole, free or held")
+    mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
+    if not mirrors:
+        return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
+    return mirrors, _folded(mirrors)
+
+
+def _folded(mirrors: tuple[Mirror, ...]) -> Decision:
+    """What mirrors save."""
+    if not mirrors:
+        return Decision(name="symmetry", choice="unused", reason="the loads are neither even nor odd in any plane")
+    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
+    share = {1: "half", 2: "a quarter"}[len(mirrors)]
+    count = len(parities(mirrors))
+    loads = "the loads as well" if count == 1 else f"the loads are split into {count} even and odd parts"
+    reason = f"the body mirrors in {planes} mm, {loads}"
+    return Decision(name="symmetry", choice=f"{share} of the grid", reason=reason)
+
+
+def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> Mirror | None:
+    """The body's middle plane across an axis, if body and inclusions mirror themselves in it."""
+    outline, slack = scene.outline, scene.rounding_mm
+    if outline.base_mm[axis] != outline.top_mm[axis]:
+        return None
+    plane = Mirror(axis=axis, position_mm=outline.base_mm[axis], parities=(1, -1))
+    own = [
+        (np.array([prism.base_mm, prism.top_mm]), np.array(prism.section_mm), material) for prism, material in regions
+    ]
+    for ends, section, material in own:
+        image = flipped_points(ends, (plane,))
+        if not any(
+            _near(image, other, slack) and _near(section, size, slack) and m == material for other, size, m in own
+        ):
+            return None
+    loads = _summed(scene.loads)
+    whole = [parity for parity in (1, -1) if _loads_mirror(loads, plane, parity, slack)]
+    return replace(plane, parities=(whole[0],)) if whole else plane
+
+
+def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
+    return bool(np.abs(one - other).max() <= slack)
+
+
+def _summed(loads: tuple[Load, ...]) -> dict[Rectangle, np.ndarray]:
+    """Total traction of every loaded rectangle."""
+    sums: dict[Rectangle, np.ndarray] = {}
+    for load in loads:
+        sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
+    return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
+
+
+def _loads_mirror(loads: dict[Rectangle, np.ndarray], plane: Mirror, parity: int, slack: float) -> bool:
+    """True if the mirror image of the loads, times the parity, are the loads."""
+    flip = np.where(np.arange(3) == plane.axis, -1.0, 1.0)
+    for rectangle, traction in loads.items():
+        image = flipped_rectangle(rectangle, (plane,))
+        wanted = parity * flip * traction
+        largest = np.abs(traction).max()
+        if not any(
+            _near(image, np.array(other), slack) and np.abs(wanted - given).max() <= 1e-12 * largest
+            for other, given in loads.items()
+        ):
+            return False
+    return True
+
+
+def _count(entries: Sequence[object], what: str) -> str:
+    return f"{len(entries)} {what}{'' if len(entries) == 1 else 's'}"
+
+
+def _rubber(material: Material) -> str:
+    return f"E = {material.young_mpa:g} MPa, ν = {material.poisson:g}"
+
+
+def _field(scene: Scene, keeps: frozenset[str], asked: bool) -> Decision:
+    if asked:
+        return Decision(name="field", choice="computed", reason="a picture was asked for")
+    if "field" in keeps:
+        return Decision(name="field", choice="computed", reason="it was not to be skipped")
+    return Decision(name="field", choice="skipped", reason=f"{_count(scene.probes, 'probe')} asked for, no picture")

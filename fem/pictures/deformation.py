@@ -1,0 +1,381 @@
+"""Pictures of a deformed sensor: by pyvista in three dimensions, and its electrodes by matplotlib."""
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from math import ceil
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkRenderingCore import vtkTextActor
+
+from fem.array.response import ArrayResponse
+from fem.fields.array_field import ArrayField
+from fem.fields.deformed import Part, Parts, sensor_parts
+from fem.pictures.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
+from fem.pictures.legend import INK, draw_legend, words_at
+from fem.pictures.scenery import Camera, scenery
+from geometry.layout import FloatArray, unit_centres, upper_electrodes
+from geometry.storage.files import replacing
+
+Triple = tuple[float, float, float]
+Medium = Literal["file", "film", "window", "page"]
+
+WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
+HIGH_PX = 880  #: of a picture, where its width leaves a choice
+NAME_PX, LEGEND_PX = 64, 112  #: heights of the strips above and below pictures
+MARGIN = 0.03  #: of a picture's width or height, around what it shows
+VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
+MIN_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
+SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
+LIFT_MM, PAD_LIFT_MM = 0.15, 0.2  #: by which electrodes are drawn before the pillars' ends, and pads' outlines above
+SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
+GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
+VIEWS: dict[Camera, tuple[Triple, Triple]] = {
+    "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+}
+
+
+def draw_deformed(
+    field: ArrayField,
+    traction_mpa: Mapping[str, FloatArray],
+    path: Path,
+    colour: Colour = "displacement",
+    scale: float = 1.0,
+    camera: Camera = "iso",
+    columns: int | None = None,
+) -> None:
+    """Write a PNG of a loaded array, as the paper's figure 7: one picture for each load, on one colour scale.
+
+    Parameters
+    ----------
+    field : ArrayField
+    traction_mpa : mapping of names to arrays (n_units, 3)
+        Traction on each pad, z negative pushing down [MPa]; the name stands above the picture.
+    path : Path
+        PNG file to write.
+    colour, scale, camera, columns
+        As in `DeformedPicture`.
+    """
+    stress = QUANTITIES[colour].of_stress
+    panels = {name: sensor_parts(field, field.state(traction), stress) for name, traction in traction_mpa.items()}
+    picture = DeformedPicture(panels, colour, scale, camera, columns=columns)
+    with replacing(path) as temporary:
+        picture.plotter.screenshot(temporary)
+    picture.plotter.close()
+
+
+def draw_electrode_grid(
+    response: ArrayResponse, traction_mpa: FloatArray | None, path: Path, scale: float = 1.0
+) -> None:
+    """Write a PNG of the grid of upper electrodes U1, as the paper's figures 6 and 8; needs matplotlib.
+
+    Circles are the electrodes at rest; loaded, a net joins where they have moved to, coloured by how far.
+
+    Parameters
+    ----------
+    response : ArrayResponse
+    traction_mpa : array, shape (n_units, 3), optional
+        Traction on each pad, z negative pushing down [MPa]; None: the grid at rest (figure 6).
+    path : Path
+        PNG file to write.
+    scale : float
+        Factor by which displacement is drawn; 1 is true.
+    """
+    from matplotlib.figure import Figure
+
+    design = response.design
+    shape = (design.array.rows, design.array.cols, 3)
+    height = design.unit.height_mm
+    rest = (np.pad(unit_centres(design), ((0, 0), (0, 1))) + upper_electrodes(design.unit)[0]).reshape(shape)
+    moved = np.zeros(shape)
+    if traction_mpa is not None:
+        force = (np.asarray(traction_mpa) * design.pad.size_mm**2).reshape(shape)
+        moved = np.tensordot(response.influence_mm_per_n[:, :, 0], force, axes=3)
+    now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
+    wide = 7.6 if traction_mpa is None else 9.2  # inches, with room for the colour bar
+    figure = Figure(figsize=(wide, 5.4))
+    axes: Any = figure.add_axes((0.0, -0.12, 7.0 / wide, 1.26), projection="3d", computed_zorder=False)
+    for at in rest.reshape(-1, 3):  # a stem down to the base shows how high each one is
+        axes.plot(*np.array([at, at * (1, 1, 0)]).T, color="#b9c2ca", linewidth=0.8, zorder=1)
+    for lines in (now, now.swapaxes(0, 1)):
+        for line in lines:
+            axes.plot(*line.T, color="#33658a", linewidth=1.6, zorder=2)
+    axes.scatter(
+        *rest.reshape(-1, 3).T, s=52, facecolors="white", edgecolors="black", linewidths=1.4, label="at rest",
+        depthshade=False, zorder=3,
+    )  # fmt: skip
+    if traction_mpa is not None:
+        dots = axes.scatter(
+            *now.reshape(-1, 3).T, c=far.ravel(), s=52, cmap="viridis", vmin=0.0, label="loaded", depthshade=False,
+            zorder=4,
+        )  # fmt: skip
+        bar = figure.colorbar(dots, cax=figure.add_axes((0.86, 0.22, 0.025, 0.6)))
+        bar.set_label("displacement of the electrode [mm]", fontsize=13)
+        bar.ax.tick_params(labelsize=12)
+        times = "" if scale == 1 else f", displacement drawn {scale:g} times"
+        figure.legend(loc="upper left", title=f"electrodes U1{times}", frameon=False, fontsize=12, title_fontsize=13)
+    reach = np.abs(np.concatenate([rest, now])[..., :2]).max() * 1.05
+    low = min(0.0, float(now[..., 2].min()))
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))
+    axes.set_zticks([0, height / 2, height])
+    axes.set_xlabel("x [mm]", fontsize=13, labelpad=14)
+    axes.set_ylabel("y [mm]", fontsize=13, labelpad=10)
+    axes.set_zlabel("z [mm]", fontsize=13, labelpad=2)
+    axes.tick_params(labelsize=12)
+    axes.set_box_aspect((1, 1, 0.35), zoom=0.97)
+    axes.view_init(elev=30, azim=-58)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=160)
+
+
+class DeformedPicture:
+    """Loaded bodies side by side, coloured by one scale: pillars in a translucent matrix, and how they were at rest.
+
+    Each has a scale bar and axes beside it; below all are the colour bar, a key to the reds of loaded pads and the
+    factor of displacement.
+
+    Parameters
+    ----------
+    panels : mapping of names to parts
+        One picture each, its name above it. Parts named matrix are translucent, pads are outlined, the rest is solid.
+    colour : {"displacement", "vertical", "mises", "pressure"}
+        What colour shows.
+    scale : float
+        Factor by which displacement is drawn; 1 is true.
+    camera : {"iso", "top", "front", "side"}
+        All but the first are parallel projections.
+    medium : {"file", "film", "window", "page"}
+        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour
+        bars: they add their own, by `names`, `bars`, `note` and `aspect`.
+    over : sequence of parts, optional
+        What the colour bars are to hold where the picture is to show more than its panels, by `load`.
+    columns : int, optional
+        Panels beside each other; default: all.
+    """
+
+    def __init__(
+        self,
+        panels: Mapping[str, Parts],
+        colour: Colour = "displacement",
+        scale: float = 1.0,
+        camera: Camera = "iso",
+        medium: Medium = "file",
+        over: Sequence[Parts] | None = None,
+        columns: int | None = None,
+    ) -> None:
+        draw_off_screen()
+        self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
+        self.names = tuple(panels)
+        self._shows_all_pads, held = over is not None, [*panels.values()] if over is None else over
+        pads = pads_bar(held)
+        self.bars = (bar_of(self._quantity, held), *([] if pads is None else [pads]))
+        self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
+        self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
+        self._is_bare = medium == "page"
+        points = {name: reach(parts, scale) for name, parts in panels.items()}
+        stage = {name: scenery(at, camera) for name, at in points.items()}
+        seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
+        self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
+        self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
+        columns = columns or len(panels)
+        rows = ceil(len(panels) / columns)
+        self.plotter = self._plotter(rows, columns, medium)
+        self._titles: list[tuple[str, vtkTextActor]] = []
+        for number, (name, parts) in enumerate(panels.items()):
+            row, column = divmod(number, columns)
+            self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
+            self._draw(name, parts)
+            self.plotter.add_mesh(stage[name], color=INK, lighting=False)
+            look(self.plotter.camera, seen[name], camera, self.aspect)
+            self.plotter.reset_camera_clipping_range()
+            if not self._is_bare:
+                self.plotter.subplot(2 * row, column)
+                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "centre", size=24)))
+        if not self._is_bare:
+            self.plotter.subplot(2 * rows, 0)
+            wide, _ = self.plotter.window_size
+            draw_legend(self.plotter, self.bars, [self.note], wide, LEGEND_PX)
+        self.press(1.0)
+
+    def press(self, share: float) -> None:
+        """Show everything under a share of its load."""
+        for _, _, mesh, rest in self._moving:
+            mesh.points = rest + share * self._scale * mesh["full"]
+            if "of full" in mesh.array_names:
+                mesh["shown"] = share * mesh["of full"]
+            if "strength of full" in mesh.array_names:
+                mesh["strength"] = share * mesh["strength of full"]
+            if "Normals" in mesh.array_names:
+                turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+                mesh["Normals"] = turned["Normals"]
+        for name, text in self._titles:
+            text.SetInput(name if share == 1 else f"{share:.0%} of {name}")
+
+    def load(self, panels: Mapping[str, Parts]) -> None:
+        """Show the same bodies under other loads, in the colours of the first ones."""
+        for name, part_name, mesh, _ in self._moving:
+            part = panels[name][part_name]
+            mesh["full"] = part.displacement_mm[mesh["point"]]
+            if "of full" in mesh.array_names:
+                mesh["of full"] = self._quantity.of(part)[mesh["point"]]
+            if "strength of full" in mesh.array_names:
+                mesh["strength of full"] = strength_at_points(part)[mesh["point"]]
+        self.press(1.0)
+
+    def _plotter(self, rows: int, columns: int, medium: Medium) -> pv.Plotter:
+        """An empty plotter for rows of pictures, each with its name above, and one legend below all of them."""
+        off_screen = medium != "window"
+        least, most = WIDE_PX[min(columns, 2)]
+        wide = 16 * round(min(max(HIGH_PX * self.aspect, least), most) / 16)
+        high = 16 * round(wide / self.aspect / 16)  # films want multiples of 16
+        weights = [NAME_PX, high] * rows + [LEGEND_PX]
+        if self._is_bare:
+            window = (columns * wide, rows * high)
+            plotter = pv.Plotter(off_screen=off_screen, shape=(rows, columns), window_size=window, border=False)
+        else:
+            plotter = pv.Plotter(
+                off_screen=off_screen, shape=(2 * rows + 1, columns), groups=[(2 * rows, slice(None))],
+                row_weights=weights, window_size=(columns * wide, sum(weights)), border=False,
+            )  # fmt: skip
+            plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
+        plotter.set_background("white", all_renderers=True)
+        return plotter
+
+    def _draw(self, panel: str, parts: Parts) -> None:
+        for name, part in parts.items():
+            whole = grid_of(part)
+            whole["full"], whole["point"] = part.displacement_mm, np.arange(len(part.points_mm))
+
+            def moved(mesh: pv.PolyData, name: str = name) -> pv.PolyData:
+                self._moving.append((panel, name, mesh, mesh.points.copy()))
+                return mesh
+
+            if part.traction_mpa is not None:
+                self._draw_pads(whole, part, moved)
+                continue
+            if name not in COLOURED_NOT:
+                whole["of full"] = self._quantity.of(part)
+            skin = whole.extract_surface(algorithm="dataset_surface")
+            if name == "electrodes":
+                middle = part.points_mm[:, 2].mean()
+                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - middle)
+            if name == "matrix":
+                skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
+                actor = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                # PyVista's own smooth shading would draw a copy, which stays at rest
+                actor.prop.interpolation = "phong"
+            elif name == "electrodes":
+                self.plotter.add_mesh(moved(skin), color="#c98a4b", **SOLID)
+            else:
+                skin["shown"] = skin["of full"]
+                bar = self.bars[0]
+                self.plotter.add_mesh(
+                    moved(skin), scalars="shown", clim=(bar.low, bar.high), cmap=bar.colours, n_colors=len(bar.colours),
+                    show_scalar_bar=False, **SOLID,
+                )  # fmt: skip
+            if name in ("matrix", "body"):
+                edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
+                self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
+                self.plotter.add_mesh(moved(edges), color="#3d5468", line_width=1.5 * self._line)
+
+    def _draw_pads(self, whole: pv.UnstructuredGrid, part: Part, moved: Callable[[pv.PolyData], pv.PolyData]) -> None:
+        """Outline loaded pads in the strength of their traction."""
+        whole["strength of full"] = strength_at_points(part)
+        strength = part.strength_mpa
+        if not self._shows_all_pads:
+            whole = whole.extract_cells(strength >= MIN_STRENGTH * strength.max())
+        outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
+            boundary_edges=True, feature_edges=False, manifold_edges=False
+        )
+        outlines.points[:, 2] += PAD_LIFT_MM
+        outlines["strength"] = outlines["strength of full"]
+        bar = self.bars[-1]
+        self.plotter.add_mesh(
+            moved(outlines), scalars="strength", cmap=bar.colours, n_colors=len(bar.colours), clim=(bar.low, bar.high),
+            line_width=2.5 * self._line, show_scalar_bar=False, lighting=False,
+        )  # fmt: skip
+
+
+def reach(parts: Parts, scale: float) -> FloatArray:
+    """All points that parts fill, at rest and with their displacement `scale` times as large, (n, 3) [mm]."""
+    rest = np.vstack([part.points_mm for part in parts.values()])
+    return np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])
+
+
+def strength_at_points(part: Part) -> FloatArray:
+    """Size of the traction (n,) [MPa] at the points of pads, which share none between them."""
+    strength = np.zeros(len(part.points_mm))
+    strength[part.cells] = part.strength_mpa[:, None]
+    return strength
+
+
+def draw_off_screen() -> None:
+    """Let VTK draw where there is no display; before the first plotter."""
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
+
+
+def aspect_of(points_mm: FloatArray, camera: Camera) -> float:
+    """Width over height of what a camera of a picture sees of points (n, 3)."""
+    trial = pv.Camera()
+    return look(trial, points_mm, camera, 1.0)
+
+
+def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) -> float:
+    """Point a camera as one of a picture's does; width over height of what it sees."""
+    direction, up = VIEWS[name]
+    return place(camera, points_mm, direction, up, aspect, is_parallel=name != "iso")
+
+
+def place(
+    camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float, is_parallel: bool = False
+) -> float:
+    """Put a camera as near as lets all points be seen, with a margin.
+
+    Parameters
+    ----------
+    camera : pyvista.Camera
+    points_mm : array, shape (n, 3)
+    direction, up : three numbers each
+        From what is seen to the camera, and what is upright in the picture.
+    aspect : float
+        Width over height of the picture.
+    is_parallel : bool
+        Without perspective: what is twice as far is as large.
+
+    Returns
+    -------
+    float
+        Width over height of the points as they are seen.
+    """
+    toward = np.array(direction) / np.linalg.norm(direction)
+    right = np.cross(up, toward)
+    right /= np.linalg.norm(right)
+    upright = np.cross(toward, right)
+    half = np.tan(np.radians(VIEW_ANGLE / 2)) * (1 - 2 * MARGIN)
+    focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
+    for _ in range(20):  # a fixed point: it settles in a few rounds
+        seen = points_mm - focus
+        depth = distance - (0.0 if is_parallel else 1.0) * (seen @ toward)
+        across, upward = seen @ right / depth, seen @ upright / depth
+        aside = (across.max() + across.min()) / 2 * right + (upward.max() + upward.min()) / 2 * upright
+        focus = focus + distance * aside
+        distance *= max(np.ptp(across) / aspect, np.ptp(upward)) / (2 * half)
+    camera.view_angle, camera.focal_point, camera.up = VIEW_ANGLE, focus, upright
+    camera.parallel_projection = is_parallel
+    camera.parallel_scale = distance * np.tan(np.radians(VIEW_ANGLE / 2))
+    if is_parallel:  # outside of the body; how far makes no difference
+        distance = 2 * np.linalg.norm(np.ptp(points_mm, axis=0))
+    camera.position = focus + distance * toward
+    return float(np.ptp(across) / np.ptp(upward))
+
+
+def grid_of(part: Part) -> pv.UnstructuredGrid:
+    """A part at rest, without what was found on it."""
+    return pv.UnstructuredGrid({pv.CellType(part.cell_type): part.cells}, part.points_mm)

@@ -1,0 +1,1 @@
+"""A scene as numbers, its file, and its answer."""

@@ -1,0 +1,1 @@
+"""Files: written whole or not at all, read back with their hash checked."""

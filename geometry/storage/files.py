@@ -1,0 +1,219 @@
+"""Writing files whole or not at all, and knowing what made them.
+
+Every file that a stage hands over carries a *recipe*: a short hash of all that its content depends on. A file
+whose recipe equals the wanted one need not be made again.
+"""
+
+import errno
+import hashlib
+import json
+import logging
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from geometry.errors import FileFormatError, NotWrittenError
+from geometry.storage.unfinished import unfinished
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: errors of a disk, a quota or a file that may not grow any more
+
+
+def digest(*parts: Any) -> str:
+    """Hash of dataclasses, arrays, bytes and plain values, as 16 hexadecimal digits.
+
+    >>> digest("mesh", 1, {"edge_mm": 2.0}) == digest("mesh", 1, {"edge_mm": 2.0})
+    True
+    """
+    sha = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, bytes):
+            sha.update(part)
+        elif isinstance(part, np.ndarray):
+            sha.update(f"{part.dtype}{part.shape}".encode())
+            sha.update(np.ascontiguousarray(part).data)  # no copy: data sets are large
+        else:
+            plain = asdict(part) if is_dataclass(part) and not isinstance(part, type) else part
+            sha.update(json.dumps(plain, sort_keys=True).encode())
+        sha.update(b"\0")
+    return sha.hexdigest()[:16]
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary file in a hidden folder beside `path`; move it to `path` on success, remove it on any failure.
+
+    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. A link is
+    followed: what it points to is replaced. The temporary file has the name of the real one.
+
+    Raises
+    ------
+    FileFormatError
+        If `path` is a folder, a device or a pipe.
+    NotWrittenError
+        If the disk is full or the folder cannot be written to.
+    """
+    path = Path(path)
+    target = require_file(path)
+    with _reported(path, target), _filled(target.parent, target.stem) as folder:
+        temporary = folder / target.name
+        temporary.touch()
+        yield temporary
+        temporary.replace(target)
+
+
+@contextmanager
+def replacing_in(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder; move all its files into `folder` on success, none on any failure."""
+    require_folder(folder)
+    with _reported(folder, folder), _filled(folder, "files") as temporary:
+        yield temporary
+        for path in temporary.iterdir():
+            path.replace(folder / path.name)
+
+
+@contextmanager
+def _filled(folder: Path, name: str) -> Iterator[Path]:
+    """A hidden folder in `folder`, which is made if it is missing and removed again on any failure."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with unfinished(folder, name) as temporary:
+            yield temporary
+    except BaseException:  # Ctrl-C as well: no empty folder stays behind
+        for place in missing:
+            with suppress(OSError):
+                place.rmdir()
+        raise
+
+
+def write_bytes(path: Path, *parts: bytes | memoryview) -> None:
+    """Write a file, whole or not at all; for writers that would crash on a full disk and write to memory instead."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        for part in parts:
+            file.write(part)
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for a while, where the system keeps such folders."""
+    with unfinished(Path(tempfile.gettempdir()), "scratch") as folder:
+        yield folder
+
+
+def require_file(path: Path) -> Path:
+    """The file that is to be written, links followed; `FileFormatError` if it is no file, `NotWrittenError` if it
+    cannot be written."""
+    target = Path(os.path.realpath(path))
+    with _reported(path, target):
+        if target.is_dir():
+            raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
+        if target.exists() and not target.is_file():
+            kind = "a pipe" if target.is_fifo() else "a socket" if target.is_socket() else "a device"
+            raise FileFormatError(f"{path} is {kind}: give the name of a file.")
+        _require_folder(path, target.parent)
+    return target
+
+
+def require_folder(path: Path) -> None:
+    """Refuse to begin what could not be written into a folder in the end; errors as of `require_file`."""
+    target = Path(os.path.realpath(path))
+    with _reported(path, target):
+        if target.exists() and not target.is_dir():
+            raise FileFormatError(f"{path} is not a folder: give the name of one, or of one to be made.")
+        _require_folder(path, target)
+
+
+def _require_folder(path: Path, folder: Path) -> None:
+    nearest = next(place for place in (folder, *folder.parents) if place.exists())
+    if not nearest.is_dir():
+        raise FileFormatError(f"{path}: {nearest} is not a folder: give another place.")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise NotWrittenError(f"{path}: {nearest} may not be written to: give another place.")
+
+
+def keep(write: Callable[[Path], None], path: Path) -> None:
+    """Write a file of the cache; where that fails one line says so, and what was computed is not lost for it."""
+    try:
+        write(path)
+    except (OSError, FileFormatError) as error:
+        logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
+
+
+def explained(error: OSError, path: Path | None = None) -> str:
+    """One line about a file that could not be written, and how to mend it."""
+    named = str(path or error.filename or "standard output")
+    if error.errno == errno.EFBIG:
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        return (
+            f"{named}: the disk is full for this process, whose files may have {_size(limit)} at most (ulimit -f): "
+            "nothing was written; raise the limit."
+        )
+    if error.errno in FULL:
+        place = next((folder for folder in (path or Path()).absolute().parents if folder.exists()), Path())
+        free = f" ({_size(shutil.disk_usage(place).free)} left in {place})" if path else ""
+        return f"{named}: the disk is full{free}: nothing was written; make room or give another place."
+    return f"{named}: cannot be written: {error.strerror or error}."
+
+
+@contextmanager
+def _reported(path: Path, target: Path) -> Iterator[None]:
+    """Say of which file the system speaks that refuses to write it."""
+    try:
+        yield
+    except OSError as error:
+        ours = error.errno in FULL or str(error.filename or "").startswith(str(target.parent))
+        if isinstance(error, FileFormatError | NotWrittenError) or not ours:
+            raise
+        raise NotWrittenError(explained(error, path)) from None
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e7 else f"{n_bytes / 1e3:.0f} kB"
+
+
+class _HeldBack:
+    """A handler of signals that only notes that one came."""
+
+    def __init__(self, before: Any) -> None:
+        self.before = before  #: the handler that it stands in for
+        self.came = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block is done, then let it come.
+
+    For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds.
+    Does nothing outside the main thread, which gets no signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held = _HeldBack(signal.getsignal(signal.SIGINT))
+    signal.signal(signal.SIGINT, held)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, held.before)
+    if held.came:
+        signal.raise_signal(signal.SIGINT)  # to the handler of before
+
+
+def cache_folder() -> Path:
+    """Where meshes and responses are kept by recipe: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
+    return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))

@@ -1,0 +1,52 @@
+"""Text files that people write, TOML above all: read whole, or refused in one line that says why."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import TriPillarError
+
+MAX_BYTES = 2_000_000  #: of a text file: a thousand times a design's
+MAX_PARTS = 16  #: of a key such as a.b.c: the parser takes memory and time by the square of them
+_DEEP = re.compile(rf"""(?<![\w."'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_PARTS}}}""")
+
+
+def read_text(path: Path, mend: str, refusal: type[TriPillarError]) -> str:
+    """The text of a file in UTF-8; a `refusal` that ends in `mend`, what to give instead, if there is none."""
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        text = content.decode("utf-8-sig")  # some editors mark UTF-8 by three bytes
+    except (OSError, ValueError) as error:
+        raise refusal(f"{path}: {why_unreadable(error)}: {mend}.") from None
+    if len(content) > MAX_BYTES:
+        raise refusal(f"{path}: larger than {MAX_BYTES / 1e6:g} MB: {mend}.")
+    return text.replace("\r\n", "\n")
+
+
+def tables_of(text: str, source: object, refusal: type[TriPillarError]) -> dict[str, Any]:
+    """The nested tables of a TOML text; a `refusal` that names its source if it is none."""
+    if _DEEP.search(text):
+        raise refusal(f"{source}: a key has more than {MAX_PARTS} parts with dots between them: write tables instead.")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, endless nesting
+        raise refusal(f"{source}: not valid TOML: {error}") from None
+
+
+def why_unreadable(error: Exception) -> str:
+    """In plain words why a text file could not be read.
+
+    >>> why_unreadable(FileNotFoundError(2, "No such file or directory", "x.toml"))
+    'no such file'
+    """
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    if isinstance(error, IsADirectoryError):
+        return "a folder, not a file"
+    if isinstance(error, PermissionError):
+        return "may not be read"
+    if isinstance(error, UnicodeDecodeError):
+        return "not a text file in UTF-8"
+    return str(getattr(error, "strerror", None) or error)

@@ -1,0 +1,213 @@
+"""A board that is simulated down to its instructions: the firmware, unchanged, on simavr, behind a serial port.
+
+`write_table` says what the converter reads, `SimavrBoard` runs the program that ``make -C hardware/firmware
+simulator`` builds. Whatever talks to a board talks to its `port`.
+"""
+
+import json
+import shutil
+import signal
+import struct
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.errors import TriPillarError
+from geometry.storage import files
+from hardware.readout.trust import require_own
+
+FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
+PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
+MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
+
+_TABLE_HEADER = struct.Struct("<4s7I")  # magic, version, row wires, column wires, steps, step_us, full scale, flags
+_LOOPS = 1
+
+
+class SimavrError(TriPillarError, RuntimeError):
+    """The simulated board cannot be built, started or asked; one line."""
+
+
+def find_tools() -> str | None:
+    """What is missing to build and run a simulated board, in one line that says how to get it; None if all is there."""
+    programs = {"make": "make", "cc": "gcc", "avr-gcc": "gcc-avr", "avr-size": "binutils-avr"}
+    headers = {"libsimavr-dev": ("cc", "simavr/sim_avr.h"), "libelf-dev": ("cc", "libelf.h")}
+    headers["avr-libc"] = ("avr-gcc", "avr/io.h")
+    missing = {program: package for program, package in programs.items() if not shutil.which(program)}
+    packages = [*missing.values()]
+    packages += [package for package, needed in headers.items() if needed[0] in missing or not _compiles(*needed)]
+    if not packages:
+        return None
+    what = ", ".join([*missing, *(headers[package][1] for package in packages if package in headers)])
+    return f"no {what} for the simulated board: on Debian or Ubuntu, apt install {' '.join(packages)}."
+
+
+def _compiles(compiler: str, header: str) -> bool:
+    command = [compiler, "-E", "-x", "c", "-"]
+    return subprocess.run(command, input=f"#include <{header}>\n".encode(), capture_output=True).returncode == 0
+
+
+def write_table(
+    path: Path, counts: NDArray[np.integer], step_us: int, full_scale: int = 1023, loop: bool = True
+) -> None:
+    """Write what the converter reads at every crossing, over time; whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file. A running board keeps the file that it was started with: to change its readings, write into that
+        one in place, behind the header of 32 bytes, for example with `numpy.memmap`.
+    counts : array of whole numbers, shape (steps, row wires, column wires)
+        From 0 to `full_scale`, crosstalk and noise included. What stands at empty crossings is never read.
+    step_us : int
+        How long a step lasts, in the board's time since its reset [µs].
+    full_scale : int
+        Of the counts; the board's converter has 1023.
+    loop : bool
+        Start again after the last step, rather than hold it.
+
+    Raises
+    ------
+    SimavrError
+        If a shape, a count or the step is none that a table can hold.
+    """
+    counts = np.asarray(counts)
+    if counts.ndim != 3 or 0 in counts.shape or max(counts.shape[1:]) > 16 or counts.dtype.kind not in "ui":
+        raise SimavrError(
+            f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (steps, row wires, "
+            "column wires) with at least one step and 1 to 16 wires each."
+        )
+    if counts.min() < 0 or counts.max() > full_scale:
+        raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {full_scale}.")
+    if not 1 <= step_us < 2**32:
+        raise SimavrError(f"step_us={step_us} must be from 1 to {2**32 - 1}.")
+    steps, rows, columns = counts.shape
+    header = _TABLE_HEADER.pack(b"TPTB", 1, rows, columns, steps, step_us, full_scale, _LOOPS if loop else 0)
+    with files.replacing(path) as temporary:
+        temporary.write_bytes(header + counts.astype("<u2").tobytes())
+
+
+class SimavrBoard:
+    """A simulated board, running while the ``with`` block does.
+
+    Parameters
+    ----------
+    elf, mcu, table : Path, str, Path
+        The firmware, one of `MCUS`, a file from `write_table`.
+    link : Path, optional
+        A link to the port, for whoever needs a name that stays.
+    fast : bool
+        As fast as possible, rather than in real time. The board then waits for its reader, so nothing is lost.
+    seconds : float, optional
+        Stop after so much of the board's time [s].
+    damage : int, optional
+        Every so manieth byte to the board arrives with a wrong stop bit.
+    program : Path
+        What ``make -C hardware/firmware simulator`` built.
+
+    Examples
+    --------
+    ::
+
+        with SimavrBoard(elf, "atmega328p", table) as board, serial.Serial(board.port, 1_000_000) as port:
+            port.write(b"?")
+            ...
+            print(board.stop()["min_settle_us"])
+    """
+
+    def __init__(
+        self,
+        elf: Path,
+        mcu: str,
+        table: Path,
+        *,
+        link: Path | None = None,
+        fast: bool = False,
+        seconds: float | None = None,
+        damage: int | None = None,
+        program: Path = PROGRAM,
+    ) -> None:
+        self._program = program
+        self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
+        self._command += ["--link", str(link)] if link else []
+        self._command += ["--seconds", str(seconds)] if seconds else []
+        self._command += ["--fast"] if fast else []
+        self._command += ["--damage", str(damage)] if damage else []
+        self._process: subprocess.Popen[str] | None = None
+        self._statistics: dict[str, Any] | None = None
+        self.port = ""  #: the serial port's path, once started
+
+    def __enter__(self) -> Self:
+        require_own(self._program, self._program.parent)
+        self._messages = tempfile.TemporaryFile("w+")  # not a pipe, which would fill up unread
+        try:
+            self._process = subprocess.Popen(
+                self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._messages, text=True
+            )
+            assert self._process.stdout is not None
+            self.port = self._answer(self._process.stdout.readline())["port"]
+        except OSError as error:
+            self._close()
+            raise SimavrError(
+                f"{self._command[0]}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
+            ) from error
+        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._close()
+
+    def press_reset(self) -> None:
+        """Press the board's reset button: the sequence and its clock start again."""
+        self._running().send_signal(signal.SIGUSR1)
+
+    def hang(self) -> None:
+        """Take the interrupt away that starts scans, as a disturbed register would: nothing is sent any more."""
+        self._running().send_signal(signal.SIGUSR2)
+
+    def stop(self) -> dict[str, Any]:
+        """Stop the board, if it did not stop by itself, and give its statistics.
+
+        ``seconds`` and ``cycles`` of the board's time, ``bytes_sent`` and ``bytes_dropped`` for want of a reader,
+        ``bytes_received``, ``bytes_overrun`` of these that it lost, ``conversions``, ``bad_addresses`` (conversions of
+        no populated crossing), ``min_settle_us`` (least time from a new address to the sample) and ``max_lag_ms``
+        behind real time.
+        """
+        if self._statistics is None:
+            process = self._running()
+            process.terminate()
+            self._statistics = self._answer(process.communicate()[0])
+        return self._statistics
+
+    def wait(self) -> dict[str, Any]:
+        """Wait until the board's `seconds` are over, and give its statistics."""
+        if self._statistics is None:
+            self._statistics = self._answer(self._running().communicate()[0])
+        return self._statistics
+
+    def _running(self) -> "subprocess.Popen[str]":
+        if self._process is None:
+            raise SimavrError("the simulated board is not running: use it in a 'with' block.")
+        return self._process
+
+    def _answer(self, line: str) -> dict[str, Any]:
+        if line:
+            return dict(json.loads(line))
+        assert self._process is not None
+        self._process.wait()
+        self._messages.seek(0)
+        said = self._messages.read().strip().splitlines()
+        raise SimavrError(said[-1] if said else f"{self._command[0]} ended with code {self._process.returncode}.")
+
+    def _close(self) -> None:
+        if self._process:
+            with self._process as process:  # closes its output and waits
+                process.terminate()  # does nothing if it has ended
+            self._process = None
+        self._messages.close()

@@ -1,0 +1,356 @@
+"""The frames between board and host: bytes to values and back. Pure: no port, no file, no clock.
+
+`docs/frames.md` is the specification, for firmware and host alike. A board sends data frames (`Frame`) and,
+when asked by ``?`` or ``!``, an INFO frame (`Info`) or an ERRORS frame (`Errors`). All are packed little-endian, closed
+by a CRC, made free of zero bytes by COBS, and ended by one zero byte.
+"""
+
+import binascii
+import struct
+from collections import Counter
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from cobs import cobs
+from numpy.typing import NDArray
+
+from geometry.errors import TriPillarError
+
+PROTOCOL = 1  #: version of docs/frames.md that this code follows
+
+_DELIMITER = b"\0"
+_FRAME_TYPE, _INFO_TYPE, _ERRORS_TYPE = b"DIE"
+_FRAME_HEADER = struct.Struct("<BBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
+_INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their order
+_ERRORS = struct.Struct("<BBBB")  # likewise
+_CRC = struct.Struct("<H")
+_BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
+MAX_OVERRUNS = _BYTE  #: that a board counts: this many or more
+_MAX_COUNT = _SHORT
+MAX_DRIFT = 0.01  #: of a board's clock, a ceramic resonator, with room to spare; quartz has 1e-4
+_MOST_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
+_MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
+
+
+class FrameError(TriPillarError, ValueError):
+    """A value that a frame cannot carry."""
+
+
+class ScanMode(IntEnum):
+    """How a crossing is read while the other wires wait."""
+
+    DIVIDER = 0  #: plain voltage divider, idle wires left open
+    GROUNDED = 1  #: voltage divider, idle wires grounded
+    ZERO_POTENTIAL = 2  #: column wires held at virtual ground by amplifiers, idle row wires grounded
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
+class Frame:
+    """One scan of all populated crossings. Frames are equal if their `encode` is."""
+
+    sequence: int  #: counts frames sent, modulo 2¹⁶
+    device_us: int  #: the board's clock at the start of the scan [µs], modulo 2³²
+    bits: int  #: of the converter
+    counts: NDArray[np.uint16]  #: (n,), in the order of `geometry.wiring.crossings`; read-only
+    saturated: bool = False  #: the board saw a count of 0 or of full scale
+    scan_mode: ScanMode = ScanMode.DIVIDER
+    overruns: int = 0  #: scans skipped because the one before was not done, at most `MAX_OVERRUNS`
+
+    def __post_init__(self) -> None:
+        _require_whole(self, sequence=(0, _SHORT), device_us=(0, _WORD), bits=(8, 16), overruns=(0, _BYTE))
+        counts = np.asarray(self.counts)
+        if counts.ndim != 1 or not 1 <= counts.size <= _MAX_COUNT or counts.dtype.kind not in "ui":
+            raise FrameError(
+                f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (n,) "
+                f"with n from 1 to {_MAX_COUNT}: one count a populated crossing."
+            )
+        if np.bitwise_or.reduce(counts) >> self.bits:  # quicker than min and max, and also true for any count below 0
+            raise FrameError(
+                f"counts run from {counts.min()} to {counts.max()}, but {self.bits} bits hold "
+                f"0 to {2**self.bits - 1}: clip the counts or raise bits."
+            )
+        counts = counts.astype(np.uint16)
+        counts.setflags(write=False)
+        object.__setattr__(self, "counts", counts)
+
+    @property
+    def flags(self) -> int:
+        """The flags byte as sent: bit 0 saturation, bits 1 and 2 the scan mode."""
+        return int(self.saturated) | self.scan_mode << 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info:
+    """What a board says of itself; the default is the paper's array on an ATmega328P."""
+
+    protocol: int = PROTOCOL
+    rows: int = 6  #: units along y
+    cols: int = 6  #: units along x
+    bits: int = 10  #: of the converter
+    scan_mode: ScanMode = ScanMode.DIVIDER
+    firmware: tuple[int, int, int] = (0, 0, 0)  #: version: major, minor, patch
+    rate_hz: int = 150  #: nominal scans a second
+    serial: int = 0  #: the board's own number, 0 if it has none
+    sense_ohm: int = 10_000  #: sense resistor, or the amplifiers' feedback resistor [Ω]
+    vref_mv: int = 5_000  #: the converter's reference [mV]
+
+    def __post_init__(self) -> None:
+        _require_whole(self, protocol=(PROTOCOL, PROTOCOL), rows=(1, _BYTE), cols=(1, _BYTE), bits=(8, 16))
+        _require_whole(self, rate_hz=(1, _SHORT), serial=(0, _WORD), sense_ohm=(1, _WORD), vref_mv=(1, _SHORT))
+        if self.n_crossings > _MAX_COUNT:
+            raise FrameError(
+                f"rows={self.rows}, cols={self.cols} make {self.n_crossings} crossings; "
+                f"a frame holds {_MAX_COUNT}: take a smaller array."
+            )
+        if len(self.firmware) != 3 or not all(0 <= part <= _BYTE for part in self.firmware):
+            raise FrameError(f"firmware={self.firmware} must be major, minor, patch, each from 0 to {_BYTE}.")
+
+    @property
+    def n_crossings(self) -> int:
+        """Counts in each of the board's frames: three pillars a unit."""
+        return 3 * self.rows * self.cols
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """What went wrong on a board since its start; 255 stands for more."""
+
+    reset_cause: int = 0  #: why it started: bit 0 power, 1 reset, 2 brown-out, 3 watchdog; 0: it does not know
+    bad_bytes: int = 0  #: that the host sent and the board received damaged
+    losses: int = 0  #: how often the board received less than the host sent
+
+    def __post_init__(self) -> None:
+        _require_whole(self, reset_cause=(0, 15), bad_bytes=(0, _BYTE), losses=(0, _BYTE))
+
+
+def _require_whole(values: Any, **bounds: tuple[int, int]) -> None:
+    for name, (low, high) in bounds.items():
+        value = getattr(values, name)
+        if not isinstance(value, int | np.integer) or not low <= value <= high:
+            raise FrameError(f"{name}={value!r} must be a whole number from {low} to {high}.")
+
+
+def encode(frame: Frame | Info | Errors) -> bytes:
+    """Bytes of one frame on the wire, delimiter included: 232 for 108 counts, 25 for an INFO frame.
+
+    >>> len(encode(Frame(sequence=0, device_us=0, bits=10, counts=np.full(108, 512)))), len(encode(Info()))
+    (232, 25)
+    """
+    return cobs.encode(pack(frame)) + _DELIMITER
+
+
+def pack(frame: Frame | Info | Errors) -> bytes:
+    """A frame's fields and their CRC: what is on the wire, before COBS."""
+    if isinstance(frame, Info):
+        packed = _INFO.pack(
+            _INFO_TYPE, frame.protocol, frame.rows, frame.cols, frame.bits, frame.scan_mode,
+            bytes(frame.firmware), frame.rate_hz, frame.serial, frame.sense_ohm, frame.vref_mv,
+        )  # fmt: skip
+    elif isinstance(frame, Errors):
+        packed = _ERRORS.pack(_ERRORS_TYPE, frame.reset_cause, frame.bad_bytes, frame.losses)
+    else:
+        header = _FRAME_HEADER.pack(
+            _FRAME_TYPE, frame.flags, frame.sequence, frame.device_us,
+            frame.counts.size, frame.bits, frame.overruns,
+        )  # fmt: skip
+        packed = header + frame.counts.astype("<u2").tobytes()
+    return packed + _CRC.pack(_crc(packed))
+
+
+def packed_dtype(n_counts: int) -> np.dtype[np.void]:
+    """`pack` of data frames as a structured array, for many of them at once.
+
+    >>> frame = Frame(sequence=7, device_us=0, bits=10, counts=np.array([1, 2, 3]))
+    >>> np.frombuffer(pack(frame), packed_dtype(3))["counts"].tolist()
+    [[1, 2, 3]]
+    """
+    scalars = [("type", "u1"), ("flags", "u1"), ("sequence", "<u2"), ("device_us", "<u4"), ("count", "<u2")]
+    return np.dtype([*scalars, ("bits", "u1"), ("overruns", "u1"), ("counts", "<u2", (n_counts,)), ("crc", "<u2")])
+
+
+def _crc(packed: bytes) -> int:
+    """CRC-16/IBM-3740: polynomial 0x1021, start value 0xFFFF, not reflected.
+
+    >>> hex(_crc(b"123456789"))
+    '0x29b1'
+    """
+    return binascii.crc_hqx(packed, 0xFFFF)
+
+
+def _decode(chunk: bytes) -> Frame | Info | Errors | str:
+    """The frame between two delimiters, or the field of `Statistics` that says what is wrong with it."""
+    try:
+        return unpack(cobs.decode(chunk))
+    except cobs.DecodeError:
+        return "bad_cobs"
+
+
+def unpack(body: bytes) -> Frame | Info | Errors | str:
+    """The frame that `pack` gave as `body`, or the field of `Statistics` that says what is wrong with it."""
+    packed, received = body[: -_CRC.size], body[-_CRC.size :]
+    if received != _CRC.pack(_crc(packed)):
+        return "bad_crc"
+    try:
+        if packed[:1] == b"D":
+            return _unpack_frame(packed)
+        if packed[:1] == b"I":
+            return _unpack_info(packed)
+        if packed[:1] == b"E":
+            return _unpack_errors(packed)
+    except (struct.error, ValueError):  # a length or a value that no frame has
+        pass
+    return "bad_form"
+
+
+def _unpack_frame(packed: bytes) -> Frame:
+    _, flags, sequence, device_us, count, bits, overruns = _FRAME_HEADER.unpack_from(packed)
+    if len(packed) != _FRAME_HEADER.size + 2 * count:
+        raise FrameError(f"{len(packed)} bytes do not hold {count} counts.")
+    return Frame(
+        sequence=sequence,
+        device_us=device_us,
+        bits=bits,
+        counts=np.frombuffer(packed, "<u2", offset=_FRAME_HEADER.size),
+        saturated=bool(flags & 1),
+        scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
+        overruns=overruns,
+    )
+
+
+def _unpack_info(packed: bytes) -> Info:
+    (
+        _, protocol, rows, cols, bits, scan_mode, firmware, rate_hz, serial, sense_ohm, vref_mv,
+    ) = _INFO.unpack(packed)  # fmt: skip
+    return Info(
+        protocol=protocol,
+        rows=rows,
+        cols=cols,
+        bits=bits,
+        scan_mode=ScanMode(scan_mode),
+        firmware=tuple(firmware),
+        rate_hz=rate_hz,
+        serial=serial,
+        sense_ohm=sense_ohm,
+        vref_mv=vref_mv,
+    )
+
+
+def _unpack_errors(packed: bytes) -> Errors:
+    _, reset_cause, bad_bytes, losses = _ERRORS.unpack(packed)
+    return Errors(reset_cause=reset_cause, bad_bytes=bad_bytes, losses=losses)
+
+
+def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
+    """How many frames were sent between two received ones; None if the board has restarted in between.
+
+    Parameters
+    ----------
+    previous, frame : Frame
+        In the order in which they came.
+    host_s : float, optional
+        By the host's clock, from the scan of `previous` to the arrival of `frame` [s].
+
+    Notes
+    -----
+    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn, and
+    the sequence does so in every second case. Without `host_s` such a restart cannot be told from lost frames: scans
+    that were skipped take no sequence number and the rate may change, so a pause can leave any number of frames out.
+    The host's clock tells: a frame may be late by anything, but never early by more than drift explains.
+    """
+    missing = (frame.sequence - previous.sequence - 1) % 2**16
+    elapsed_us = (frame.device_us - previous.device_us) % 2**32
+    if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
+        return None
+    if host_s is not None and elapsed_us * 1e-6 * (1 - MAX_DRIFT) > host_s + _MOST_EARLY_S:
+        return None
+    return missing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistics:
+    """What a decoder has met so far."""
+
+    ok: int = 0  #: data frames
+    info: int = 0  #: INFO frames
+    lost: int = 0  #: data frames missing from the sequence, the damaged ones among them
+    repeated: int = 0  #: data frames equal to the one before, byte for byte: left out
+    restarts: int = 0  #: steps back of the sequence or the board's clock (`missing_between`); nothing is lost there
+    foreign: int = 0  #: frames of another board, left out; a decoder alone cannot tell them
+    bad_cobs: int = 0  #: chunks between delimiters that are not COBS
+    bad_crc: int = 0  #: chunks with a wrong CRC
+    bad_form: int = 0  #: over-long chunks, and those whose type, length or values no frame has
+
+
+class FrameDecoder:
+    """Frames out of a stream of bytes that comes in pieces of any size.
+
+    Never raises, whatever the bytes. Damage costs the frames it touches; decoding resumes after the next
+    delimiter. What comes before the first delimiter is usually the tail of a frame: it is no damage.
+    Never keeps more than the longest frame's bytes, 132 kB.
+
+    >>> decoder = FrameDecoder()
+    >>> wire = encode(Info(rows=1, cols=2))
+    >>> decoder.feed(wire[:10]), decoder.pending
+    ([], 10)
+    >>> [info] = decoder.feed(wire[10:])
+    >>> info.rows, info.cols, decoder.statistics.info
+    (1, 2, 1)
+    """
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+        self._counted: Counter[str] = Counter()
+        self._has_met_delimiter = False
+        self._previous: Frame | None = None
+        self._previous_chunk = b""  # which `_previous` came in
+
+    @property
+    def statistics(self) -> Statistics:
+        return Statistics(**self._counted)
+
+    @property
+    def pending(self) -> int:
+        """Bytes received since the last delimiter: a frame that is not complete."""
+        return len(self._pending)
+
+    def feed(self, data: bytes) -> list[Frame | Info | Errors]:
+        """The frames that `data` completes, in the order of their arrival."""
+        *ends, rest = data.split(_DELIMITER)
+        frames: list[Frame | Info | Errors] = []
+        for end in ends:
+            chunk = bytes(self._pending) + end
+            self._pending.clear()
+            if chunk and (frame := self._take(chunk)):
+                frames.append(frame)
+            self._has_met_delimiter = True
+        room = _MAX_CHUNK + 1 - len(self._pending)  # the one byte too many marks a chunk as over-long
+        self._pending += rest[:room]
+        return frames
+
+    def _take(self, chunk: bytes) -> Frame | Info | Errors | None:
+        if chunk == self._previous_chunk:
+            self._counted["repeated"] += 1
+            return None
+        frame = _decode(chunk) if len(chunk) <= _MAX_CHUNK else "bad_form"
+        if isinstance(frame, str):
+            self._counted[frame] += self._has_met_delimiter
+            return None
+        if isinstance(frame, Frame):
+            self._follow(frame)
+            self._previous_chunk = chunk
+            self._counted["ok"] += 1
+        elif isinstance(frame, Info):
+            self._counted["info"] += 1
+        return frame
+
+    def _follow(self, frame: Frame) -> None:
+        """Count what is missing between the previous frame and this one."""
+        if self._previous:
+            missing = missing_between(self._previous, frame)
+            if missing is None:
+                self._counted["restarts"] += 1
+            else:
+                self._counted["lost"] += missing
+        self._previous = frame

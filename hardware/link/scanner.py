@@ -1,0 +1,365 @@
+"""The scanner: a port with a board on it, as a stream of scans that survives what cables and boards do::
+
+with Scanner("/dev/ttyUSB0") as scanner:
+    for scan in scanner:
+        print(scan.time_s, scan.frame.counts)
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+from geometry.errors import TriPillarError
+from hardware.link.frames import Errors, Info
+from hardware.link.reception import Reception, ReceptionStatistics, Scan
+from hardware.link.serial_ports import BAUD, PortError, close, open_port, read_available, write
+
+_READ_TIMEOUT_S = 0.1  # bounds how long closing takes
+_ASK_EVERY_S = 0.25
+_ERRORS_WAIT_S = 0.5  # for an answer that firmware before 1.1 does not give
+_LISTEN_S = 0.5  # before the first question: a boot loader may be at the other end, which is to hear nothing odd
+_RETRY_EVERY_S = 0.1
+_RATES_HZ = (1, 1000)  # that a board may be asked for
+
+
+class ScannerError(TriPillarError, RuntimeError):
+    """A board that does not answer, or not as it should."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScannerStatistics(ReceptionStatistics):
+    """What a scanner has met so far."""
+
+    dropped: int = 0  #: scans that fell out of the queue, because nobody took them in time
+    stalls: int = 0  #: silences longer than the timeout
+    reconnects: int = 0  #: the port was lost and found again
+
+
+class Scanner:
+    """Scans from the board on a port, read by a thread of its own from entering to leaving the with block.
+
+    Parameters
+    ----------
+    port : str or port
+        What `open_port` opens; or an open port, pyserial's or one with its ``read``, ``write`` and
+        ``in_waiting``. That stays open in the end, and cannot be reconnected. Its ``read`` should wait for
+        bytes, but 0.1 s at most. Where it has an attribute ``finished``, its end is the end of the scans.
+    timeout : float
+        How long to wait for the board's answer, and how long a silence is a stall [s].
+    reconnect : bool
+        Whether to wait for a port that has gone. If not, its loss is raised to who asks for scans.
+    queue : int
+        How many scans wait to be taken; then the oldest is dropped.
+    baud : int
+        Bits a second.
+    opener : callable
+        Opens a port as `open_port` does.
+
+    Raises
+    ------
+    PortError
+        On entering: if the port cannot be opened. Later: if it has gone and there is no reconnecting.
+    ScannerError
+        On entering: if no board says within `timeout` what it is.
+
+    Notes
+    -----
+    Scans come in their order, without those that were lost. Those of another device are not delivered; `trouble`
+    says so. Whatever ends the reading thread is raised to who takes scans, never swallowed.
+
+    A board that resets when its port is opened, as an Arduino does, has until `timeout` to start; its boot loader
+    swallows what comes in the first second or two. So the scanner listens first, asks once a byte has come or half a
+    second has passed, and goes on asking four times a second. A port with ``finished`` is asked at once.
+
+    A board that comes back under another name is not found again: give a name that stays, as in /dev/serial/by-id.
+    """
+
+    def __init__(
+        self,
+        port: Any,
+        *,
+        timeout: float = 4.0,
+        reconnect: bool = True,
+        queue: int = 256,
+        baud: int = BAUD,
+        opener: Callable[..., Any] = open_port,
+    ) -> None:
+        if queue < 1:
+            raise ScannerError(f"queue={queue} must be 1 or more: the scans that may wait.")
+        if not timeout > 0:
+            raise ScannerError(f"timeout={timeout:g} must be above 0 s.")
+        self._url = port if isinstance(port, str) else None
+        self._port = port
+        self._opener = opener
+        self._baud = baud
+        self._timeout_s = timeout
+        self._may_reconnect = reconnect and self._url is not None
+        self._changed = threading.Condition()  # guards all below, but for the port, which is the thread's
+        self._reception = Reception()
+        self._queue: deque[Scan] = deque(maxlen=queue)
+        self._latest: Scan | None = None
+        self._commands: deque[bytes] = deque()
+        self._wanted_hz: int | None = None  # the rate that was set, which a reset makes the board forget
+        self._n_dropped = self._n_stalls = self._n_reconnects = 0
+        self._link_trouble: str | None = None
+        self._error: BaseException | None = None  # that ended the thread
+        self._is_error_raised = False
+        self._has_ended = False
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="scanner", daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._thread.ident is not None:
+            raise ScannerError("this scanner was used already: make another.")
+        if self._url is not None:
+            self._port = self._open()
+        self._thread.start()
+        try:
+            self._wait_for(lambda: self._reception.info is not None, self._timeout_s)
+            if self._reception.info is None:
+                raise ScannerError(f"{self._name}: {self._silence()}")
+        except BaseException:  # Ctrl-C as well: without __exit__, thread and port would stay open
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+        if kind is None and not self._is_error_raised:
+            self._raise_error()
+
+    def close(self) -> None:
+        """Stop reading, within 0.2 s, and close the port if the scanner opened it. May be called again."""
+        self._closing.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def __iter__(self) -> Iterator[Scan]:
+        """Scans as they come, until the scanner is closed or its port finished, and the queue is empty."""
+        while scan := self.get():
+            yield scan
+
+    def get(self, timeout: float | None = None) -> Scan | None:
+        """The next scan; None if there is none within `timeout` seconds, or no more at all."""
+        with self._changed:  # waiting frees it
+            return self._queue.popleft() if self._wait_for(lambda: bool(self._queue), timeout) else None
+
+    def latest(self) -> Scan | None:
+        """The newest scan, at once; None if there is none yet. Leaves the queue as it is."""
+        with self._changed:
+            self._raise_error()
+            return self._latest
+
+    @property
+    def info(self) -> Info:
+        """What the board says of itself."""
+        info = self._reception.info
+        if info is None:
+            raise ScannerError("the board was not asked yet: enter the scanner, with Scanner(...) as scanner.")
+        return info
+
+    @property
+    def stats(self) -> ScannerStatistics:
+        """What was met so far."""
+        with self._changed:
+            return ScannerStatistics(
+                **vars(self._reception.statistics),
+                dropped=self._n_dropped,
+                stalls=self._n_stalls,
+                reconnects=self._n_reconnects,
+            )
+
+    @property
+    def dropped(self) -> int:
+        """As in `stats`, which takes longer: scans that fell out of the queue."""
+        return self._n_dropped
+
+    @property
+    def ended(self) -> bool:
+        """No scan will come any more: closed, or a finite port is finished and all its scans are taken."""
+        with self._changed:
+            return self._has_ended and not self._queue
+
+    @property
+    def trouble(self) -> str | None:
+        """Why no scans come, in one line; None as long as they do."""
+        with self._changed:
+            if self._error:
+                return f"{type(self._error).__name__}: {self._error}"
+            return self._link_trouble or self._reception.trouble
+
+    def request(self, command: bytes) -> Info:
+        """Send the board a command and return the INFO that it answers with; for the rate there is `set_rate`.
+
+        Raises
+        ------
+        ScannerError
+            If no answer comes within the timeout.
+        """
+        with self._changed:
+            before = self._reception.n_infos
+            self._commands.append(command)
+        if not self._wait_for(lambda: self._reception.n_infos > before, self._timeout_s):
+            raise ScannerError(f"{self._name}: no answer to {command!r} within {self._timeout_s:g} s: is it connected?")
+        return self.info
+
+    def errors(self) -> Errors | None:
+        """Ask the board what went wrong since its start; None where its firmware does not tell."""
+        with self._changed:
+            self._reception.errors = None
+            self._commands.append(b"!")
+        self._wait_for(lambda: self._reception.errors is not None, _ERRORS_WAIT_S)
+        return self._reception.errors
+
+    def set_rate(self, rate_hz: int) -> Info:
+        """Have the board scan `rate_hz` times a second, also after it was reset or plugged in again.
+
+        Raises
+        ------
+        ScannerError
+            If it does not answer, or keeps to another rate. The rate that was set before, if any, is then the one
+            that is wanted.
+        """
+        low, high = _RATES_HZ
+        if rate_hz != int(rate_hz) or not low <= rate_hz <= high:
+            raise ScannerError(f"rate_hz={rate_hz} must be a whole number from {low} to {high}.")
+        wanted_hz, self._wanted_hz = self._wanted_hz, None  # lest the reading thread asks for the old one meanwhile
+        try:
+            self.request(b"R%d\n" % rate_hz)
+            if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first
+                raise ScannerError(
+                    f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for less."
+                )
+            wanted_hz = rate_hz
+        finally:
+            self._wanted_hz = wanted_hz
+        return self.info
+
+    def _wait_for(self, is_so: Callable[[], bool], timeout_s: float | None) -> bool:
+        """Wait until something is so, or the reading has ended; raises what ended it."""
+        if self._thread.ident is None:
+            raise ScannerError("the scanner reads nothing yet: enter it, with Scanner(...) as scanner.")
+        with self._changed:
+            self._changed.wait_for(lambda: is_so() or self._has_ended, timeout_s)
+            if not is_so():
+                self._raise_error()
+                return False
+            return True
+
+    def _raise_error(self) -> None:
+        if self._error:
+            self._is_error_raised = True
+            raise self._error
+
+    @property
+    def _name(self) -> str:
+        return self._url or "port"
+
+    def _silence(self) -> str:
+        """What came instead of an INFO frame."""
+        statistics, n_bytes = self._reception.statistics, self._reception.n_bytes
+        if not n_bytes:
+            return f"nothing received within {self._timeout_s:g} s: is this the board's port, and the board powered?"
+        if not statistics.ok:
+            return f"{n_bytes} bytes but no valid frame: wrong baud rate? {self._baud} is set."
+        return f"{statistics.ok} frames but no INFO in answer to '?': does the board's firmware follow the protocol?"
+
+    # what follows runs in the reading thread
+
+    def _open(self) -> Any:
+        return self._opener(self._url, baud=self._baud, timeout_s=_READ_TIMEOUT_S)
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.is_set():
+                try:
+                    self._read_until_end()
+                    break
+                except PortError as fault:
+                    if not self._may_reconnect:
+                        raise PortError(f"{self._name}: {fault}") from fault
+                    self._reconnect(fault)
+        except BaseException as error:
+            self._error = error  # raised to who takes scans
+        finally:
+            if self._url is not None:
+                close(self._port)
+            with self._changed:
+                self._has_ended = True
+                self._changed.notify_all()
+
+    def _read_until_end(self) -> None:
+        """Read until closing, or until a finite port has finished."""
+        heard_s = time.perf_counter()
+        is_silent = not hasattr(self._port, "finished")  # such a port has no boot loader that might listen
+        ask_s = heard_s + _LISTEN_S * is_silent
+        while not self._closing.is_set():
+            if time.perf_counter() >= ask_s and (question := self._question()):
+                ask_s = time.perf_counter() + _ASK_EVERY_S
+                write(self._port, question)
+            while self._commands:
+                write(self._port, self._commands.popleft())
+            data = read_available(self._port)
+            now_s = time.perf_counter()
+            if data:
+                if is_silent:
+                    is_silent, ask_s = False, now_s
+                if self._take(data, now_s):
+                    heard_s = now_s
+            elif getattr(self._port, "finished", False):
+                return
+            if now_s - heard_s > self._timeout_s:
+                self._note_stall()
+
+    def _question(self) -> bytes | None:
+        """What the board is to be told without anybody's request: to say who it is, or the rate that it forgot."""
+        if self._reception.asks:
+            return b"?"
+        wanted_hz = self._wanted_hz
+        return None if wanted_hz in (None, self.info.rate_hz) else b"R%d\n" % wanted_hz
+
+    def _take(self, data: bytes, received_s: float) -> bool:
+        """Queue the scans in some bytes; whether they complete a valid data frame."""
+        with self._changed:
+            reception = self._reception
+            n_frames, n_infos = reception.n_frames, reception.n_infos
+            scans = reception.take(data, received_s)
+            self._n_dropped += max(0, len(self._queue) + len(scans) - (self._queue.maxlen or 0))
+            self._queue.extend(scans)
+            if scans:
+                self._latest = scans[-1]
+            is_heard = reception.n_frames > n_frames
+            if is_heard:
+                self._link_trouble = None
+            if is_heard or reception.n_infos > n_infos:
+                self._changed.notify_all()
+            return is_heard
+
+    def _note_stall(self) -> None:
+        with self._changed:
+            if self._link_trouble is None:
+                self._link_trouble = f"no frames for {self._timeout_s:.1f} s"
+                self._n_stalls += 1
+                self._reception.doubt()
+
+    def _reconnect(self, fault: PortError) -> None:
+        """Wait until the port is there again; returns early when closing."""
+        with self._changed:
+            self._link_trouble = f"disconnected, trying again: {fault}"
+        close(self._port)
+        while not self._closing.wait(_RETRY_EVERY_S):
+            try:
+                self._port = self._open()
+            except OSError:  # PortError among them
+                continue
+            with self._changed:
+                self._link_trouble = None
+                self._n_reconnects += 1
+                self._reception.connected()
+            return

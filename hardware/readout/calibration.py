@@ -1,0 +1,200 @@
+"""What is known of one sensor on its board: switches and wires, gain and offset of each pillar, its state at rest.
+
+One JSON file, written by `tripillar calibrate` and `tripillar tare`, holds all of it. From resistances as the crossbar
+gives them, R, a model made for the sensor as designed gets (R − offset)/gain · R₀/R_rest: gain and offset are those of
+the pillar, R_rest is what was last seen with nothing on the sensor and R₀ what the design says of that.
+"""
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dataset.imperfections import OPEN_OHM
+from decoupler.model.calibration import MIN_OHM, Calibration
+from geometry.design import quantity, require_numbers
+from geometry.errors import FileFormatError
+from geometry.layout import PILLARS, FloatArray
+from geometry.storage.files import replacing
+from geometry.storage.seal import opened_json, sealed_json
+from geometry.storage.text_file import read_text
+from hardware.link.frames import Info
+from hardware.readout.crossbar import Crossbar
+
+KIND, VERSION = "tripillar calibration", 1
+BROKEN_TIMES = 20.0  #: as much as designed, and a pillar is broken: it has no state at rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Electronics:
+    """What a board's INFO frame does not say of its crossbar; see `Crossbar`."""
+
+    switch_ohm: float = quantity(25.0, "resistance of a closed switch")
+    line_ohm: float = quantity(0.0, "resistance of a wire to the pillars")
+    amplifier_gain: float = quantity(1e5, "open-loop gain of the amplifiers")
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        self.crossbar(Info())  # refuses what no crossbar has
+
+    def crossbar(self, info: Info) -> Crossbar:
+        """Of a board with these electronics."""
+        return Crossbar(
+            rows=info.rows,
+            cols=info.cols,
+            scan_mode=info.scan_mode,
+            sense_ohm=float(info.sense_ohm),
+            bits=info.bits,
+            **asdict(self),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorCalibration:
+    """Of a sensor of rows × cols units; each array has the shape (rows, cols, 3), pillars z, x, y."""
+
+    gain: FloatArray  #: R = gain · R as designed + offset
+    offset_ohm: FloatArray  #: [Ω]
+    rest_ohm: FloatArray | None = None  #: (R − offset)/gain with nothing on the sensor; None: as designed [Ω]
+    electronics: Electronics = field(default_factory=Electronics)
+    serial: int | None = None  #: of the board it was made with; None or 0: unknown
+    made_from: dict[str, Any] = field(default_factory=dict)  #: pairs, noise, when
+
+    @classmethod
+    def as_designed(cls, rows: int, cols: int, electronics: Electronics | None = None) -> "SensorCalibration":
+        """Of a sensor of which nothing is known."""
+        shape = (rows, cols, len(PILLARS))
+        return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics or Electronics())
+
+    @classmethod
+    def fitted(
+        cls, measured_ohm: FloatArray, modelled_ohm: FloatArray, noise: float, electronics: Electronics | None = None
+    ) -> "SensorCalibration":
+        """The most probable gain and offset of each pillar, by least squares with the priors of `Calibration.fitted`.
+
+        A pillar of which nothing is measured, NaN, keeps gain 1 and offset 0.
+
+        Parameters
+        ----------
+        measured_ohm, modelled_ohm : array, shape (n_loads, rows, cols, 3)
+            What the crossbar gives, and what the design does, under the same known loads [Ω].
+        noise : float
+            Relative standard deviation of a measured resistance, converter's steps included.
+        """
+        n, *shape = measured_ohm.shape
+        known_ohm = np.where(np.isnan(measured_ohm), modelled_ohm, measured_ohm)
+        found = Calibration.fitted(known_ohm.reshape(n, -1), modelled_ohm.reshape(n, -1), noise)
+        return cls(
+            gain=found.gain.reshape(shape),
+            offset_ohm=found.offset_ohm.reshape(shape),
+            electronics=electronics or Electronics(),
+            made_from={"loads": n, "noise": noise},
+        )
+
+    @property
+    def is_tare_only(self) -> bool:
+        """Every gain is 1 and every offset 0."""
+        return bool((self.gain == 1.0).all() and (self.offset_ohm == 0.0).all())
+
+    def tared(self, measured_ohm: FloatArray) -> "SensorCalibration":
+        """The same with another state at rest: resistances (rows, cols, 3) [Ω] of the crossbar, NaN where open."""
+        return replace(self, rest_ohm=self._calibrated(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
+
+    def modelled(self, measured_ohm: FloatArray, rest_as_designed_ohm: FloatArray) -> FloatArray:
+        """What the sensor as designed would show.
+
+        Parameters
+        ----------
+        measured_ohm : array, shape (n, rows, cols, 3)
+            As the crossbar gives them [Ω].
+        rest_as_designed_ohm : array, shape (rows, cols, 3) or (3,)
+            R₀ [Ω]. The change since the last tare is taken for a change of the rubber's resistivity: a factor.
+
+        Returns
+        -------
+        array, shape (n, rows, cols, 3)
+            [Ω], finite and above 0.
+        """
+        ohms = self._calibrated(measured_ohm)
+        if self.rest_ohm is not None:
+            is_whole = self.rest_ohm < BROKEN_TIMES * rest_as_designed_ohm
+            ohms *= np.where(is_whole, rest_as_designed_ohm / self.rest_ohm, 1.0)
+        return ohms
+
+    def _calibrated(self, measured_ohm: FloatArray) -> FloatArray:
+        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_OHM)
+
+    def require_for(self, info: Info, source: str = "the calibration") -> None:
+        """Refuse a board that this was not made with."""
+        rows, cols, _ = self.gain.shape
+        if (rows, cols) != (info.rows, info.cols):
+            raise FileFormatError(
+                f"{source} is of {rows} × {cols} units, the board of {info.rows} × {info.cols}: calibrate this sensor."
+            )
+        if self.serial and info.serial and self.serial != info.serial:
+            raise FileFormatError(
+                f"{source} was made with board {self.serial}, this is board {info.serial}: calibrate this sensor."
+            )
+
+    def to_json(self) -> str:
+        """As the file holds it, and as recordings carry it along."""
+        plain = {
+            "kind": KIND,
+            "version": VERSION,
+            "serial": self.serial,
+            "electronics": asdict(self.electronics),
+            "gain": self.gain.tolist(),
+            "offset_ohm": self.offset_ohm.tolist(),
+            "rest_ohm": None if self.rest_ohm is None else self.rest_ohm.tolist(),
+            "made_from": self.made_from,
+        }
+        return sealed_json(plain)
+
+    @classmethod
+    def from_json(cls, text: str, source: str = "the calibration") -> "SensorCalibration":
+        """Read back what `to_json` wrote.
+
+        Raises
+        ------
+        FileFormatError
+            If it is no calibration, states another hash than its content's, or a number in it makes no sense.
+        """
+        try:
+            plain = opened_json(text)
+            if plain.get("kind") != KIND or plain.get("version") != VERSION:
+                raise ValueError(f"kind {plain.get('kind')!r}, version {plain.get('version')!r}")
+            gain, offset = (np.array(plain[name], dtype=np.float64) for name in ("gain", "offset_ohm"))
+            rest = None if plain["rest_ohm"] is None else np.array(plain["rest_ohm"], dtype=np.float64)
+            if gain.ndim != 3 or gain.shape[2] != len(PILLARS) or offset.shape != gain.shape:
+                raise ValueError(f"gain of shape {gain.shape} and offset_ohm of {offset.shape}")
+            if not (np.isfinite(gain) & (gain > 0)).all() or not np.isfinite(offset).all():
+                raise ValueError("a gain that is not above 0 or an offset that is not finite")
+            if rest is not None and (rest.shape != gain.shape or not (rest > 0).all()):
+                raise ValueError("a resistance at rest that is missing or not above 0")
+            if not isinstance(plain["serial"], int | None):
+                raise ValueError(f"serial {plain['serial']!r}")
+            return cls(
+                gain=gain,
+                offset_ohm=offset,
+                rest_ohm=rest,
+                electronics=Electronics(**plain["electronics"]),
+                serial=plain["serial"],
+                made_from=plain["made_from"],
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FileFormatError(
+                f"{source} is no calibration ({error}): give a file made by 'tripillar calibrate' or 'tripillar tare'."
+            ) from None
+
+
+def read_calibration(path: Path) -> SensorCalibration:
+    """Read a calibration file; `SensorCalibration.from_json` says what is refused."""
+    text = read_text(path, "give a file made by 'tripillar calibrate'", FileFormatError)
+    return SensorCalibration.from_json(text, source=str(path))
+
+
+def write_calibration(calibration: SensorCalibration, path: Path) -> None:
+    """Write a calibration file, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(calibration.to_json() + "\n", encoding="utf-8")

@@ -1,0 +1,296 @@
+"""What the crossbar does to its readings: every wire that waits is a way around the pillar that is read.
+
+`Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `correction.py`
+inverts it. Wires and the order of crossings are those of `geometry.wiring`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.errors import DesignError
+from geometry.layout import FloatArray
+from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
+from hardware.link.frames import ScanMode
+
+MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
+MAX_LOST = 0.999  #: of a wire's voltage, in a first guess from readings that no array gives
+NEUMANN = 4.0  #: what the first guess errs by at most, over ε_row ε_column; 0.8 to 2.4 were found
+SUITED_SENSE_OHM = {
+    ScanMode.DIVIDER: 2_200.0,
+    ScanMode.GROUNDED: 1_000.0,
+    ScanMode.ZERO_POTENTIAL: 4_700.0,
+}  #: best for 10 kΩ
+
+
+def scan_mode_named(name: str) -> ScanMode:
+    """The scan mode that commands call divider, grounded or zero-potential."""
+    return ScanMode[name.upper().replace("-", "_")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crossbar:
+    """An array of pillars between row and column wires, and the electronics that read it.
+
+    A reading x is a share of the converter's full scale. With the selected row at the reference, and r = switch + line
+    in series with every wire that a switch connects:
+
+    - DIVIDER: idle wires float. x = R_s / (R_s + R_eff + 2 r), R_eff the resistance between the two wires through
+      all pillars.
+    - GROUNDED: idle wires are grounded. x = −R_s N_cr / (1 + R_s N_cc).
+    - ZERO_POTENTIAL: idle rows are grounded, every column ends in an inverting amplifier of open-loop gain A, which
+      shows the current R_s / (1 + A) of input resistance. x = −A R_s / (1 + A) · N_cr.
+
+    N is the admittance matrix between the ends of the wires: N = L (1 + R L)⁻¹, L the conductance matrix (Laplacian) of
+    the pillars alone and R the diagonal of series resistances.
+    """
+
+    rows: int = 6  #: units along y; 2·rows row wires
+    cols: int = 6  #: units along x; 2·cols column wires
+    scan_mode: ScanMode = ScanMode.ZERO_POTENTIAL
+    sense_ohm: float = 4_700.0  #: sense resistor, or the amplifiers' feedback resistor [Ω]
+    switch_ohm: float = 25.0  #: of a closed switch [Ω]
+    line_ohm: float = 0.0  #: of a wire between switch or amplifier and its pillars [Ω]
+    amplifier_gain: float = 1e5  #: of the amplifiers, open-loop
+    bits: int | None = 10  #: of the converter; None reads exactly
+    noise: float = 0.0  #: standard deviation of a reading, as a share of full scale
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.rows <= 255 and 1 <= self.cols <= 255):
+            raise DesignError(f"rows={self.rows}, cols={self.cols} must each be from 1 to 255.")
+        for name, low, high in (
+            ("sense_ohm", 1.0, 1e9),
+            ("switch_ohm", 0.0, 1e6),
+            ("line_ohm", 0.0, 1e6),
+            ("amplifier_gain", 1.0, 1e12),
+            ("noise", 0.0, 0.1),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise DesignError(f"{name}={getattr(self, name):g} must be from {low:g} to {high:g}.")
+        if self.bits is not None and not (isinstance(self.bits, int) and 8 <= self.bits <= 16):
+            raise DesignError(f"bits={self.bits!r} must be from 8 to 16; leave it out for exact readings.")
+
+    @classmethod
+    def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
+        """With the sense resistor that suits pillars of 10 kΩ, unless another is given."""
+        return cls(
+            scan_mode=scan_mode, sense_ohm=SUITED_SENSE_OHM[scan_mode] if sense_ohm is None else sense_ohm, **settings
+        )
+
+    @property
+    def full_scale(self) -> int | None:
+        """Largest count of the converter."""
+        return None if self.bits is None else 2**self.bits - 1
+
+    @cached_property
+    def ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Node of the row and of the column wire of each sent crossing; nodes are row wires, then column wires."""
+        row_wire, column_wire = crossings(self.rows, self.cols).T
+        return row_wire, 2 * self.rows + column_wire
+
+    @cached_property
+    def _loss_by_wire(self) -> FloatArray:
+        """From y to the share of its voltage that each wire loses, (n_crossings, n_wires) [Ω].
+
+        That is its series resistance, and where idle rows are grounded the sense resistor that a column's sum passes.
+        """
+        wires = np.arange(2 * (self.rows + self.cols))
+        row, column = self.ends
+        is_on = (row[:, None] == wires) | (column[:, None] == wires)
+        sense_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
+        return is_on * (self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols]))
+
+    @cached_property
+    def series_ohm(self) -> FloatArray:
+        """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
+        switched = self.switch_ohm + self.line_ohm
+        is_amplified = self.scan_mode == ScanMode.ZERO_POTENTIAL
+        column = self.line_ohm + self.sense_ohm / (1.0 + self.amplifier_gain) if is_amplified else switched
+        return np.repeat([switched, column], [2 * self.rows, 2 * self.cols])
+
+    def readings(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Share of full scale at every crossing, without noise or converter.
+
+        Parameters
+        ----------
+        resistance_ohm : array, shape (n, rows, cols, 3)
+            Pillars z, x, y [Ω]; a broken one is anything large, such as `dataset.imperfections.OPEN_OHM`.
+
+        Returns
+        -------
+        array, shape (n, rows·cols·3)
+            In the order of `geometry.wiring.crossings`; above 1 where the converter will be saturated.
+
+        Examples
+        --------
+        >>> ideal = Crossbar(rows=1, cols=1, sense_ohm=5e3, switch_ohm=0.0, amplifier_gain=1e12)
+        >>> ideal.readings(np.full((1, 1, 1, 3), 10e3)).round(6).tolist()
+        [[0.5, 0.5, 0.5]]
+        """
+        self._require_shape(resistance_ohm)
+        conductance = 1.0 / np.clip(crossings_from_pillars(resistance_ohm), MIN_OHM, MAX_OHM)
+        y = self.apparent_of(conductance)
+        if self.scan_mode == ScanMode.DIVIDER:
+            return self.sense_ohm / (self.sense_ohm + 2.0 * (self.switch_ohm + self.line_ohm) + 1.0 / y)
+        return self._gain_ohm * y
+
+    def counts(self, resistance_ohm: FloatArray, generator: np.random.Generator | None = None) -> NDArray[np.int64]:
+        """What the converter gives for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
+
+        Noise is drawn from `generator`; without one there is none.
+        """
+        if self.full_scale is None:
+            raise DesignError("bits=None reads exactly and has no counts: give the converter's bits.")
+        x = self.readings(resistance_ohm)
+        if generator is not None and self.noise:
+            x = x + self.noise * generator.standard_normal(x.shape)
+        return np.clip(np.rint(self.full_scale * x), 0, self.full_scale).astype(np.int64)
+
+    def fractions(self, counts: NDArray[np.integer]) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Shares of full scale that counts stand for, and where they are only bounds: at 0 or full scale.
+
+        Such a count is taken as the nearest one inside, 1 or full scale − 1; any shape.
+        """
+        if self.full_scale is None:
+            raise DesignError("bits=None reads exactly and has no counts: give the converter's bits.")
+        inside = np.minimum(np.maximum(counts, 1), self.full_scale - 1)
+        return inside / self.full_scale, inside != counts
+
+    def uncorrected(self, readings: FloatArray) -> FloatArray:
+        """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
+        if self.scan_mode == ScanMode.ZERO_POTENTIAL:
+            return self.as_pillars(self.sense_ohm / readings)
+        return self.as_pillars(np.maximum(self.sense_ohm / readings - self.sense_ohm, MIN_OHM))
+
+    def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
+        """What the converter's steps leave of corrected resistances: relative standard deviation, (rows, cols, 3).
+
+        Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, deviation 1/√12 of its width; the
+        inverse of the Jacobian mixes and amplifies them.
+        """
+        if self.full_scale is None:
+            return np.zeros(resistance_ohm.shape[1:])
+        x = self.readings(resistance_ohm)[0]
+        by_reading = 1.0 / x  # d log y / dx
+        if self.scan_mode == ScanMode.DIVIDER:
+            by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
+        g = 1.0 / np.clip(crossings_from_pillars(resistance_ohm), MIN_OHM, MAX_OHM)
+        y, derivatives = self.apparent_and_derivatives(g)
+        inverse = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
+
+    def as_pillars(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
+        return pillars_from_crossings(values, self.rows, self.cols)
+
+    # What a crossing seems to conduct, y [S], is what readings and conductances of pillars g [S] meet in; each
+    # of shape (n, n_crossings). Where nothing but the pillar itself conducts, y = g.
+
+    def apparent_conductances(self, readings: FloatArray) -> FloatArray:
+        """y from readings."""
+        if self.scan_mode == ScanMode.DIVIDER:
+            around_ohm = self.sense_ohm / readings - self.sense_ohm - 2.0 * (self.switch_ohm + self.line_ohm)
+            return 1.0 / np.clip(around_ohm, MIN_OHM, MAX_OHM)
+        return np.maximum(readings / self._gain_ohm, 1.0 / MAX_OHM)
+
+    @property
+    def guesses_well(self) -> bool:
+        """Whether `first_guess` errs by less than pillars change from one scan to the next."""
+        return self.scan_mode == ScanMode.ZERO_POTENTIAL
+
+    def first_guess(self, apparent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """g from y in closed form, and a bound of its error as a share of each scan's largest g; infinite if unknown.
+
+        Notes
+        -----
+        With a wire's series resistance r and the sum G of its pillars, a = 1/(1 + r G), Neumann's series of N gives
+        y = a_row g a_column (1 + O(ε_row ε_column)), ε the largest r G. The guess takes a from sums of y in the place
+        of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
+        is that of equal pillars.
+        """
+        if self.scan_mode == ScanMode.DIVIDER:
+            alike = np.full((1, apparent.shape[1]), 1e-4)
+            return apparent * (alike / self.apparent_of(alike)), np.full(len(apparent), math.inf)
+        row, column = self.ends
+        lost = apparent @ self._loss_by_wire  # share of each wire's voltage across its resistance
+        np.minimum(lost, MAX_LOST, out=lost)
+        left = 1.0 - lost  # a, of every wire
+        guess = apparent / (left.take(row, axis=1) * left.take(column, axis=1))
+        if self.scan_mode == ScanMode.GROUNDED:
+            return guess, np.full(len(apparent), 0.0 if self.series_ohm[0] == 0.0 else math.inf)
+        n_rows = 2 * self.rows
+        by_row, by_column = lost[:, :n_rows].max(axis=1), lost[:, n_rows:].max(axis=1)
+        return guess, NEUMANN * (by_row / (1.0 - by_row)) * (by_column / (1.0 - by_column))
+
+    def apparent_of(self, conductance: FloatArray) -> FloatArray:
+        """y of pillars' conductances: the nodal analysis."""
+        row, column = self.ends
+        L = self._laplacian(conductance)
+        if self.scan_mode == ScanMode.DIVIDER:
+            P = self._floating(L)
+            return 1.0 / (P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column])
+        N = L @ self._damping(L)
+        if self.scan_mode == ScanMode.GROUNDED:
+            return -N[:, column, row] / (1.0 + self.sense_ohm * N[:, column, column])
+        return -N[:, column, row]
+
+    def apparent_and_derivatives(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """y and dy/dg, (n, n_crossings, n_crossings), of pillars' conductances.
+
+        Notes
+        -----
+        A pillar changes L by d dᵀ dg, d = +1 at its row, −1 at its column. So dN = Kᵀ d dᵀ K dg with K = (1 + R L)⁻¹,
+        and dP = −P d dᵀ P dg.
+        """
+        row, column = self.ends
+        L = self._laplacian(conductance)
+        if self.scan_mode == ScanMode.DIVIDER:
+            P = self._floating(L)
+            effective = P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column]
+            U = P[:, :, row] - P[:, :, column]  # P d of every pillar, (n, n_wires, n_crossings)
+            return 1.0 / effective, (U[:, row] - U[:, column]) ** 2 / effective[:, :, None] ** 2
+        K = self._damping(L)
+        N, U = L @ K, K[:, row].swapaxes(1, 2) - K[:, column].swapaxes(1, 2)  # U = Kᵀ d of every pillar
+        y, derivatives = -N[:, column, row], -U[:, column] * U[:, row]
+        if self.scan_mode == ScanMode.GROUNDED:
+            loaded = 1.0 + self.sense_ohm * N[:, column, column]
+            y = y / loaded
+            derivatives = (derivatives - self.sense_ohm * y[:, :, None] * U[:, column] ** 2) / loaded[:, :, None]
+        return y, derivatives
+
+    @property
+    def _gain_ohm(self) -> float:
+        """Reading per apparent conductance [Ω]."""
+        if self.scan_mode == ScanMode.ZERO_POTENTIAL:
+            return self.sense_ohm * self.amplifier_gain / (1.0 + self.amplifier_gain)
+        return self.sense_ohm
+
+    def _laplacian(self, conductance: FloatArray) -> FloatArray:
+        """L of pillars' conductances, (n, n_wires, n_wires)."""
+        row, column = self.ends
+        n_wires = 2 * (self.rows + self.cols)
+        L = np.zeros((len(conductance), n_wires, n_wires))
+        L[:, row, column] = L[:, column, row] = -conductance
+        wires = np.arange(n_wires)
+        L[:, wires, wires] = -L.sum(axis=2)
+        return L
+
+    def _damping(self, L: FloatArray) -> FloatArray:
+        """K = (1 + R L)⁻¹."""
+        return np.asarray(np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L), dtype=np.float64)
+
+    def _floating(self, L: FloatArray) -> FloatArray:
+        """L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows."""
+        tie: FloatArray = np.einsum("nii->n", L) / L.shape[1] ** 2
+        return np.asarray(np.linalg.inv(L + tie[:, None, None]), dtype=np.float64)
+
+    def _require_shape(self, resistance_ohm: FloatArray) -> None:
+        if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):
+            raise DesignError(
+                f"resistances of shape {resistance_ohm.shape}, expected (n, {self.rows}, {self.cols}, 3): "
+                "give the crossbar the array's rows and cols."
+            )

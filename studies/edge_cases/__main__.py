@@ -1,0 +1,88 @@
+"""``python -m studies.edge_cases``: scenes and trainings at the edge of what can be done, and what comes of each.
+
+Every trial either gets an answer that something independent of it confirms (a closed form, a scaled twin, another
+element, a tighter solve, a linear map), or is refused with a reason. An answer further off than its tolerance or its
+own estimate allows is WRONG, and makes the exit status 1.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from studies.edge_cases.scenes import scene_trials
+from studies.edge_cases.training import training_trials
+from studies.edge_cases.trials import Finding, Trial, tried
+from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.tables import show
+from tripillar.terminal.writing import write_json
+
+
+def all_trials() -> list[Trial]:
+    """Every line of the table."""
+    return scene_trials() + training_trials()
+
+
+def stress_table(findings: Iterable[Finding]) -> Table:
+    """Every trial with its verdict."""
+    table = Table(title="At the edge: error, and what it may be")
+    table.add_column("trial")
+    table.add_column("value")
+    for header in ("residual", "error", "allowed"):
+        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("against")
+    table.add_column("seconds", justify="right")
+    table.add_column("verdict")
+    last = None
+    for one in findings:
+        numbers = ("" if x is None else f"{x:.1e}" for x in (one.residual, one.error, one.allowed))
+        name = one.name if one.name != last else ""
+        last = one.name
+        wrong = one.verdict.startswith("WRONG")
+        table.add_row(
+            name,
+            one.value,
+            *numbers,
+            one.against,
+            f"{one.seconds:.1f}",
+            escape(one.verdict),
+            style="red" if wrong else "",
+        )
+    return table
+
+
+def stress(
+    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/stress"),
+    only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
+) -> None:
+    """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
+    trials = all_trials()
+    names = list(dict.fromkeys(trial.name for trial in trials))
+    for name in only or []:
+        if name not in names:
+            raise typer.BadParameter(f"no trial '{name}'; there are {', '.join(names)}")
+    findings = []
+    with tempfile.TemporaryDirectory(prefix="stress-") as cache:
+        os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
+        for trial in trials:
+            if only and trial.name not in only:
+                continue
+            findings.append(tried(trial))
+            print(f"{trial.name}, {trial.value}: {findings[-1].verdict}, {findings[-1].seconds:.1f} s", file=sys.stderr)
+    show(stress_table(findings))
+    write_json([asdict(one) for one in findings], out / "stress.json")
+    wrote([out / "stress.json"])
+    if any(one.verdict.startswith("WRONG") for one in findings):
+        raise typer.Exit(1)
+
+
+if __name__ == "__main__":
+    run_alone(stress)

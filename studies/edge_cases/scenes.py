@@ -1,0 +1,363 @@
+"""Scenes at the edge of what can be solved."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from skfem import ElementTetP2, FacetBasis, LinearForm, MeshTet
+from threadpoolctl import threadpool_limits
+
+from fem.array.coupled_cells import CoupledArray
+from fem.array.halfspace import mean_compliance
+from fem.array.solving import ResponseSettings, solve_response
+from fem.array.substructured import PADS, condensed_cell, lone_unit
+from fem.discretization.elasticity import displacement_form, taylor_hood
+from fem.discretization.hexahedra import HexElement
+from fem.linear.linear_solver import checked_solve, factorized
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Triple
+from fem.scene.solution import Solution, largest_error
+from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.layout import AXES, FloatArray, pad_squares
+from geometry.mesh import TetMesh
+from geometry.quality import quality
+from studies.bench.scenes import response_scenes
+from studies.edge_cases.trials import NotTriedError, Outcome, Trial
+
+YOUNG_MPA = 6.1
+RUBBER = Material(young_mpa=YOUNG_MPA, poisson=0.49)
+TOLERANCE = 5e-3  #: of trials whose difficulty is not accuracy
+ARRAY_TOLERANCE = 1e-3
+TIGHTER = 2.0  #: by which a reference is asked to be better than estimated: enough for the next level, not for minutes
+EXACT = 1e-12  #: for what differs by rounding alone, unamplified
+ROUNDED = 1e-9  #: the same, amplified by the system's condition
+END = 0.2  #: share of width over length by which a pillar's clamped end may stiffen it
+PATCH_TEST = 1e-8  #: of linear fields, which quadratic elements hold exactly
+SPREAD = 3e-3  #: of a probe over meshes of the same body
+
+
+def compared(scene: Scene, found: Solution, probes: dict[str, FloatArray], slack: float, against: str) -> Outcome:
+    """A scene's solution held against probes that are known to within a slack."""
+    missed = found.error_estimate > scene.tolerance
+    return Outcome(
+        residual=found.residual,
+        error=largest_error(found.probes, probes),
+        allowed=slack + max(scene.tolerance, found.error_estimate),
+        against=against,
+        short_of=scene.tolerance if missed else None,
+    )
+
+
+def compared_with_tighter(scene: Scene) -> Outcome:
+    """A scene solved, and solved again on a finer grid."""
+    found, _ = solve_scene(scene)
+    wanted = min(scene.tolerance, found.error_estimate) / TIGHTER  # or the first solve would do for the second too
+    reference, _ = solve_scene(replace(scene, tolerance=wanted))
+    require_other(found.unknowns, reference.unknowns)
+    return compared(scene, found, reference.probes, reference.error_estimate, "a finer grid")
+
+
+def require_other(unknowns: int, of_reference: int) -> None:
+    """Refuse to hold an answer against itself."""
+    if unknowns == of_reference:
+        raise NotTriedError(f"nothing finer than its {unknowns} unknowns was solved, so there is nothing to compare")
+
+
+# scenes
+
+
+def block(
+    material: Material,
+    size_mm: Triple = (10.0, 10.0, 5.0),
+    patch_mm: Pair = (4.0, 4.0),
+    traction_mpa: Triple = (0.0, 0.0, -1.0),
+    inclusions: tuple[Inclusion, ...] = (),
+    tolerance: float = TOLERANCE,
+) -> Scene:
+    """A block under a patch in the middle of its top, whose mean displacement is asked for."""
+    middle = (size_mm[0] / 2, size_mm[1] / 2)
+    return Scene(
+        body=Block(size_mm=size_mm),
+        material=material,
+        inclusions=inclusions,
+        loads=(Load(center_mm=middle, size_mm=patch_mm, traction_mpa=traction_mpa),),
+        probes=(Probe(name="patch", kind="mean", center_mm=middle, size_mm=patch_mm),),
+        tolerance=tolerance,
+    )
+
+
+def leaning_inclusion(tolerance: float) -> Scene:
+    """A small block with an oblique inclusion ten times as stiff: it needs the mesher."""
+    stiff = Inclusion(
+        base_mm=(3.0, 3.0, 0.0),
+        top_mm=(5.0, 5.0, 4.0),
+        section_mm=(2.0, 2.0),
+        material=Material(young_mpa=10 * YOUNG_MPA, poisson=0.49),
+    )
+    return block(RUBBER, (8.0, 8.0, 4.0), (5.0, 5.0), inclusions=(stiff,), tolerance=tolerance)
+
+
+def pillar(width_mm: float, height_mm: float, traction_mpa: Triple) -> Scene:
+    """A free upright pillar loaded on all its top."""
+    section = (width_mm, width_mm)
+    return Scene(
+        body=Pillar(section_mm=section, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, height_mm)),
+        material=Material(young_mpa=YOUNG_MPA, poisson=0.3),
+        loads=(Load(center_mm=(0.0, 0.0), size_mm=section, traction_mpa=traction_mpa),),
+        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=section),),
+        tolerance=TOLERANCE,
+    )
+
+
+# trials
+
+
+def poisson(nu: float) -> Outcome:
+    """A patch on a block at any Poisson's ratio, against a tighter solve."""
+    return compared_with_tighter(block(Material(young_mpa=YOUNG_MPA, poisson=nu)))
+
+
+def poisson_by_elements(nu: float, element: str, tolerance: float) -> Outcome:
+    """The same scene by two unlike elements."""
+    scene = block(Material(young_mpa=YOUNG_MPA, poisson=nu), tolerance=tolerance)
+    found, _ = solve_scene(scene, element=element)
+    reference, _ = solve_scene(replace(scene, tolerance=TOLERANCE))
+    return compared(scene, found, reference.probes, reference.error_estimate, f"{element} beside Qp")
+
+
+def hooke() -> Outcome:
+    """At ν = 0 the clamped base holds nothing back: the top sinks by p h / E."""
+    scene = block(Material(young_mpa=YOUNG_MPA, poisson=0.0), patch_mm=(10.0, 10.0))
+    exact = {"patch": np.array([0.0, 0.0, -5.0 / YOUNG_MPA])}
+    return replace(compared(scene, solve_scene(scene)[0], exact, 0.0, "−p h/E"), allowed=ROUNDED)
+
+
+def confined(nu: float) -> Outcome:
+    """Far from its sides a flat block under pressure sinks by p h / (λ + 2μ)."""
+    material = Material(young_mpa=YOUNG_MPA, poisson=nu)
+    whole = block(material, (200.0, 200.0, 4.0), (200.0, 200.0))
+    middle = Probe(name="patch", kind="mean", center_mm=(100.0, 100.0), size_mm=(4.0, 4.0))
+    lame, mu = material.lame_mpa
+    exact = {"patch": np.array([0.0, 0.0, -4.0 / (lame + 2 * mu)])}
+    scene = replace(whole, probes=(middle,))
+    return compared(scene, solve_scene(scene)[0], exact, 0.0, "confined: −p h/(λ + 2μ)")
+
+
+def modulus_ratio(ratio: float) -> Outcome:
+    """An upright pillar in a block `ratio` times as stiff."""
+    inside = Material(young_mpa=YOUNG_MPA / ratio, poisson=0.49)
+    upright = Inclusion(base_mm=(5.0, 5.0, 0.0), top_mm=(5.0, 5.0, 5.0), section_mm=(2.0, 2.0), material=inside)
+    return compared_with_tighter(block(RUBBER, inclusions=(upright,), tolerance=2e-2))
+
+
+def slender(width_mm: float, height_mm: float, tangential: bool) -> Outcome:
+    """A pillar pressed or dragged, against rod and beam; its clamped end makes it a little stiffer."""
+    p = 1e-3
+    G = YOUNG_MPA / 2.6
+    area = width_mm**2
+    second_moment = width_mm**4 / 12
+    if tangential:
+        force, kappa = p * area, 5 / 6
+        bent = force * height_mm**3 / (3 * YOUNG_MPA * second_moment) + force * height_mm / (kappa * G * area)
+        exact, traction, against = np.array([bent, 0.0, 0.0]), (p, 0.0, 0.0), "Timoshenko's beam"
+    else:
+        exact, traction, against = np.array([0.0, 0.0, -p * height_mm / YOUNG_MPA]), (0.0, 0.0, -p), "−p L/E"
+    scene = pillar(width_mm, height_mm, traction)
+    slack = END * width_mm / height_mm
+    return compared(scene, solve_scene(scene)[0], {"top": exact}, slack, f"{against}, to {END:g} w/L")
+
+
+def small_patch(ratio: float, traction_mpa: Triple) -> Outcome:
+    """A patch so small that its block is a half-space to it, but for a/h."""
+    size, a = 30.0, 30.0 / ratio
+    material = Material(young_mpa=YOUNG_MPA, poisson=0.3)
+    scene = block(material, (size, size, size), (a, a), traction_mpa)
+    rectangle = np.array([-a / 2, -a / 2, a / 2, a / 2])
+    exact = mean_compliance(rectangle, rectangle, material) @ np.array(traction_mpa) * a**2
+    return compared(scene, solve_scene(scene)[0], {"patch": exact}, a / size, "half-space, to a/h")
+
+
+def flattened(smallest_deg: float) -> tuple[MeshTet, float]:
+    """A box of tetrahedra whose inner nodes were pushed until the smallest dihedral angle is that, and the angle."""
+    mesh = MeshTet.init_tensor(*[np.linspace(0.0, 1.0, 4)] * 3)
+    inner = ((mesh.p > 0) & (mesh.p < 1)).all(axis=0)
+    push = np.zeros_like(mesh.p)
+    push[:, inner] = np.random.default_rng(3).uniform(-1.0, 1.0, (3, int(inner.sum())))
+    rest = np.sign(signed_volumes(mesh.p, mesh.t))
+
+    def angle(share: float) -> float:
+        points = mesh.p + share * push
+        if not (rest * signed_volumes(points, mesh.t) > 0).all():
+            return 0.0
+        cells = TetMesh(points.T, mesh.t.T.astype(np.int32), np.zeros(mesh.nelements, dtype=np.int32))
+        return quality(cells).smallest_dihedral_deg
+
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if angle(middle) > smallest_deg else (low, middle)
+        if angle(low) <= 1.01 * smallest_deg:
+            break
+    return MeshTet(mesh.p + low * push, mesh.t), angle(low)
+
+
+def signed_volumes(points: FloatArray, cells: FloatArray) -> FloatArray:
+    """Volumes of tetrahedra (4, m) of points (3, n)."""
+    corners = points[:, cells]
+    edges = corners[:, 1:] - corners[:, :1]
+    return np.asarray(np.linalg.det(edges.transpose(2, 1, 0)) / 6)
+
+
+def flat_cells(smallest_deg: float, form: str, nu: float) -> Outcome:
+    """A linear field, driven by its tractions, on a mesh with nearly flat cells: exact on any mesh."""
+    mesh, _ = flattened(smallest_deg)
+    materials, region = [Material(young_mpa=YOUNG_MPA, poisson=nu)], np.zeros(mesh.nelements, dtype=np.int64)
+    if form == "TH":
+        body = taylor_hood(mesh, materials, region)
+    else:
+        body = displacement_form(mesh, materials, region, ElementTetP2)
+    lame, mu = materials[0].lame_mpa
+    gradient = np.zeros((3, 3))
+    gradient[:, 2] = [0.01, -0.02, -0.03]  # u = g z vanishes on the base
+    stress = lame * np.trace(gradient) * np.eye(3) + mu * (gradient + gradient.T)
+    facets = FacetBasis(mesh, ElementTetP2(), intorder=2)
+    normals = np.stack([LinearForm(lambda v, w, i=i: v * w.n[i]).assemble(facets) for i in range(3)], axis=1)
+    rhs = body.loads((normals @ stress).reshape(-1, 1))
+    x, residual = checked_solve(body.matrix, factorized(body.matrix, definite=form == "P2"), rhs)
+    found = body.displacements(x).reshape(-1, 3)
+    exact = np.outer(body.basis.doflocs[2], gradient[:, 2])
+    error = float(np.abs(found - exact).max() / np.abs(exact).max())
+    return Outcome(residual=residual, error=error, allowed=PATCH_TEST, against="a linear field")
+
+
+def meshed_again(times: int, tolerance: float) -> Outcome:
+    """Greatest less least of every probe over meshes of the same body, relative: the mesher is not deterministic."""
+    scene = leaning_inclusion(tolerance)
+    found = [solve_scene(scene, no_skip=["cache"])[0] for _ in range(times)]
+    probes = np.array([[solution.probes[probe.name] for probe in scene.probes] for solution in found])
+    size = np.linalg.norm(probes.mean(axis=0), axis=-1)
+    spread = float((np.linalg.norm(np.ptp(probes, axis=0), axis=-1) / size).max())
+    residual = max(solution.residual for solution in found)
+    return Outcome(residual=residual, error=spread, allowed=SPREAD, against=f"spread of {times} meshes")
+
+
+def scaled_load(scale: float, tetrahedra: bool) -> Outcome:
+    """`scale` times the load bends `scale` times as far."""
+    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
+    push = (0.0, 0.0, -scale)
+    one, _ = solve_scene(scene)
+    many, _ = solve_scene(replace(scene, loads=(replace(scene.loads[0], traction_mpa=push),)))
+    scaled = {name: u / scale for name, u in many.probes.items()}
+    error = largest_error(scaled, one.probes)
+    return Outcome(residual=many.residual, error=error, allowed=EXACT, against="load 1, scaled")
+
+
+def zero_load(skipped: bool, tetrahedra: bool) -> Outcome:
+    """Nothing moves where nothing loads, computed or not."""
+    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
+    unloaded = replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, 0.0, 0.0)),))
+    found, _ = solve_scene(unloaded, no_skip=() if skipped else ["zero-load"])
+    moved = max(float(np.abs(u).max()) for u in found.probes.values())
+    return Outcome(residual=found.residual, error=moved, allowed=0.0, against="0 exactly")
+
+
+def threads(tetrahedra: bool) -> Outcome:
+    """The same answer by one thread as by two."""
+    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
+    solutions = []
+    for count in (1, 2):
+        with threadpool_limits(count):
+            solutions.append(solve_scene(scene)[0])
+    one, two = solutions
+    error = largest_error(two.probes, one.probes)
+    return Outcome(residual=two.residual, error=error, allowed=EXACT, against="1 thread")
+
+
+def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
+    """2 × 2 units of one rubber, small enough for a pitch of 12 mm; not too flat for oblique pillars of 1 mm."""
+    unit = Unit(span_mm=6.0, height_mm=height_mm, pillar_width_mm=1.0)
+    return SensorDesign(
+        array=Array(rows=2, cols=2, pitch_mm=pitch_mm), unit=unit, pad=Pad(size_mm=10.0), pillar_material=RUBBER
+    )
+
+
+def array_of(pitch_mm: float, height_mm: float, element: HexElement) -> Outcome:
+    """Columns of an array's response by cells against the slab as one scene, over the loaded unit's own block."""
+    design = small_array(pitch_mm, height_mm)
+    found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE, element=element))
+    scenes = response_scenes(design)
+    columns, slack = [], 0.0
+    for axis in AXES:
+        column, _ = solve_scene(replace(scenes[f"response-inner-{axis}"], tolerance=ARRAY_TOLERANCE))
+        columns.append(np.stack(list(column.probes.values())).ravel())  # electrodes of a unit follow each other
+        slack = max(slack, column.error_estimate)
+    expected = np.stack(columns, axis=-1).reshape(2, 2, -1, 3)
+    influence = found.influence_mm_per_n.reshape(2, 2, -1, 2, 2, 3)[:, :, :, 1, 1]
+    error = np.linalg.norm(influence - expected, axis=(2, 3)).max() / np.linalg.norm(expected[1, 1])
+    return Outcome(
+        residual=found.residual,
+        error=float(error),
+        allowed=max(ARRAY_TOLERANCE, found.error_estimate) + slack,
+        against="one scene, element Qp",
+        short_of=ARRAY_TOLERANCE if found.error_estimate > ARRAY_TOLERANCE else None,
+    )
+
+
+def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
+    """Pads move each other alike (Betti), and no load does negative work."""
+    design = small_array(pitch_mm, height_mm)
+    cell, _ = condensed_cell(design, 2, 4, "Q2", pad_squares(lone_unit(design)))
+    influence, misfit = CoupledArray(cell, 2, 2).influence(PADS, PADS)
+    matrix = influence.reshape(12, 12)
+    error = float(np.abs(matrix - matrix.T).max() / np.abs(matrix).max())
+    if not np.linalg.eigvalsh(matrix + matrix.T).min() > 0:
+        error = np.inf
+    return Outcome(residual=max(cell.residual, misfit), error=error, allowed=ROUNDED, against="Betti's reciprocity")
+
+
+def scene_trials() -> list[Trial]:
+    """Every line of the table, cheap ones first within each kind."""
+    trials: list[Trial] = []
+
+    def add(name: str, value: str, run: Callable[..., Outcome], *arguments: object) -> None:
+        trials.append(Trial(name=name, value=value, run=lambda: run(*arguments)))
+
+    add("poisson", "ν = 0, whole top", hooke)
+    for nu in (0.0, 0.3, 0.49, 0.4999, 0.499999):
+        add("poisson", f"ν = {nu:g}", poisson, nu)
+    for nu in (0.49, 0.4999, 0.499999):
+        add("poisson", f"ν = {nu:g}, S2", poisson_by_elements, nu, "S2", TOLERANCE)
+    for nu in (0.4999, 0.499999):
+        add("poisson", f"ν = {nu:g}, TH", poisson_by_elements, nu, "TH", 2e-2)
+    for nu in (0.3, 0.49):
+        add("poisson", f"ν = {nu:g}, flat block", confined, nu)
+    for ratio in (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3):
+        add("modulus", f"matrix/pillar {ratio:g}", modulus_ratio, ratio)
+    for width_mm, height_mm in ((0.1, 10.0), (1.0, 100.0), (1.0, 20.0)):
+        for tangential in (False, True):
+            way = "dragged" if tangential else "pressed"
+            value = f"{width_mm:g} × {width_mm:g} × {height_mm:g} {way}"
+            add("slender", value, slender, width_mm, height_mm, tangential)
+    for ratio in (100.0, 1000.0):
+        add("edges", f"1:{ratio:g} pressed", small_patch, ratio, (0.0, 0.0, -1.0))
+    add("edges", "1:1000 dragged", small_patch, 1000.0, (1.0, 0.0, 0.0))
+    for smallest_deg in (0.9, 0.1, 1e-2, 1e-4):
+        add("flat cells", f"{smallest_deg:g}°, TH, ν = 0.4999", flat_cells, smallest_deg, "TH", 0.4999)
+        add("flat cells", f"{smallest_deg:g}°, P2, ν = 0.3", flat_cells, smallest_deg, "P2", 0.3)
+    add("meshes", "10 of one body", meshed_again, 10, TOLERANCE)
+    for scale in (1e-9, 1e-3, 1e3, 1e9):
+        add("load", f"{scale:g} MPa", scaled_load, scale, False)
+    for scale in (1e-9, 1e9):
+        add("load", f"{scale:g} MPa, tetrahedra", scaled_load, scale, True)
+    add("zero load", "skipped", zero_load, True, False)
+    add("zero load", "computed", zero_load, False, False)
+    add("zero load", "computed, tetrahedra", zero_load, False, True)
+    add("threads", "2", threads, False)
+    add("threads", "2, tetrahedra", threads, True)
+    for pitch_mm in (12.0, 30.0):
+        for height_mm in (2.0, 30.0):
+            add("array", f"2 × 2, pitch {pitch_mm:g}, height {height_mm:g}", array_of, pitch_mm, height_mm, "Q2")
+    add("array", "2 × 2, pitch 12, height 10, S2", array_of, 12.0, 10.0, "S2")
+    add("reciprocity", "2 × 2, pitch 12, height 2", reciprocity, 12.0, 2.0)
+    add("reciprocity", "2 × 2, pitch 30, height 30", reciprocity, 30.0, 30.0)
+    return trials

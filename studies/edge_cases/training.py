@@ -1,0 +1,399 @@
+"""Trainings at the edge of what can be trained."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from resource import RUSAGE_SELF, getrusage
+from typing import get_args
+
+import numpy as np
+import torch
+
+from dataset import Imperfections, LabelledData
+from dataset.simulation import DatasetSettings, measured_again, simulate
+from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
+from decoupler.data.components import force_columns, pillar_columns, readable_columns
+from decoupler.data.scaling import Scaling
+from decoupler.evaluation.crossval import in_parallel, selected
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.baseline import LINEAR
+from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
+from decoupler.training.damping import Point
+from decoupler.training.gauss_newton import Samples
+from decoupler.training.levenberg_marquardt import train_lm
+from decoupler.training.network import Network
+from decoupler.training.trainer import LIGHT, train
+from decoupler.training.varpro import RIDGE, train_varpro
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, solve_response
+from geometry.design import Array, Pad, SensorDesign
+from geometry.errors import TriPillarError
+from geometry.layout import FloatArray
+from studies.edge_cases.trials import Outcome, Trial
+
+SAMPLES = 400
+HIDDEN = 12  #: more nodes than the 9 outputs, so that a plain net can hold any linear map too
+NOISE = 1e-3
+RIDGED = 1e-6  #: relative; what the ridge of 1e-9 a sample may cost of a mean squared error of 1e-4 or more
+ROUNDED = 1e-6  #: of a few iterations: 1e-16 amplified by matrices that the ridge holds to a condition of 1e10
+FLAT = 1e-6  #: of the first slope; a cost tells points apart to √ε = 1e-8 only, two digits are for flat directions
+SEEDS = 20
+DECADE = 10.0  #: times the median; another minimum costs some of it, a training that diverged costs many
+MANY = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """One way of training."""
+
+    trainer: Trainer
+    net: Net
+
+    def __str__(self) -> str:
+        return f"{self.trainer} {self.net}"
+
+
+SECOND_ORDER = [Kind(trainer=trainer, net=net) for trainer in ("varpro", "lm") for net in get_args(Net)]
+ALL_KINDS = [*SECOND_ORDER, *(Kind(trainer="momentum", net=net) for net in get_args(Net))]
+
+
+# data
+
+
+def small_response(rows: int = 3, pad_mm: float = 12.0) -> ArrayResponse:
+    """Of a square array, in closed form."""
+    design = SensorDesign(array=Array(rows=rows, cols=rows), pad=Pad(size_mm=pad_mm))
+    return solve_response(design, ResponseSettings(method="layer"))
+
+
+@cache
+def samples(
+    n: int = SAMPLES, seed: int = 1, protocol: str = "independent-fz", rows: int = 3, **imperfections: object
+) -> LabelledData:
+    """Samples of the small array, with noise and whatever else is wrong with it."""
+    settings = DatasetSettings(protocol=protocol, samples=n, seed=seed)
+    faults = Imperfections(**{"noise": NOISE, **imperfections})  # type: ignore[arg-type]  # it checks them itself
+    return measured_again(simulate(small_response(rows), settings), faults, seed)
+
+
+def with_input(data: LabelledData, values_ohm: FloatArray | float) -> LabelledData:
+    """The same samples with other resistances (n,) [Ω] of the z pillar of unit (0, 0)."""
+    resistance_ohm = data.resistance_ohm.copy()
+    resistance_ohm[:, 0, 0, 0] = values_ohm
+    return replace(data, resistance_ohm=resistance_ohm)
+
+
+def constant(data: LabelledData) -> LabelledData:
+    return with_input(data, 1e4)
+
+
+def duplicated(data: LabelledData) -> LabelledData:
+    return with_input(data, data.resistance_ohm[:, 0, 1, 0])
+
+
+def collinear(data: LabelledData) -> LabelledData:
+    """The root of one resistance is the mean of two others'."""
+    return with_input(data, np.sqrt(data.resistance_ohm[:, 0, 1:, 0]).mean(axis=1) ** 2)
+
+
+# what trainings are held against
+
+
+def scaled(data: LabelledData, component: str = "fz") -> tuple[FloatArray, FloatArray]:
+    """Roots of the readable resistances with a 1 (n, n_in + 1), and forces on [-1, 1] (n, n_out)."""
+    parts = component_named(component)
+    columns = pillar_columns(data.resistance_ohm, parts, data.dead)
+    roots = np.sqrt(columns[:, readable_columns(parts, data.dead, columns.shape[1])])
+    forces = force_columns(data.force_n, parts)
+    return np.hstack([roots, np.ones((len(roots), 1))]), Scaling.fitted(forces).scale(forces)
+
+
+def linear_mse(data: LabelledData, component: str = "fz") -> float:
+    """Mean squared error of the best linear map of √R, of forces scaled to [-1, 1]."""
+    A, targets = scaled(data, component)
+    return float(np.mean((A @ np.linalg.lstsq(A, targets)[0] - targets) ** 2))
+
+
+def mean_mse(data: LabelledData) -> float:
+    """Mean squared error of the mean force, of forces scaled to [-1, 1]."""
+    return float(scaled(data)[1].var(axis=0).mean())
+
+
+def trained(kind: Kind, data: LabelledData, hidden: int = HIDDEN, **training: object) -> tuple[Decoupler, float]:
+    """A net for fz, and its mean squared error on the samples, of forces scaled to [-1, 1]."""
+    config = TrainingConfig(**{"trainer": kind.trainer, **training})  # type: ignore[arg-type]  # it checks them itself
+    model, history = train(data, "fz", NetworkConfig(hidden=hidden, net=kind.net), config)
+    return model, history.mse
+
+
+def no_worse(mse: float, bound: float, against: str, note: str = "") -> Outcome:
+    """A training's error as a share of one that it must not exceed."""
+    return Outcome(error=mse / bound, allowed=1.0 + RIDGED, against=against, note=note)
+
+
+def difference(one: FloatArray, other: FloatArray) -> float:
+    """Largest difference, relative to the largest value."""
+    return float(np.abs(one - other).max() / np.abs(other).max())
+
+
+# trials
+
+
+def degenerate(kind: Kind, change: Callable[[LabelledData], LabelledData]) -> Outcome:
+    """An input that says nothing new: the net still fits as well as a linear map. The momentum rule, slow, beats 1."""
+    data = change(samples())
+    _, mse = trained(kind, data)
+    if kind.trainer == "momentum":
+        return no_worse(mse, mean_mse(data), "the mean force")
+    return no_worse(mse, linear_mse(data), LINEAR)
+
+
+def ten_samples(kind: Kind) -> Outcome:
+    """Ten samples for 9 inputs: on new ones the net knows no less than the mean of the ten."""
+    few, new = samples(n=10), samples(seed=2)
+    model, _ = trained(kind, few)
+    blind = float(np.sqrt(np.mean((new.force_n - few.force_n.mean(axis=0))[..., 2] ** 2)))
+    return no_worse(evaluate(model, new)["fz"].rmse_n, blind, "the mean of the ten")
+
+
+def ten_samples_stated(kind: Kind) -> Outcome:
+    """What a net of ten samples says of its own error on new ones is of the right size, or too much."""
+    new = samples(seed=2)
+    model, _ = trained(kind, samples(n=10))
+    stated, _ = model.deviations(new.resistance_ohm)
+    error = evaluate(model, new)["fz"].rmse_n / float(np.sqrt(np.mean(stated**2)))
+    return Outcome(error=error, allowed=DECADE, against="its own deviations")
+
+
+def many_samples(kind: Kind) -> Outcome:
+    """One sample a hundredfold, 36 inputs: the same training as once, in a process of its own whose memory is read."""
+    few, _ = repeated(kind, 1)
+    many, peak_mib = in_parallel([(repeated, kind, 100)], lambda _: None)[0]
+    return Outcome(error=abs(many / few - 1.0), allowed=ROUNDED, against="each sample once", note=f"{peak_mib:.0f} MiB")
+
+
+def repeated(kind: Kind, times: int) -> tuple[float, float]:
+    """Error after two iterations on samples repeated, and the largest memory of this process so far [MiB]."""
+    few = samples(n=MANY // 100, rows=6)
+    data = selected(few, np.tile(np.arange(len(few.force_n)), times))
+    _, mse = trained(kind, data, hidden=17, max_iterations=2, held_out=0.0)
+    return mse, getrusage(RUSAGE_SELF).ru_maxrss / 1024
+
+
+def scaled_targets(kind: Kind, scale: float, iterations: int) -> Outcome:
+    """Forces `scale` times as large: predictions `scale` times as large. A power of two rounds alike: to the bit."""
+    data = samples()
+    one, _ = trained(kind, data, max_iterations=iterations)
+    other, _ = trained(kind, replace(data, force_n=scale * data.force_n), max_iterations=iterations)
+    error = difference(other.forces(data.resistance_ohm) / scale, one.forces(data.resistance_ohm))
+    allowed = 0.0 if np.frexp(scale)[0] == 0.5 else ROUNDED
+    return Outcome(error=error, allowed=allowed, against="scale 1")
+
+
+def single_precision(kind: Kind) -> Outcome:
+    """Float32 arrays train like float64 ones that hold the same values."""
+    rounded = [array.astype(np.float32) for array in (samples().resistance_ohm, samples().force_n)]
+    models = []
+    for precision in ("float32", "float64"):
+        arrays = dict(zip(("resistance_ohm", "force_n"), (array.astype(precision) for array in rounded), strict=True))
+        data = replace(samples(), **arrays)  # type: ignore[arg-type]  # of single precision on purpose
+        models.append(trained(kind, data, max_iterations=50)[0])
+    single, double = (model.forces(samples().resistance_ohm) for model in models)
+    return Outcome(error=difference(single, double), allowed=0.0, against="the same values as float64")
+
+
+def saturated(kind: Kind) -> Outcome:
+    """A start whose hidden weights are 100 times too large: nodes are ±1, their slope 0."""
+    given, start = _start(kind, samples(), HIDDEN)
+    point = _from(kind, given, 100.0 * start.hidden.detach(), start, TrainingConfig(trainer=kind.trainer))
+    if not all(torch.isfinite(weights).all() for weights in (point.hidden, point.output)):
+        return Outcome(error=np.inf, allowed=0.0, against="finite weights")
+    if kind.net == "plain":
+        return no_worse(point.mse, mean_mse(samples()), "the mean force")
+    return no_worse(point.mse, linear_mse(samples()), LINEAR)
+
+
+def _start(kind: Kind, data: LabelledData, hidden: int) -> tuple[Samples, Network]:
+    """What a trainer is given: scaled samples, and a random network."""
+    A, targets = scaled(data)
+    inputs = Scaling.fitted(A[:, :-1]).scale(A[:, :-1])
+    start = Network(NetworkConfig(hidden=hidden, net=kind.net), inputs.shape[1], targets.shape[1], seed=0)
+    return Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=kind.net == "skip"), start
+
+
+@torch.no_grad()
+def _from(kind: Kind, given: Samples, hidden: torch.Tensor, start: Network, config: TrainingConfig) -> Point:
+    """Where a trainer of second order ends from hidden weights, and from the start's output weights if it heeds any."""
+    if kind.trainer == "varpro":
+        n = len(given.X)
+        return train_varpro(given, hidden, RIDGE * n, int(config.held_out * n), config, lambda i, mse: None)[0]
+    return train_lm(given, hidden, start.output.detach(), config, lambda i, mse: None)[0]
+
+
+def refused(kind: Kind, ohm: float) -> Outcome:
+    """One resistance that is none: only a `SampleError` is right."""
+    resistance_ohm = samples().resistance_ohm.copy()
+    resistance_ohm[7, 1, 2, 0] = ohm
+    try:
+        trained(kind, replace(samples(), resistance_ohm=resistance_ohm), max_iterations=1)
+    except TriPillarError as error:
+        if isinstance(error, SampleError):
+            raise
+    return Outcome(error=np.inf, allowed=0.0, against="SampleError")
+
+
+def seeds(kind: Kind) -> Outcome:
+    """The worst of several random starts, over the median."""
+    errors = [trained(kind, samples(), seed=seed)[1] for seed in range(SEEDS)]
+    spread = max(errors) / float(np.median(errors))
+    return Outcome(error=spread, allowed=DECADE, against=f"median of {SEEDS} seeds")
+
+
+def noisy(kind: Kind) -> Outcome:
+    """Readings that are a tenth off: the net fits them as well as a linear map."""
+    data = samples(noise=0.1)
+    return no_worse(trained(kind, data)[1], linear_mse(data), LINEAR)
+
+
+def noisy_ahead() -> Outcome:
+    """The same on new samples, for variable projection, which holds samples out in order not to fit the noise.
+
+    Allowed: three deviations of the squared error of the 40 × 9 values it judges by, √(2/360) of it each.
+    """
+    data, new = samples(noise=0.1), samples(seed=2, noise=0.1)
+    model, _ = trained(Kind(trainer="varpro", net="skip"), data)
+    assert model.least_squares is not None
+    linear_n = model.least_squares.forces(new.resistance_ohm)[..., 0] - new.force_n[..., 2]
+    error = evaluate(model, new)["fz"].rmse_n ** 2 / float(np.mean(linear_n**2))
+    return Outcome(error=error, allowed=1.0 + 3.0 * np.sqrt(2.0 / 360.0), against=f"{LINEAR}, new samples")
+
+
+def dead_wire(kind: Kind) -> Outcome:
+    """Whatever stands in the place of what cannot be read, the net is the same, to the bit."""
+    data = samples(dead_cols=(2,))
+    assert data.dead is not None
+    models = []
+    for ohm in (np.nan, 1.0):
+        other = replace(data, resistance_ohm=np.where(data.dead, ohm, data.resistance_ohm))
+        models.append(trained(kind, other, max_iterations=50))
+    (one, mse), (other_model, _) = models
+    error = difference(one.forces(data.resistance_ohm), other_model.forces(data.resistance_ohm))
+    if kind.trainer != "momentum" and mse > (1.0 + RIDGED) * linear_mse(data):
+        error = np.inf
+    return Outcome(error=error, allowed=0.0, against=f"NaN and 1 Ω there, and {LINEAR}")
+
+
+def dead_wire_known_response() -> Outcome:
+    """A dead column wire takes pillars from a joint net that starts from the response: no worse than a linear map."""
+    return _joint(small_response(), dead_cols=(2,))
+
+
+def other_response(pad_mm: float) -> Outcome:
+    """The response of a sensor with another pad as a start: the net mends it, or it is refused."""
+    return _joint(small_response(pad_mm=pad_mm))
+
+
+def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
+    """A joint net that starts from a response, on new samples, against a linear map with the same samples.
+
+    A tenth of what both are judged by is rest, as of what such a net is taught; where pillars are dead, knowing of rest
+    costs it a little under load.
+    """
+    network = NetworkConfig(hidden=HIDDEN, feature="inverse")
+    data = samples(protocol="three-axis", dead_cols=dead_cols)
+    model, _ = train(data, "all", network, TrainingConfig(), response=response)
+    new = _with_rest(samples(seed=2, protocol="three-axis", dead_cols=dead_cols))
+    assert model.least_squares is not None
+    found, linear = (each.forces(new.resistance_ohm) - new.force_n for each in (model, model.least_squares))
+    size = new.force_n.std(axis=(0, 1, 2))
+    error = float(np.sqrt(((found / size) ** 2).mean() / ((linear / size) ** 2).mean()))
+    return Outcome(error=error, allowed=1.0, against=f"{LINEAR}, new samples and rest")
+
+
+def _with_rest(data: LabelledData) -> LabelledData:
+    """The same exact samples of a three-axis protocol, and a share of `LIGHT` of them at rest."""
+    n = round(LIGHT * len(data.force_n))
+    rest_ohm = ForwardModel.of(small_response(), component_named("all")).at_rest_ohm()
+    at_rest = np.broadcast_to(rest_ohm.reshape(data.resistance_ohm.shape[1:]), (n, *data.resistance_ohm.shape[1:]))
+    return replace(
+        data,
+        resistance_ohm=np.concatenate([data.resistance_ohm, at_rest]),
+        force_n=np.concatenate([data.force_n, np.zeros((n, *data.force_n.shape[1:]))]),
+    )
+
+
+def one_pair() -> Outcome:
+    """One measured pair of a specimen whose gains differ by 20 % is worth more than none."""
+    response = small_response()
+    network = NetworkConfig(hidden=HIDDEN, feature="inverse")
+    model, _ = train(samples(protocol="three-axis"), "all", network, TrainingConfig(), response=response)
+    specimen = samples(seed=3, protocol="three-axis", gain_spread=0.2)
+    tuned = fine_tune(model, selected(specimen, slice(0, 1)), response)
+    before, after = (evaluate(one, selected(specimen, slice(1, None))) for one in (model, tuned))
+    error = max(after[name].rmse_n / before[name].rmse_n for name in after)
+    return Outcome(error=error, allowed=1.0, against="the untouched model")
+
+
+def gradient_at_the_end(kind: Kind) -> Outcome:
+    """Where a training that may not stop early ends, autograd finds no slope; over that of the start."""
+    forever = TrainingConfig(
+        trainer=kind.trainer, goal_mse=0.0, max_iterations=2000, patience=2000, least_gain=0.0, held_out=0.0
+    )
+    given, start = _taught(kind.net == "skip"), Network(NetworkConfig(hidden=2, net=kind.net), 3, 2, seed=0)
+    ridge = RIDGE * len(given.X) if kind.trainer == "varpro" else 0.0
+
+    def slope(network: Network) -> float:
+        network.zero_grad()
+        misfit = torch.sum((network(given.X[:, :-1]) - given.targets) ** 2)
+        ((misfit + ridge * torch.sum(network.output**2)) / 2.0).backward()
+        return max(float(weights.grad.abs().max()) for weights in network.parameters() if weights.grad is not None)
+
+    before = slope(start)
+    point = _from(kind, given, start.hidden.detach(), start, forever)
+    with torch.no_grad():
+        start.hidden.copy_(point.hidden)
+        start.output.copy_(point.output)
+    return Outcome(error=slope(start) / before, allowed=FLAT, against="autograd's slope at the start")
+
+
+def _taught(skip: bool) -> Samples:
+    """Targets of two bent nodes with a tenth of noise, so that the best weights are neither 0 nor infinite."""
+    generator = np.random.default_rng(5)
+    inputs = generator.uniform(-1.0, 1.0, (150, 3))
+    bent = np.tanh(inputs @ np.array([[2.0, -1.0], [1.0, 2.0], [-1.0, 1.0]]) + 0.3)
+    targets = bent @ np.array([[1.0, 0.5], [-0.5, 1.0]]) + 0.1 * generator.standard_normal((150, 2))
+    return Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=skip)
+
+
+def training_trials() -> list[Trial]:
+    """Every line of the table that trains a network."""
+    trials: list[Trial] = []
+
+    def add(name: str, value: str, run: Callable[..., Outcome], *arguments: object) -> None:
+        trials.append(Trial(name=f"training, {name}", value=value, run=lambda: run(*arguments)))
+
+    for kind in ALL_KINDS:
+        for change in (constant, duplicated, collinear):
+            add(f"{change.__name__} input", f"{kind}", degenerate, kind, change)
+        add("10 samples", f"{kind}", ten_samples, kind)
+        add("10 samples", f"{kind}, stated", ten_samples_stated, kind)
+        add("float32", f"{kind}", single_precision, kind)
+        add("dead column wire", f"{kind}", dead_wire, kind)
+        for scale in (2.0**-20, 2.0**20):
+            add("forces scaled", f"{kind}, {scale:.0e}, to the bit", scaled_targets, kind, scale, 50)
+        for scale in (1e-6, 1e6):
+            add("forces scaled", f"{kind}, {scale:g}, 5 iterations", scaled_targets, kind, scale, 5)
+    for kind in SECOND_ORDER:
+        add("saturated start", f"{kind}", saturated, kind)
+        add("20 seeds", f"{kind}", seeds, kind)
+        add("noise 10 %", f"{kind}", noisy, kind)
+        add("slope at the end", f"{kind}", gradient_at_the_end, kind)
+        add("100,000 samples", f"{kind}", many_samples, kind)
+    add("noise 10 %", "varpro skip, new samples", noisy_ahead)
+    for ohm in (np.nan, np.inf, 0.0, -1.0):
+        add("no resistance", f"{ohm:g} Ω", refused, SECOND_ORDER[0], ohm)
+    add("dead column wire", "joint, from the response", dead_wire_known_response)
+    for pad_mm in (10.0, 8.0, 4.0):
+        add("other response", f"pad {pad_mm:g} mm", other_response, pad_mm)
+    add("one pair", "gains ± 20 %", one_pair)
+    return sorted(trials, key=lambda trial: trial.name)

@@ -1,0 +1,45 @@
+"""What `tripillar live` shows, as a picture for the README: `python -m studies.pictures.live docs/live.svg`."""
+
+import io
+from pathlib import Path
+
+from rich.console import Console
+
+from geometry.design import SensorDesign
+from geometry.storage.files import replacing
+from hardware.link.frames import ScanMode
+from hardware.link.scanner import ScannerStatistics
+from hardware.readout.calibration import Electronics
+from hardware.readout.live import ForceReader
+from tripillar.board.motion import PressAndSlide, press_and_slide
+from tripillar.board.paper_sensor import board_info, joint_net
+from tripillar.board.view import live_view
+from tripillar.pipeline.run import respond
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.progress import Bars
+
+MODE = ScanMode.ZERO_POTENTIAL
+SHARE = 0.55  #: of the script's period: the indenter slides
+
+
+def draw(out: Path) -> None:
+    """Draw one scan of the simulated sensor, read by a zero-potential board."""
+    with Bars(quiet=False) as bars:
+        _, response = respond(SensorDesign(), bars)
+    motion, model, info = press_and_slide(response, PressAndSlide()), joint_net(response), board_info(MODE)
+    counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
+    k = round(SHARE * len(counts))
+    found = ForceReader(info, model).forces(counts[k : k + 1])
+    deviation_n, _ = model.deviations(found.resistance_ohm)
+    view = live_view(
+        found.force_n[0], deviation_n[0], model.component.axes, float(found.force_n.max()), info.rate_hz,
+        ScannerStatistics(ok=k), [],
+    )  # fmt: skip
+    console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
+    console.print(view)
+    with replacing(out) as temporary:
+        temporary.write_text(console.export_svg(title="tripillar live"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    run_alone(draw)

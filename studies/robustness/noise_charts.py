@@ -1,0 +1,130 @@
+"""Pictures of the study."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studies.charts import BLUE, GREEN, ORANGE, save
+from studies.robustness.study import ROSE, Named, Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = {"fx": BLUE, "fy": ORANGE, "fz": GREEN}
+MARKERS = {"fx": "o", "fy": "s", "fz": "^"}
+NETS = {"inverse": ("-", "full", "inverse net"), "root": ("--", "none", "root net")}  #: line, fill of markers, label
+NONE = 0.5  #: where "no pairs" is on a logarithmic axis
+
+
+def draw_readings(rows: list[Row], path: Path) -> None:
+    """Write a PNG: error and limit of every force against the noise, and against the converter's bits."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 5.5), dpi=120, layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    labels = ("noise of a reading [%]", "bits of the converter, no other noise")
+    for axes, part, label in zip(panels, ("noise", "converter"), labels, strict=True):
+        chosen = [row for row in rows if row.part == part]
+        _lines(axes, chosen)
+        axes.set(yscale="log", xlabel=label)
+        if part == "noise":
+            axes.set_xscale("log")
+        _ticks(axes, chosen)
+        axes.grid(visible=True, which="both", alpha=0.2)
+    panels[0].set_ylabel("error [% of full scale]")
+    figure.suptitle("Three-axis nets against the limit of their readings; lower is better")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=9)
+    save(figure, path)
+
+
+def draw_pairs(rows: list[Row], path: Path) -> None:
+    """Write a PNG: error on a specimen against the number of pairs a model was fine-tuned on."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 6), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    chosen = [row for row in rows if row.error_range_pct is not None]
+    _lines(axes, chosen)
+    for row in chosen:
+        assert row.error_range_pct is not None
+        axes.plot([_number(row)] * 2, row.error_range_pct, color=COLOURS[row.force], linewidth=1)
+    axes.set(xscale="log", yscale="log", xlabel="measured pairs", ylabel="error [% of full scale]")
+    _ticks(axes, chosen)
+    axes.grid(visible=True, which="both", alpha=0.2)
+    axes.set_title(
+        "gains ± 20 %, offsets of 200 Ω, noise 0.1 %: what measured pairs buy\nmean and range over draws of pairs"
+    )
+    axes.legend(fontsize=9, ncols=3, loc="upper right")
+    save(figure, path)
+
+
+def draw_dead(named: Sequence[Named], path: Path) -> None:
+    """Write a PNG: how many times the error of every output rose, a map of the array a fault and force."""
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(2.5 * len(named) + 1, 8), dpi=120, layout="constrained")
+    panels = figure.subplots(3, len(named), squeeze=False)
+    highest = max(10.0, *(float(one.rise.max()) for one in named))
+    for column, one in zip(panels.T, named, strict=True):
+        for axis, (axes, force) in enumerate(zip(column, COLOURS, strict=True)):
+            shades = axes.imshow(one.rise[..., axis], cmap="cividis", norm=LogNorm(1.0, highest), origin="lower")
+            for row, col in np.argwhere(one.rise[..., axis] > ROSE):
+                times = one.rise[row, col, axis]
+                colour = "white" if times**2 < highest else "black"  # on the dark half of the shades
+                axes.text(col, row, f"{times:.0f}", color=colour, ha="center", va="center", fontsize=8)
+            for row, col in np.argwhere(one.named[..., axis]):
+                axes.plot(col, row, marker="s", markersize=19, fillstyle="none", color="#d55e00", markeredgewidth=2)
+            axes.set(xticks=[], yticks=[])
+            axes.set_title(one.case if not axis else "", fontsize=10)
+            if one is named[0]:
+                axes.set_ylabel(f"{force}: array rows")
+    figure.colorbar(shades, ax=panels, label="error over that of the healthy sensor", shrink=0.6)
+    figure.suptitle(f"{named[0].net} net; numbers: rose more than {ROSE:g}-fold; squares: named by untrusted()")
+    save(figure, path)
+
+
+def _lines(axes: "Axes", rows: list[Row]) -> None:
+    """Errors of every net and force against the number in their case, and the limits."""
+    for force, colour in COLOURS.items():
+        for net, (line, fill, label) in NETS.items():
+            mine = [row for row in rows if (row.net, row.force) == (net, force)]
+            axes.plot(
+                [_number(row) for row in mine],
+                [row.error_pct for row in mine],
+                color=colour,
+                linestyle=line,
+                marker=MARKERS[force],
+                fillstyle=fill,
+                label=f"{force}, {label}",
+            )
+        chosen = [row for row in rows if (row.net, row.force) == ("inverse", force)]
+        limits = [(_number(row), row.limit_pct) for row in chosen if row.limit_pct is not None]
+        axes.plot(
+            *zip(*limits, strict=True),
+            color=colour,
+            linestyle=":",
+            linewidth=2.5,
+            label=f"{force}, limit",
+        )
+
+
+def _number(row: Row) -> float:
+    """Where a case is on the axis: its noise in %, its bits, its pairs.
+
+    >>> _number(Row(part="noise", case="noise 0.5%", net="root", force="fx", error_pct=1.0))
+    0.5
+    """
+    found = re.search(r"[\d.]+", row.case)
+    assert found is not None
+    return float(found[0]) or NONE
+
+
+def _ticks(axes: "Axes", rows: list[Row]) -> None:
+    places = sorted({_number(row) for row in rows})
+    pairs = any(row.error_range_pct is not None for row in rows)
+    axes.set_xticks(places, ["none" if pairs and place == NONE else f"{place:g}" for place in places])
+    axes.minorticks_off()

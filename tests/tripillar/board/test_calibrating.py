@@ -1,0 +1,93 @@
+"""What calibration refuses: loads that were not there, not as told, or tell nothing; and what it takes."""
+
+import numpy as np
+import pytest
+
+from dataset.imperfections import Imperfections
+from decoupler.data.components import component_named, force_columns
+from decoupler.inverse.forward_model import ForwardModel
+from geometry import Array, SensorDesign
+from geometry.errors import FileFormatError
+from hardware.readout.calibration import Electronics
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.loads import weight
+from tests.dataset.conftest import made_up_response
+from tripillar.board.calibrating import MeasuredLoads, calibrated
+from tripillar.board.session import averaged
+
+RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
+NOTHING, KILOS = "0 0 0", "0 1 5000"
+
+
+def measured(told, acting=None, times=1.0, noise=3e-4, seed=0):
+    """Pairs of what was told and what a sensor as made shows under what acts, averaged over 150 scans of 12 bits."""
+    generator, everything = np.random.default_rng(seed), component_named("all")
+    crossbar = Crossbar(rows=2, cols=3, bits=12, noise=noise)
+    gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=200.0, specimen=seed).gain_and_offset(2, 3)
+    acting_n = np.stack([weight(text, 2, 3).force_n for text in acting or told])
+    designed = ForwardModel.of(RESPONSE, everything).resistances(force_columns(acting_n, everything))
+    ohms = gain * designed.reshape(-1, 2, 3, 3) + offset_ohm
+    means, noises = zip(
+        *(averaged(crossbar.counts(np.repeat(state[None], 150, axis=0), generator), crossbar) for state in ohms),
+        strict=True,
+    )
+    return MeasuredLoads(
+        names=told,
+        force_n=np.stack([weight(text, 2, 3).force_n for text in told]),
+        measured_ohm=times * np.stack(means),
+        noise=float(np.median(noises)),
+        serial=0,
+    )
+
+
+def fitted(pairs, **options):
+    return calibrated(pairs, RESPONSE, Electronics(), None, **options)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_weights_as_told_are_taken(noise):
+    for seed in range(20):
+        found, residual = fitted(measured([NOTHING, KILOS, "1 2 5000"], noise=noise, seed=seed))
+        assert residual < 1e-3
+        assert 0.7 < found.gain.min() < found.gain.max() < 1.3
+
+
+def test_weights_without_a_rest_are_taken():
+    fitted(measured([KILOS, "1 2 5000"]))
+
+
+@pytest.mark.parametrize(
+    ("told", "acting", "times", "says"),
+    [
+        ([NOTHING], None, 1.0, "1 measured, all of the same forces, .* at least two loads that differ"),
+        ([NOTHING, NOTHING], None, 1.0, "2 measured, all of the same forces"),
+        (
+            [NOTHING, KILOS],
+            [NOTHING, NOTHING],
+            1.0,
+            f"load '{KILOS}' changed the resistances by [0-9]+ % of what it should",
+        ),
+        ([NOTHING, "1 2 5000", KILOS], [NOTHING, "1 2 5000", NOTHING], 1.0, f"load '{KILOS}' changed the resistances"),
+        ([NOTHING, KILOS], [NOTHING, "1 0 5000"], 1.0, f"load '{KILOS}' changed the resistances by [0-9]+ % of"),
+        ([NOTHING, KILOS, "1 2 5000"], [NOTHING, "1 2 5000", KILOS], 1.0, "changed the resistances by [0-9]+ % of"),
+        ([NOTHING, "0 1 50000"], [NOTHING, "0 1 50"], 1.0, "load '0 1 50000' changed the resistances by [0-9]+ % of"),
+        (
+            [NOTHING, "0 1 500"],
+            [NOTHING, "0 1 50000"],
+            1.0,
+            r"load '0 1 500' changed the resistances by [0-9]{4,} % of",
+        ),
+        ([NOTHING, "0 1 5"], [NOTHING, "0 1 5000"], 1.0, r"no load is large enough .* newtons, weights in grams"),
+        ([KILOS, "1 2 5000"], [NOTHING, NOTHING], 1.0, "changed the resistances by [0-9]+ % of"),
+        ([NOTHING, KILOS], None, 1e-3, "resistances are 0.001.* times those of the design: .* 1000 is kΩ for Ω"),
+        ([NOTHING, KILOS], None, 1e3, "times those of the design: .* 1000 is kΩ for Ω"),
+        ([NOTHING, KILOS], None, 3.0, r"resistances are 3\.?\d* times those of the design: check .*resistivity\. Or"),
+    ],
+)
+def test_what_cannot_be_is_refused_unless_forced(told, acting, times, says):
+    pairs = measured(told, acting, times)
+    with pytest.raises(FileFormatError, match=says) as refused:
+        fitted(pairs)
+    assert str(refused.value).endswith("Or write it as it is with --force.")
+    assert "\n" not in str(refused.value)
+    fitted(pairs, force=True)

@@ -1,0 +1,327 @@
+"""A board on the command line: simulated, watched, recorded, tared, calibrated; and what is refused."""
+
+import json
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from dataset.imperfections import Imperfections
+from hardware.boards.simavr_board import find_tools
+from hardware.readout.calibration import SensorCalibration, read_calibration
+from hardware.recording import read_recording
+from tests.house import House
+
+MODEL = "model.safetensors"
+WHOLE_SECOND = "--seconds", "1"
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """A small sensor and a joint net for it."""
+    house = House(tmp_path_factory.mktemp("board"))
+    house.result(
+        "dataset", "--protocol", "contact", "--samples", "500", "--seed", "1", "--bits", "12", "--out", "data.nc",
+        "--design", "small.toml", "-q",
+    )  # fmt: skip
+    house.result("train", "--data", "data.nc", "--component", "all", "--out", MODEL, "-q")
+    return house
+
+
+@contextmanager
+def simulating(house, *flags):
+    """A simulated board of the small sensor; its port, kept on a link."""
+    command = [sys.executable, "-m", "tripillar", "simulate", "--design", "small.toml", "-q", "--json", *flags]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=house.folder, env=house.environment
+    ) as process:
+        try:
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            yield json.loads(line)["port"]
+        finally:
+            process.send_signal(signal.SIGTERM)
+            _, said = process.communicate(timeout=20)
+    assert process.returncode == 0, said
+
+
+@pytest.fixture(scope="module")
+def port(house):
+    flags = "--board", "python", "--bits", "12", "--serial", "7", "--period", "2", "--truth", "truth.nc"
+    with simulating(house, *flags, "--link", "board") as port:
+        yield port
+
+
+def truth_of(house):
+    with xr.open_dataset(house.folder / "truth.nc") as opened:
+        return opened["force_n"].values
+
+
+def test_info_says_what_the_board_is(house, port):
+    told = house.result("info", port)
+    expected = {"rows": 1, "cols": 2, "bits": 12, "scan_mode": "ZERO_POTENTIAL", "serial": 7, "sense_ohm": 4700}
+    assert {name: told[name] for name in expected} == expected
+    assert "serial      7" in house.tripillar("info", port).stdout
+
+
+def test_ports_can_be_listed(house):
+    assert isinstance(house.result("ports")["ports"], list)
+
+
+def test_live_gives_the_forces_that_act(house, port):
+    """Over a whole period each axis' largest and least force are the script's, but for 12 bits and the net's error."""
+    done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(lines) > 300
+    found, acts = np.array([line["force_n"] for line in lines]), truth_of(house)
+    assert found.max(axis=0) == pytest.approx(acts.max(axis=0), abs=0.02 * acts.max())
+    assert found.min(axis=0) == pytest.approx(acts.min(axis=0), abs=0.02 * acts.max())
+    assert np.array(lines[0]["deviation_n"]).shape == (1, 2, 3)
+    assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * (len(lines) - 1)
+
+
+def test_live_draws_for_people(house, port):
+    done = house.tripillar("live", port, "--model", MODEL, *WHOLE_SECOND)
+    assert done.returncode == 0, done.stderr
+    assert "frames/s" in done.stdout
+    assert "0 lost" in done.stdout
+
+
+def test_record_and_replay(house, port):
+    name = "press.frames"
+    told = house.result("record", port, "-o", name, "--model", MODEL, *WHOLE_SECOND, "-q")
+    recording = read_recording(house.folder / name)
+    assert told["scans"] == len(recording.sequence) > 100
+    assert set(recording.made_from) == {"model_recipe", "design_hash"}
+    replayed = house.result("replay", name, "--model", MODEL)
+    assert replayed["frames"] == told["scans"]
+    quick = house.tripillar("replay", name, "--model", MODEL, "--speed", "10", "--json").stdout.splitlines()
+    live = np.array([json.loads(line)["force_n"] for line in quick])
+    assert live == pytest.approx(np.array(replayed["force_n"]), abs=1e-2)  # printed to 1e-4; corrected scan by scan
+    assert "exists" in house.refusal("record", port, "-o", name, *WHOLE_SECOND)
+    more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *WHOLE_SECOND, "-q")
+    both = read_recording(house.folder / name)
+    assert len(both.sequence) == both.statistics.ok == told["scans"] + more["scans"]
+    assert both.statistics.bad_crc == both.statistics.lost == 0
+    for suffix in (".nc", ".mcap") if find_spec("mcap") else (".nc",):
+        converted = house.result("convert", name, "-o", f"press{suffix}")
+        assert converted["frames"] == len(both.sequence)
+        again = house.result("replay", f"press{suffix}", "--model", MODEL, "--out", f"forces{suffix}")
+        assert again["frames"] == len(both.sequence)
+
+
+def test_a_damaged_recording_says_where(house, port):
+    house.result("record", port, "-o", "hurt.frames", "--seconds", "0.3", "-q")
+    whole = bytearray((house.folder / "hurt.frames").read_bytes())
+    whole[len(whole) // 2] ^= 1
+    (house.folder / "hurt.frames").write_bytes(whole)
+    done = house.tripillar("convert", "hurt.frames", "-o", "hurt.csv")
+    assert done.returncode == 0
+    assert done.stderr.startswith("warning: hurt.frames: damaged at byte ")
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_a_recording_that_is_ended_is_kept(house, port, end):
+    command = [sys.executable, "-m", "tripillar", "record", port, "-o", f"ended-{end}.frames"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=house.folder) as process:
+        said = ""
+        while not said.startswith("2 s"):  # of recording
+            character = process.stderr.read(1)
+            assert character, said
+            said = "" if character == "\n" else said + character  # a carriage return, as text
+        process.send_signal(end)
+        process.communicate(timeout=20)
+    assert process.returncode == (0 if end == signal.SIGINT else -signal.SIGKILL)
+    assert len(read_recording(house.folder / f"ended-{end}.frames").sequence) > 150
+
+
+def test_tare_takes_out_a_drift_of_the_rubber(house):
+    """Every pillar 10 % up in resistance: without a tare forces are far off; with it they are not."""
+    errors = {}
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        at_rest = house.result("tare", port, "-o", "tare.json", *WHOLE_SECOND)  # the script rests for 100 s
+        assert np.array(at_rest["rest_ohm"]).shape == (1, 2, 3)
+        for name, flags in {"as it is": [], "tared": ["--calibration", "tare.json"]}.items():
+            lines = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "0.2", *flags).stdout
+            errors[name] = np.abs([json.loads(line)["force_n"] for line in lines.splitlines()]).max()
+    assert errors["tared"] < 5 < errors["as it is"]  # of a pad's 432 N; nothing acts
+
+
+def test_played_at_a_pace_or_all_at_once_a_recording_gives_the_same(house):
+    """Its own calibration counts both ways."""
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        house.result("tare", port, "-o", "own.json", *WHOLE_SECOND)
+        house.result("record", port, "-o", "own.frames", "--calibration", "own.json", *WHOLE_SECOND, "-q")
+    at_once = np.array(house.result("replay", "own.frames", "--model", MODEL)["force_n"])
+    lines = house.tripillar("replay", "own.frames", "--model", MODEL, "--speed", "20", "--json").stdout.splitlines()
+    assert np.abs(at_once).max() < 5  # nothing acts, and the tare says so
+    assert np.array([json.loads(line)["force_n"] for line in lines]) == pytest.approx(at_once, abs=1e-2)
+    house.result("replay", "own.frames", "--model", MODEL, "--out", "own-forces.nc")
+    with xr.open_dataset(house.folder / "own-forces.nc") as forces:
+        assert forces["deviation_n"].shape == at_once.shape
+        assert "gain" in forces.attrs["calibration"]
+        assert forces.attrs["design_hash"]
+
+
+def test_ctrl_c_ends_a_tare_and_leaves_nothing(house, port):
+    command = [sys.executable, "-m", "tripillar", "tare", port, "-o", "never.json", "--seconds", "30"]
+    with subprocess.Popen(command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE) as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(timeout=3)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert not (house.folder / "never.json").exists()
+
+
+def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
+    """A period of the script is recorded, its forces at ten moments are told: the specimen's gains come back."""
+    flags = "--board", "python", "--bits", "16", "--period", "5", "--specimen", "3", "--gain-spread", "0.2"
+    with simulating(house, *flags, "--offset", "150", "--truth", "acting.nc") as port:
+        house.result("record", port, "-o", "known.frames", "--seconds", "5.5", "-q")
+    recording = read_recording(house.folder / "known.frames")
+    with xr.open_dataset(house.folder / "acting.nc") as opened:
+        acting, time_s = opened["force_n"].values, opened["time_s"].values
+    table = ["load,row,col,fx_n,fy_n,fz_n,from_s,to_s"]
+    for k, wanted in enumerate(np.linspace(0.3, 4.8, 12)):
+        board_s = recording.time_s[np.abs(recording.time_s - recording.time_s[0] - wanted).argmin()]
+        moment = board_s - recording.time_s[0]  # of a frame: a busy board skips some
+        force = acting[np.searchsorted(time_s, board_s % 5.0) % len(acting)]
+        for col in range(2):
+            table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
+    (house.folder / "loads.csv").write_text("\n".join(table))
+    told = house.result(
+        "calibrate", "known.frames", "--loads", "loads.csv", "--design", "small.toml", "-o", "gains.json",
+        "--noise", "0.0005", "-q",
+    )  # fmt: skip
+    assert told["loads"] == 12
+    assert told["residual"] < 0.005
+    found = read_calibration(house.folder / "gains.json")
+    gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=150.0, specimen=3).gain_and_offset(1, 2)
+    rest_ohm = np.array([1e4, 1.414e4, 1.414e4])
+    assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
+
+
+def test_nobody_at_the_sensor_calibrates_nothing(house, port):
+    """The input ends at the first question: one clear line below it, no file."""
+    command = [
+        sys.executable,
+        "-m",
+        "tripillar",
+        "calibrate",
+        port,
+        "--weights",
+        "--design",
+        "small.toml",
+        "-o",
+        "no.json",
+    ]
+    done = subprocess.run(
+        command, cwd=house.folder, env=house.environment, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("tripillar: the input ended before the last load")
+    assert not (house.folder / "no.json").exists()
+
+
+def test_typed_weights_calibrate_and_nonsense_is_asked_again(house):
+    """Nothing lies on the simulated sensor, whatever is typed: that is refused, and taken only by force."""
+    command = [
+        sys.executable,
+        "-m",
+        "tripillar",
+        "calibrate",
+        "--weights",
+        "--design",
+        "small.toml",
+        "-o",
+        "typed.json",
+    ]
+    with simulating(house, "--board", "python", "--bits", "12", "--period", "600", "--gain-spread", "0.1") as port:
+        refused, forced = (
+            subprocess.run(
+                [*command, port, "--seconds", "0.3", "--json", "-q", *flags], input="\nspam\n0 0 9000\n\n",
+                cwd=house.folder, env=house.environment, capture_output=True, text=True,
+            )
+            for flags in ([], ["--force"])
+        )  # fmt: skip
+    assert refused.returncode == 2
+    assert "load '0 0 9000' changed the resistances by 0 % of what it should" in refused.stderr.splitlines()[-1]
+    assert forced.returncode == 0, forced.stderr
+    assert "'spam' is no weight" in forced.stderr
+    assert json.loads(forced.stdout)["loads"] == 2
+
+
+def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
+    """The script presses and slides every 2 s; the calibration that is to be tared stays as it was."""
+    (house.folder / "kept.json").write_text(SensorCalibration.as_designed(1, 2).to_json())
+    before = (house.folder / "kept.json").read_bytes()
+    said = house.refusal("tare", port, "--calibration", "kept.json", "-o", "kept.json", *WHOLE_SECOND)
+    assert "the sensor moves: pillar " in said
+    assert "--force" in said
+    assert (house.folder / "kept.json").read_bytes() == before
+    house.result("tare", port, "--calibration", "kept.json", "-o", "kept.json", "--force", *WHOLE_SECOND)
+    assert read_calibration(house.folder / "kept.json").rest_ohm is not None
+
+
+def test_bench_measures_the_link(house, port):
+    told = house.result("bench", port, "--model", MODEL, *WHOLE_SECOND)
+    assert told["rate_hz"] == pytest.approx(150, rel=0.2)
+    assert told["statistics"]["lost"] == 0
+    assert 0 < told["latency_ms"]["median"] <= told["latency_ms"]["p99"] <= told["latency_ms"]["worst"]
+
+
+@pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
+def test_a_board_that_no_chip_can_be_is_pythons(house):
+    """And a chip that is asked for says why it cannot."""
+    with simulating(house, "--rate", "3000") as port:
+        assert house.result("info", port)["firmware"] == "0.0.0"
+    done = house.tripillar("simulate", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
+    assert done.returncode == 2
+    assert "the firmware does not build: " in done.stderr
+    assert "RATE: 1 to what the scan time allows" in done.stderr
+
+
+@pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
+def test_the_firmware_is_simulated_where_it_can_be(house):
+    with simulating(house) as port:
+        assert house.result("info", port)["firmware"] == "1.1.0"
+        assert house.result("bench", port, *WHOLE_SECOND)["statistics"]["lost"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["info", "nowhere"], "nowhere"),
+        (["live", "board", "--model", "data.nc"], "no safetensors file"),
+        (["record", "board", "-o", "press.txt"], "must be a file that ends in .frames"),
+        (["record", "board", "-o", "x.nc"], "record to x.frames, then 'tripillar convert' makes x.nc of it"),
+        (["calibrate", "board", "-o", "x.json"], "give either --loads FILE or --weights"),
+        (["tare", "board", "-o", "x.json", "--calibration", "small.toml"], "small.toml is no calibration"),
+        (["replay", "small.toml", "--model", MODEL], "small.toml"),
+        (["replay", "data.nc", "--model", MODEL, "--out", "data.nc"], "data.nc is read by this command"),
+        (["info", "board", "--timeout", "inf"], "--timeout inf must be above 0 and at most 3600 s"),
+        (["info", "socket://x"], "socket://x: no host and port number: give socket://HOST:PORT"),
+        (["live", "data.nc", "--model", MODEL, "--rate", "100"], "leave --rate out"),
+        (
+            ["simulate", "--board", "python", "-q", "--design", "small.toml", "--link", "small.toml"],
+            "exists and is no link",
+        ),
+        (["tare", "board", "-o", "data.nc"], "the file exists: build on it by --calibration"),
+        (["replay", "data.nc", "--model", MODEL, "--speed", "0"], "--speed 0 must be 0.001 or more"),
+        (["replay", "data.nc", "--model", MODEL, "--speed", "1", "--out", "x.nc"], "--speed only shows forces"),
+        (["bench", "board", "--seconds", "nan"], "--seconds nan must be above 0"),
+        (["simulate", "--scene", "x.toml", "--pressure", "2"], "a scene has its own design and loads"),
+        (["simulate", "--mode", "divider", "--bits", "40"], "bits=40 must be"),
+        (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be from 0, at rest, to 10"),
+    ],
+    ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else None,
+)
+def test_a_mistake_is_one_line(house, port, words, says):
+    assert says in house.refusal(*words)

@@ -1,0 +1,184 @@
+"""The work of a sweep: whichever worker does it rows are the same, none is lost with one, no stage is made twice."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fem import ResponseSettings, solve_response
+from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.errors import DesignError
+from tripillar.sweep.judge import row_of
+from tripillar.sweep.merits import merits
+from tripillar.sweep.rows import Row, read_row, to_xarray, write_parquet, write_row
+from tripillar.sweep.run import judge_all, kept_rows, shared_stages
+from tripillar.sweep.sampling import Sample, row_recipe, samples_of
+from tripillar.sweep.sweep_file import sweep_from_dict
+from tripillar.sweep.workers import workers
+
+ROOT = Path(__file__).parents[3]
+SMALL = {"array": {"rows": 1, "cols": 2}}
+SWEEP = sweep_from_dict(
+    {
+        "design": SMALL,
+        "sweep": {"sampling": "grid", "tolerance": 2e-2},
+        "vary": [
+            {"key": "pad.size_mm", "values": [9.0, 12.0, 16.0]},  # the last is larger than the pitch
+            {"key": "resistivity_ohm_mm", "values": [3000.0, 4000.0]},
+        ],
+    }
+)
+
+
+def sample(design):
+    return Sample(recipe=row_recipe(design, SWEEP.judging), values={}, design=design)
+
+
+def known(row):
+    """A row's texts, and its figures without what they cost."""
+    costs = ("seconds", "peak")
+    figures = {name: value for name, value in row.figures.items() if value is not None and not name.startswith(costs)}
+    return (row.recipe, row.values, row.design, row.reason), figures
+
+
+def test_a_row_survives_its_file_and_a_torn_one_is_made_again(tmp_path):
+    row = Row(
+        recipe="ab", values={"pad.size_mm": 9.0}, design="x", figures={"error_n": 1.5}, sensitivity_per_n=[[[1.0]]]
+    )
+    write_row(row, tmp_path)
+    assert read_row(tmp_path, "ab") == row
+    whole = (tmp_path / "ab.json").read_text()
+    for torn in ("", whole[:-20], "[]", '{"recipe": "ab"}', whole.replace('"ab"', '"cd"')):
+        (tmp_path / "ab.json").write_text(torn)
+        assert read_row(tmp_path, "ab") is None
+    assert read_row(tmp_path, "ef") is None
+
+
+def test_tables_hold_every_figure_and_the_failed_ones(tmp_path):
+    import pyarrow.parquet as pq
+
+    good = Row(
+        recipe="a", values={"array.cols": 2.0}, design="x", figures={"error_n": 1.5}, sensitivity_per_n=[[[1.0] * 3]]
+    )
+    bad = Row(recipe="b", values={"array.cols": 3.0}, design=None, reason="DesignError: no")
+    write_parquet([good, bad], tmp_path / "rows.parquet")
+    table = pq.read_table(tmp_path / "rows.parquet")
+    assert table["error_n"].to_pylist() == [1.5, None]
+    assert table["reason"].to_pylist() == ["", "DesignError: no"]
+    assert table.schema.field("error_n").metadata[b"units"] == b"N"
+    data = to_xarray([good, bad])
+    assert data["sensitivity_per_n"].shape == (2, 1, 1, 3)
+    assert data["error_n"].isnull().to_numpy().tolist() == [False, True]
+    assert data["array_cols"].attrs["key"] == "array.cols"
+
+
+def test_a_design_fails_as_a_row(monkeypatch):
+    def broken(*_):
+        raise DesignError("the mesher gave up")
+
+    monkeypatch.setattr("tripillar.sweep.judge.array_response", broken)
+    row = row_of(sample(SensorDesign()), SWEEP.judging)
+    assert row.reason == "DesignError: the mesher gave up"
+    assert row.figures["seconds"] >= 0
+    assert row.design is not None
+
+
+def test_designs_know_the_stages_they_share():
+    """The pad is not in the mesh of a two-rubber cell, rows and columns are not in a cell, resistivity in neither."""
+    soft = SensorDesign(matrix_material=Material(young_mpa=2.0), array=Array(rows=4, cols=4))
+
+    def stages(**changes):
+        return shared_stages(sample(SensorDesign(**{**vars(soft), **changes})), SWEEP.judging)
+
+    kinds = {name.split()[0] for name in stages()}
+    assert kinds == {"mesh", "cell", "response"}
+
+    def shared(**changes):
+        return {name.split()[0] for name in stages() & stages(**changes)}
+
+    assert shared(resistivity_ohm_mm=1.0) == kinds
+    assert shared(array=Array(rows=4, cols=7)) == {"mesh", "cell"}
+    assert shared(pad=Pad(size_mm=10.0)) == {"mesh"}
+    assert shared(matrix_material=Material(young_mpa=3.0)) == {"mesh"}
+    assert shared(array=Array(rows=4, cols=4, pitch_mm=16.0)) == set()
+
+
+def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
+    first = row_of(sample(SensorDesign(array=Array(rows=3, cols=3))), SWEEP.judging)
+    assert first.figures["seconds_condense"] > 0
+    monkeypatch.setattr("fem.array.substructured._refined_cell", None)  # nobody condenses again
+    larger = row_of(sample(SensorDesign(array=Array(rows=3, cols=5))), SWEEP.judging)
+    assert larger.figures["seconds_condense"] == 0
+    assert larger.figures["error_estimate"] == first.figures["error_estimate"]
+    monkeypatch.undo()
+    fresh = solve_response(SensorDesign(array=Array(rows=3, cols=5)), ResponseSettings(tolerance=2e-2))
+    anew = merits(fresh, SWEEP.judging.noise, SWEEP.judging.bits, SWEEP.judging.cap)
+    assert {name: larger.figures[name] for name in anew} == pytest.approx(anew, rel=1e-9)
+
+
+def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
+    """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right."""
+    monkeypatch.setattr("tripillar.sweep.cluster.CONNECT_S", 60)
+    samples = samples_of(SWEEP)
+    file = tmp_path / "scheduler.json"
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "TRIPILLAR_CACHE": str(tmp_path / "there"),
+    }
+    dask = [sys.executable, "-W", "ignore", "-m", "dask"]
+    options = ["--scheduler-file", str(file), "--no-dashboard"]
+    worker = [*dask, "worker", *options, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)]
+    with open(tmp_path / "log", "w") as log:
+        processes = [
+            subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=tmp_path)
+            for command in ([*dask, "scheduler", *options, "--host", "127.0.0.1", "--port", "0"], worker, worker)
+        ]
+        try:
+            address = _address(file)
+            with workers(None, address, tmp_path / "unused.log") as judges:
+                until = time.monotonic() + 60
+                while judges.count < 2 and time.monotonic() < until:
+                    time.sleep(0.1)
+                done = []
+
+                def progress(row):
+                    done.append(row)
+                    if len(done) == 2:
+                        processes[1].send_signal(signal.SIGKILL)
+
+                rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows", progress)
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
+    assert len(done) == len(samples) == len(rows) == 6
+    assert kept_rows(samples, tmp_path / "rows") == rows
+    failed = [row for row in rows.values() if row.failed]
+    assert [row.reason.split(":")[0] for row in failed] == ["not a design"] * 2
+    solved = [row for row in rows.values() if "seconds_condense" in row.figures]
+    assert len(solved) <= 2  # one a pad: the other resistivity waits for the response, whichever worker makes it
+    for one in samples:  # by this process, from a cache of its own
+        (texts, figures), (expected, anew) = known(rows[one.recipe]), known(row_of(one, SWEEP.judging))
+        assert texts == expected
+        assert figures == pytest.approx(anew, rel=1e-6)  # sums in another order, through condition numbers of up to 1e4
+
+
+def test_a_scheduler_that_is_not_there_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("tripillar.sweep.cluster.CONNECT_S", 1)
+    with pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"):
+        workers(None, "tcp://127.0.0.1:9", tmp_path / "log").__enter__()
+
+
+def _address(file):
+    import json
+
+    for _ in range(600):
+        if file.exists() and file.read_text():
+            return json.loads(file.read_text())["address"]
+        time.sleep(0.1)
+    raise AssertionError("the scheduler did not start")

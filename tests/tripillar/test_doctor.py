@@ -1,0 +1,73 @@
+"""The doctor on a machine that is well, and on one that is not."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fem.linear.linear_solver import SolverError
+from tripillar.doctor import known_answers, surroundings
+from tripillar.doctor.known_answers import KNOWN
+
+
+def ask(*words, folder, **environment):
+    command = [sys.executable, "-m", "tripillar", "doctor", "--json", "--quiet", *words]
+    return subprocess.run(
+        command, capture_output=True, text=True, cwd=folder, env=os.environ | environment, check=False
+    )
+
+
+def test_a_sound_machine_is_found_sound(tmp_path):
+    """What runs these tests has all that is needed; every known answer comes out."""
+    done = ask(folder=tmp_path)
+    told = json.loads(done.stdout)
+    states = {check["name"]: check["state"] for check in told["checks"]}
+    assert [name for name, state in states.items() if state == "wrong"] == []
+    assert (done.returncode, told["wrong"]) == (0, 0)
+    assert {known.name for known in KNOWN} <= set(states)
+    assert all(check["advice"] for check in told["checks"] if check["state"] != "ok")
+
+
+def test_a_broken_solver_is_a_line_and_not_the_end(monkeypatch):
+    def broken(*_):
+        raise SolverError("no factor")
+
+    monkeypatch.setattr(known_answers, "solve_scene", broken)
+    monkeypatch.setattr(
+        known_answers, "KNOWN", [known for known in KNOWN if known.name.startswith(("col", "res"))][::2]
+    )
+    column, resistance = known_answers.known_answers()
+    assert (column.state, column.found) == ("wrong", "SolverError: no factor")
+    assert "pypardiso" in column.advice
+    assert resistance.state == "ok"
+
+
+def test_a_wrong_answer_is_told(monkeypatch):
+    monkeypatch.setattr(known_answers, "pillar_resistances", lambda *_: [8200.0])
+    (known,) = (known for known in KNOWN if "pillar" in known.name)
+    assert known.error() == pytest.approx(100 / 8100)
+    assert known.error() > known.limit
+
+
+def test_a_cache_that_cannot_be_written_is_wrong(tmp_path, monkeypatch):
+    monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
+    assert surroundings.cache().state == "wrong"
+    assert "TRIPILLAR_CACHE" in surroundings.cache().advice
+
+
+def test_a_port_without_permission_names_the_group(monkeypatch):
+    from hardware.link import serial_ports as ports
+
+    monkeypatch.setattr(ports, "list_ports", lambda: [ports.Port(device="/dev/null", description="", hardware_id="")])
+    assert surroundings.serial_ports().state == "ok"
+    monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
+    assert (surroundings.serial_ports().state, "dialout" in surroundings.serial_ports().advice) == ("wrong", True)
+
+
+def test_a_failure_ends_with_code_1(tmp_path):
+    """VTK is told to use a window system that there is not: nothing can be drawn."""
+    done = ask("--no-compute", folder=tmp_path, VTK_DEFAULT_OPENGL_WINDOW="vtkNoSuchWindow", DISPLAY="")
+    wrong = [check["name"] for check in json.loads(done.stdout)["checks"] if check["state"] == "wrong"]
+    assert (wrong, done.returncode) == (["pictures"], 1)

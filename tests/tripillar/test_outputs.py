@@ -1,0 +1,139 @@
+"""Files to write: refused before anything is computed, links followed, nothing left of killed processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from geometry import FileFormatError
+from geometry.storage.files import keep, replacing, require_folder, scratch, write_bytes
+from geometry.storage.unfinished import MARK, remove_leftovers
+from tests.house import House
+
+WRITERS = {
+    "design": ["design"],
+    "response": ["response"],
+    "dataset": ["dataset", "--protocol", "contact", "--samples", "2"],
+    "train": ["train", "--data", "none.nc", "--component", "fz"],
+    "fine-tune": ["fine-tune", "--model", "none.safetensors", "--data", "none.nc"],
+    "export": ["export", "--model", "none.safetensors"],
+    "tare": ["tare", "none"],
+    "record": ["record", "none"],
+}
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    path = tmp_path / "pipe.nc"
+    os.mkfifo(path)
+    return path
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes with names are POSIX's")
+def test_what_is_no_file_is_refused_and_left_alone(tmp_path, pipe):
+    for path, kind in ((pipe, "a pipe"), (tmp_path, "a folder")):
+        with pytest.raises(FileFormatError, match=kind), replacing(path):
+            raise AssertionError("must not begin")
+    assert pipe.is_fifo()
+    with pytest.raises(FileFormatError, match="is not a folder"), replacing(tmp_path / "pipe.nc" / "a.nc"):
+        raise AssertionError("must not begin")
+    with pytest.raises(FileFormatError, match="is not a folder"):
+        require_folder(pipe)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root makes devices")
+def test_a_device_is_refused_and_left_alone(tmp_path):
+    path = tmp_path / "full"
+    os.mknod(path, 0o600 | 0o020000, os.makedev(1, 7))
+    with pytest.raises(FileFormatError, match="a device"), replacing(path):
+        raise AssertionError("must not begin")
+    assert path.is_char_device()
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_folder_as_output_is_refused_before_anything_else(name, tmp_path, capsys, monkeypatch):
+    """Inputs that are missing are not even looked for."""
+    from tripillar.cli.app import main
+
+    monkeypatch.setattr(sys, "argv", ["tripillar", *WRITERS[name], "--out", str(tmp_path)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"tripillar: {tmp_path} is a folder: give the name of a file in it.\n"
+
+
+def test_a_link_is_followed(tmp_path):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "link.txt").symlink_to(tmp_path / "there" / "real.txt")
+    for text in ("made", "made again"):
+        with replacing(tmp_path / "link.txt") as temporary:
+            temporary.write_text(text)
+        assert (tmp_path / "there" / "real.txt").read_text() == text
+    assert (tmp_path / "link.txt").is_symlink()
+
+
+def test_a_cache_that_cannot_be_written_loses_nothing(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    keep(lambda path: write_bytes(path, b""), tmp_path / "a.nc")
+    assert [record.message[:27] for record in caplog.records] == ["not kept for the next time:"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks")
+def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_holds_is_not(tmp_path):
+    code = (
+        "import sys, time; from pathlib import Path; from geometry.files import replacing\n"
+        "with replacing(Path(sys.argv[1])) as temporary:\n"
+        "    temporary.write_text('half'); print('begun', flush=True); time.sleep(60)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "data.txt")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "begun\n"
+        (tmp_path / ".mine").mkdir()
+        remove_leftovers(tmp_path)
+        assert len([path for path in tmp_path.iterdir() if MARK in path.name]) == 1
+        process.kill()
+    with replacing(tmp_path / "other.txt"):  # this process has looked through the folder already
+        pass
+    from geometry.storage import unfinished
+
+    unfinished._looked_through.clear()
+    with replacing(tmp_path / "other.txt"):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".mine", "other.txt"]
+
+
+def test_scratch_is_removed():
+    with scratch() as folder:
+        (folder / "a").write_text("x")
+    assert not folder.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_what_swallows_it(tmp_path, number, code):
+    """Libraries swallow an exception, or compute on; what is unfinished is removed and one line is said."""
+    program = (
+        "from studies import interrupts; interrupts.install()\n"
+        "import time; from pathlib import Path; from geometry.files import replacing\n"
+        "with replacing(Path('data.txt')) as temporary:\n"
+        "    print('begun', flush=True)\n"
+        "    while True:\n"
+        "        try: time.sleep(60)\n"
+        "        except BaseException: pass"
+    )
+    house = House(tmp_path)
+    environment = house.environment | {"PYTHONPATH": os.getcwd()}
+    with subprocess.Popen(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stdout.readline() == "begun\n"
+        begin = time.monotonic()
+        process.send_signal(number)
+        said = process.communicate(timeout=20)[1]
+    assert time.monotonic() - begin < 2
+    assert (process.returncode, said) == (code, "tripillar: interrupted.\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]

@@ -1,0 +1,213 @@
+"""Bad input to every command, in this process: exit code 2, one line that says what was given, nothing written.
+
+Each line of `REFUSED` is a command as it is typed and, after ``->``, words of the line that it must end in.
+"""
+
+import shlex
+import sys
+
+import pytest
+import typer.main
+
+from tests.house import SMALL
+from tests.tripillar.test_damaged_files import a_dataset, a_model
+from tripillar.cli.app import app
+from tripillar.terminal.entry import run
+
+FILES = {
+    "text.toml": "[array]\nrows = 'six'\n",
+    "broken.toml": "[array\n",
+    "unknown.toml": "[array]\nrowz = 3\n",
+    "half.toml": "[array]\nrows = 1.5\n",
+    "huge.toml": "[array]\nrows = 100000\n",
+    "nan.toml": "[array]\npitch_mm = nan\n",
+    "thick.toml": "[unit]\npillar_width_mm = 20\n",
+    "tight.toml": "[array]\npitch_mm = 3\n",
+    "sphere.toml": "[body]\nkind = 'sphere'\n",
+    "idle.toml": "[body]\nkind = 'block'\nsize_mm = [9, 9, 9]\n[material]\nyoung_mpa = 1\npoisson = 0.3\n",
+    "vary.toml": "[vary]\nkey = 'array.pitch_mm'\n",
+    "small.toml": SMALL,
+    "empty": "",
+    "empty.nc": "",
+    "text.txt": "hello\n",
+    "text.nc": "hello\n",
+    "text.json": "hello\n",
+    "text.safetensors": "hello\n",
+    "columns.csv": "a,b\n1,2\n",
+    "place.csv": "load,row,col,fx_n,fy_n,fz_n\none,5,0,0,0,1\n",
+    "letter.csv": "load,row,col,fx_n,fy_n,fz_n\none,0,0,x,0,1\n",
+    "größe 🧊.csv": "load,row,col,fx_n,fy_n,fz_n\none,0,0,x,0,1\n",
+}
+
+REFUSED = """
+designs -> No such command 'designs'. Did you mean 'design'?
+--nonsense -> No such option: --nonsense.
+design extra -> unexpected extra argument(s) (extra). See '
+design --out -> '--out' requires an argument
+design --out dir -> dir is a folder: give the name of a file in it
+cad -> Missing option '--out'
+cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
+cad --out cad --design text.toml -> rows='six' must be a whole number
+cad --out cad --design half.toml -> rows=1.5 must be a whole number
+cad --out cad --design huge.toml -> must be at most 255 each
+cad --out cad --design nan.toml -> pitch_mm=nan must be a finite number
+cad --out cad --design thick.toml -> widen the span or thin the pillars
+cad --out cad --design tight.toml -> raise pitch_mm to at least 12.83
+cad --out cad --design broken.toml -> broken.toml: not valid TOML
+cad --out cad --design missing.toml -> missing.toml: no such file: write one with 'tripillar design'
+cad --out cad --design dir -> dir: a folder, not a file
+cad --out cad --design data.nc -> data.nc: not a text file
+mesh --quiet=3 -> '--quiet' does not take a value
+solve -> Missing argument 'scene'
+solve missing.toml -> missing.toml: no such file
+solve dir -> dir: a folder, not a file
+solve small.toml -> the table [body] is missing
+solve sphere.toml -> kind='sphere' is unknown; it must be one of block, pillar, unit, array
+solve idle.toml -> add a [[probe]]
+solve idle.toml --tolerance abc -> --tolerance abc must be a number
+solve idle.toml --vtu x.txt -> --vtu x.txt must be a file that ends in .vtu
+solve one.toml two.toml -> unexpected extra argument
+response --out r.nc --method magic -> --method magic must be one of cells, whole, layer, halfspace
+response --out r.nc --design small.toml --tolerance 0 -> tolerance=0 must be above 0 and below 1
+response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be above 0 and below 1
+dataset -> Missing option '--protocol'. Choose from: independent-fz, independent-fx
+dataset --protocol magic --samples 5 -o x.nc -> --protocol magic must be one of independent-fz,
+dataset --protocol contact --samples 1.5 -o x.nc -> --samples 1.5 must be a whole number
+dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be from 1 to 10000000
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 10000000
+dataset --protocol contact --samples 5 -o small.toml --design small.toml -> small.toml is read by this command
+dataset --protocol contact --samples 5 -o x.nc --seed -1 -> seed=-1 must be from 0
+dataset --protocol contact --samples 5 -o x.nc --cap 0 -> the paper uses 0.2 and 0.3
+dataset --protocol contact --samples 5 -o x.nc --noise 5 -> noise=5 must be from 0 to 0.1
+dataset --protocol contact --samples 5 -o x.nc --bits 40 -> bits=40 must be from 4 to 24
+dataset --protocol contact --samples 5 -o x.nc --gain-spread 1 -> 0.2 is ± 20 %
+dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0 -> write row,col,pillar, such as 0,3,z
+dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,0,z -> its rows are 0 to 5, its columns 0 to 5
+dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
+dataset --protocol contact --samples 5 -o x.nc --switch-ohm 70 -> belong to --crossbar: give it, too
+dataset --protocol contact --samples 5 -o x.nc --crossbar divider --sense-ohm 0 -> sense_ohm=0 must be from 1
+train --data missing.nc --component fz -o m.safetensors -> missing.nc: no such file
+train --data dir --component fz -o m.safetensors -> dir: a folder
+train --data text.nc --component fz -o m.safetensors -> text.nc: truncated or not NetCDF
+train --data data.nc --component fq -o m.safetensors -> --component fq must be one of fz, fx, fy, all
+train --data data.nc --component fz -o data.nc -> data.nc is read by this command: give another name
+train --data data.nc --component fz -o m.safetensors --hidden 0 -> hidden=0 must be a whole number from 1 up
+train --data data.nc --component fz -o m.safetensors --hidden 9999 -> hidden=9999 must be at most 1000
+train --data data.nc --component fz -o m.safetensors --design missing.toml -> missing.toml: no such file
+evaluate --model missing --data data.nc -> missing: no such file: give a file made by 'tripillar train'
+evaluate --model dir --data data.nc -> dir: a folder: give a file made by 'tripillar train'
+evaluate --model empty --data data.nc -> empty: truncated or no safetensors file
+evaluate --model data.nc --data data.nc -> data.nc: truncated or no safetensors file
+evaluate --model model.safetensors --data empty.nc -> empty.nc: truncated or not NetCDF
+crossval --data data.nc --component all --folds 1 -> folds=1 must be from 2 to 2
+crossval --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
+fine-tune --model model.safetensors --data data.nc -o model.safetensors -> model.safetensors is read by this command
+fine-tune --model model.safetensors --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
+export --model model.safetensors -o model.txt -> must end in .onnx or .h
+export --model model.safetensors -o m.h --precision half -> --precision half must be one of float, double
+run --until never -> --until never must be one of dataset, table
+run --design missing.toml -> missing.toml: no such file
+view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
+view missing.toml --save x.png -> missing.toml: no such file: give a scene or a design
+view data.nc --save x.png -> data.nc: not a text file
+view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
+view small.toml --save x.png --pressure a -> --pressure a must be a number
+view small.toml --save x.png --pressure 1 1 -> at most 6 different values
+view small.toml --save x.png --scale big -> --scale big must be true, auto, or a number
+view small.toml --port board -> add --serve, whose page these are for, or leave --port out
+view small.toml --serve --save x.png -> the page of --serve has controls of its own: leave --save out
+view small.toml --serve --port board -> --port needs --model
+view small.toml --serve --http-port 99999 -> --http-port 99999 must be from 0
+view idle.toml --design small.toml --save x.png -> both say what to show: give one of them
+sweep missing.toml -> missing.toml: no such file
+sweep small.toml -> unknown key 'extends'; known are design, sweep, vary, bounds
+sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
+sweep small.toml --workers 0 -> --workers 0 must be at least 1
+optimize small.toml --trials 0 -> --trials 0 must be at least 1
+doctor extra -> unexpected extra argument(s) (extra). See '
+ports extra -> unexpected extra argument(s) (extra). See '
+info -> Missing argument 'PORT'
+info '' -> no port was named
+info missing -> missing: no such port; there are
+info dir -> dir: a folder, not a port
+info empty -> the file is empty
+info data.nc -> data.nc: not a recording
+info foo://bar -> there are no ports of the kind foo://; name a device as /dev/ttyUSB0, or socket://HOST:PORT
+info socket://localhost:x -> give socket://HOST:PORT of a running server
+info /dev/null -> no serial port
+info text.txt --timeout 0 -> --timeout 0 must be above 0 and at most 3600 s
+info text.txt --baud fast -> --baud fast must be a whole number
+live text.txt --model missing -> missing: no such file
+live text.txt --model model.safetensors --seconds 0 -> --seconds 0 must be above 0 s
+live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at
+live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
+bench missing -> missing: no such port
+record missing -o y.nc --seconds -1 -> --seconds -1 must be above 0 s
+record foo://x -o y.frames -> there are no ports of the kind foo://
+record missing -o y.nc -> record to y.frames, then 'tripillar convert' makes y.nc of it
+record missing -o y.txt -> must be a file that ends in .frames
+convert missing.frames -o y.nc -> missing.frames: no such file: give a recording
+convert text.txt -o y.nc -> text.txt: no valid frame in 6 bytes
+convert text.txt -o y.txt -> must be a file that ends in .nc, .mcap or .csv
+convert text.nc -o text.nc -> text.nc is read by this command
+replay missing.nc --model model.safetensors -> missing.nc: no such file: give a recording
+replay text.txt --model model.safetensors -> no valid frame in 6 bytes
+replay text.txt --model dir -> dir: a folder
+replay text.txt --model model.safetensors --out x.csv -> must be a file that ends in .nc or .mcap
+replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
+tare missing -o dir -> dir is a folder: give the name of a file in it
+tare missing -o text.json -> the file exists
+tare missing -o x.json --seconds nan -> --seconds nan must be above 0 s
+calibrate text.txt -o x.json -> give either --loads FILE or --weights
+calibrate text.txt -o x.json --weights --loads columns.csv -> give either --loads FILE or --weights
+calibrate text.txt -o x.json --weights -> a recording needs --loads FILE
+calibrate text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be above 0 and below 1
+simulate --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
+simulate --rate 0 -> rate_hz=0 must be a whole number from 1 to 65535
+simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
+simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
+simulate --period 0 -> --period 0 must be from 0.1 to 600 s
+simulate --sense-ohm 0 -> sense_ohm=0 must be a whole number from 1
+simulate --switch-ohm -1 -> switch_ohm=-1 must be from 0
+simulate --noise 7 -> noise=7 must be from 0 to 0.1
+simulate --serial -1 -> serial=-1 must be a whole number from 0
+simulate --scene sphere.toml -> kind='sphere' is unknown
+simulate --scene sphere.toml --pressure 3 -> a scene has its own design and loads
+simulate --seconds 0 -> --seconds 0 must be above 0 s
+simulate --truth x.txt -> --truth x.txt must be a file that ends in .nc
+"""
+CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with files of every kind, most of them bad."""
+    folder = tmp_path_factory.mktemp("refusals")
+    (folder / "dir").mkdir()
+    for name, text in FILES.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    a_dataset(folder / "data.nc")
+    a_dataset(folder / "few.nc", samples=3)
+    a_model(folder / "model.safetensors")
+    return folder
+
+
+@pytest.mark.parametrize(("typed", "said"), CASES, ids=[typed for typed, _ in CASES])
+def test_a_mistake_is_one_line_and_exit_code_2(files, typed, said, monkeypatch, capsys):
+    monkeypatch.chdir(files)
+    monkeypatch.setattr(sys, "argv", ["tripillar", *shlex.split(typed)])
+    before = sorted(files.rglob("*"))
+    with pytest.raises(SystemExit) as ended:
+        run(app)
+    printed = capsys.readouterr()
+    assert (ended.value.code, printed.out) == (2, "")
+    (line,) = printed.err.splitlines()
+    assert line.startswith("tripillar: ")
+    assert said in line
+    assert not any(word in line for word in ("Errno", "Traceback", "codec", "Value error"))
+    assert sorted(files.rglob("*")) == before
+
+
+def test_every_command_is_among_them():
+    typed = {shlex.split(line)[0] for line, _ in CASES}
+    assert set(typer.main.get_command(app).commands) <= typed

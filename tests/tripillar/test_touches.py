@@ -1,0 +1,54 @@
+"""The table of light touches: exact where readings are, at the limit where they are noisy, and said in newtons."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset.measurement import measured
+from decoupler import NetworkConfig, TrainingConfig, fine_tune
+from decoupler.training.trainer import train
+from fem.array.response import ArrayResponse
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tripillar.pipeline.manufactured import READ, SPECIMEN
+from tripillar.pipeline.touches import TOUCHES_N, touches
+
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Of a net that knows the response, on that sensor and on one that gives 5 % less way and has gains of its own."""
+    truth: ArrayResponse = replace(RESPONSE, influence_mm_per_n=0.95 * RESPONSE.influence_mm_per_n)
+    data = labelled(SENSOR, "z", n_samples=200, seed=0)
+    model, _ = train(data, "fz", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    pairs = labelled(SENSOR, "z", n_samples=10, seed=1)
+    specimen_ohm = SPECIMEN.apply(pairs.resistance_ohm, np.random.default_rng(0))
+    tuned = fine_tune(model, replace(pairs, resistance_ohm=specimen_ohm, noise=SPECIMEN.noise), RESPONSE)
+    found = touches({"ours": model.forces}, model, tuned, RESPONSE, truth)
+    return {row.decoupler: row for row in found}
+
+
+def test_exact_readings_of_a_known_sensor_say_a_tenth_of_a_newton(rows):
+    assert max(rows["ours"].exact_n) < TOUCHES_N[0] / 2
+
+
+def test_noise_is_what_limits_it(rows):
+    """192 readings: their root mean square is known to 5 %, and three times that is allowed."""
+    ours, limit = (np.sqrt(np.mean(np.square(rows[name].read_n))) for name in ("ours", "limit of the readings"))
+    assert ours < 1.15 * limit
+    assert rows["limit of the readings"].exact_n == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_gains_and_offsets_hide_touches_until_they_are_known_and_rest_is_zero(rows):
+    untuned, tuned, zeroed = (rows[f"ours, as made, {how}"] for how in ("untuned", "tuned", "tuned, zeroed at rest"))
+    assert untuned.read_n[0] > 3 * tuned.read_n[0] > 3 * zeroed.read_n[0]
+    assert zeroed.exact_n[0] < TOUCHES_N[0]
+
+
+def test_it_is_read_as_the_specimen_is():
+    assert (READ.noise, READ.bits) == (SPECIMEN.noise, SPECIMEN.bits)
+    ohm = np.full((1, 1, 1, 3), 1e4)
+    as_read = measured(ohm, READ.noise, READ.bits, np.random.default_rng(0))
+    assert np.array_equal(READ.apply(ohm, np.random.default_rng(0)), as_read)

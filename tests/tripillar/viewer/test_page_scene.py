@@ -1,0 +1,101 @@
+"""The page's scene: where the field moves its points, and what its colours say."""
+
+import numpy as np
+import pytest
+
+from fem.fields.array_field import array_field
+from fem.fields.deformed import APART_MM, pillar_surface
+from geometry.design import Array, SensorDesign
+from geometry.layout import unit_centres
+from tripillar.viewer.page.scene import SLICES, TITLES, ArrayScene, Shown
+from tripillar.viewer.page.superposition import Superposition
+
+DESIGN = SensorDesign(array=Array(rows=2, cols=2))
+TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, -3.0], [0.4, 0.3, -2.0], [0.0, 0.0, 0.0]])
+NONE = np.zeros((4, 3))
+
+
+@pytest.fixture(scope="module")
+def field():
+    return array_field(DESIGN)
+
+
+@pytest.fixture(scope="module")
+def scene(field):
+    scene = ArrayScene(Superposition(field))
+    yield scene
+    scene.plotter.close()
+
+
+def points_of(scene, actor_number):
+    return np.array(list(scene.plotter.actors.values())[actor_number].mapper.dataset.points, dtype=float)
+
+
+def test_superposition_is_the_solution(field):
+    """Answers to unit loads add up to the answer to all of them, to the rounding of a solve."""
+    solved, added = field.state(TRACTION), Superposition(field).state(TRACTION)
+    np.testing.assert_allclose(added.force_n, solved.force_n)
+    np.testing.assert_allclose(added.port_mm, solved.port_mm, atol=1e-10 * np.abs(solved.port_mm).max())
+
+
+def test_pillars_move_as_the_field_says(field, scene):
+    """Each unit's pillars stand at its centre and move as the solved field does there; drawn in single precision."""
+    points, _ = pillar_surface(DESIGN.unit, SLICES, around=1, apart_mm=APART_MM)
+    scene.show(TRACTION, NONE, Shown())
+    moved = field.observe(points).displacement_mm(field.state(TRACTION))
+    expected = np.pad(unit_centres(DESIGN), ((0, 0), (0, 1)))[:, None] + points + moved
+    np.testing.assert_allclose(points_of(scene, 2).reshape(expected.shape), expected, atol=1e-4)
+    assert moved[1, :, 2].min() < -0.3  # 3 MPa on rubber of 6.1 MPa, 10 mm high
+
+
+def test_displacement_is_drawn_as_large_as_asked(scene):
+    scene.show(NONE, NONE, Shown())
+    rest = points_of(scene, 0)
+    moved = []
+    for scale in (1.0, 5.0):
+        scene.show(TRACTION, NONE, Shown(scale=scale))
+        moved.append(points_of(scene, 0) - rest)
+    np.testing.assert_allclose(moved[1], 5.0 * moved[0], atol=1e-4)  # mm: single precision, as drawn
+
+
+@pytest.mark.parametrize("colour", TITLES)
+def test_colours_lie_between_the_ends_of_the_bar(scene, colour):
+    change = np.array([[-0.2, 0.1, 0.05]] * 4)
+    legend = scene.show(TRACTION, change, Shown(colour=colour))
+    values = np.asarray(scene._pillars.mesh["shown"])
+    assert legend.low < legend.high
+    assert np.isfinite(values).all()
+    if colour in ("displacement", "vertical", "resistance"):  # stress has no bound at edges; its bar is cut
+        assert legend.low - 1e-6 <= values.min()
+        assert values.max() <= legend.high + 1e-6
+    if colour == "resistance":
+        assert {round(float(v)) for v in values} == {-20, 10, 5}
+
+
+def test_an_unloaded_array_has_a_colour_bar(scene):
+    legend = scene.show(NONE, NONE, Shown())
+    assert legend.low == 0.0 < legend.high
+
+
+def test_the_chosen_pad_is_marked_where_it_is(scene):
+    scene.show(TRACTION, NONE, Shown(chosen=1))
+    mark = np.asarray(scene._mark.points)
+    assert mark[:, 0].min() > 0.0  # row 0, col 1: right of the middle
+    assert mark[:, 1].max() < 0.0
+    assert mark[:, 2].min() < DESIGN.unit.height_mm - 0.3  # pressed in by 3 MPa
+
+
+def test_the_camera_sees_the_whole_array(scene):
+    """Whatever the window's shape, the undeformed array lies within it and nearly fills it one way."""
+    for size in ((600, 750), (1200, 500)):
+        scene.plotter.render_window.SetSize(*size)
+        scene.look_from_the_start()
+        corners = scene.reach_mm  # with names of rows and columns, axes and scale bar
+        renderer = scene.plotter.renderer
+        seen = []
+        for corner in corners:
+            renderer.SetWorldPoint(*corner, 1.0)
+            renderer.WorldToView()
+            seen.append(renderer.GetViewPoint()[:2])
+        reach = np.abs(seen).max()
+        assert 0.85 < reach < 0.97

@@ -1,0 +1,1 @@
+"""TriPillar: from a sensor's design to forces with error bars."""

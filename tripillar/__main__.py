@@ -1,0 +1,5 @@
+"""`python -m tripillar` is `tripillar`."""
+
+from tripillar.cli.app import main
+
+main()

@@ -1,0 +1,146 @@
+"""Fit what is known of one sensor: gain and offset of its pillars, its state at rest."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from tripillar.cli.board.options import (
+    BAUD,
+    TIMEOUT_S,
+    BaudOption,
+    CalibrationOption,
+    ForceOption,
+    LineOption,
+    PortArgument,
+    SwitchOption,
+    TimeoutOption,
+    electronics_of,
+    require_positive,
+    require_unused,
+)
+from tripillar.terminal.console import (
+    BOARD,
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    output_file,
+    progress_bars,
+    show_json,
+    wrote,
+)
+
+commands = typer.Typer()
+
+
+@commands.command(rich_help_panel=BOARD)
+def tare(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
+    calibration: CalibrationOption = None,
+    switch_ohm: SwitchOption = None,
+    line_ohm: LineOption = None,
+    seconds: Annotated[float, typer.Option(help="Time to average over [s].")] = 2.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    force: ForceOption = False,
+    json_: JsonOption = False,
+) -> None:
+    """Zero a sensor: take what it shows now, with nothing on it, as its rest."""
+    import numpy as np
+
+    from hardware.readout.calibration import write_calibration
+    from tripillar.board.session import averaged, board_on, counts_within
+    from tripillar.board.stillness import require_still
+
+    require_positive(seconds=seconds, timeout=timeout)
+    require_unused(out, calibration)
+    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        electronics = electronics_of(known.electronics, switch_ohm, line_ohm)
+        crossbar, counts = electronics.crossbar(scanner.info), counts_within(scanner, seconds)
+        if not force:
+            require_still(counts, crossbar, scanner.info.rate_hz, seconds)
+        measured_ohm, noise = averaged(counts, crossbar)
+        tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
+    write_calibration(tared, out)
+    if json_:
+        rest_ohm = measured_ohm.astype(object)
+        rest_ohm[np.isnan(measured_ohm)] = None  # JSON knows no NaN
+        show_json({"file": str(out), "noise": noise, "rest_ohm": rest_ohm.tolist()})
+    else:
+        least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
+        print(f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %")
+    wrote([out])
+
+
+@commands.command(rich_help_panel=BOARD)
+def calibrate(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
+    loads: Annotated[
+        Path | None,
+        typer.Option(help="CSV file: load,row,col,fx_n,fy_n,fz_n; in a recording with from_s,to_s, too."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Calibration file to take switches and wires from; gains and tare are made anew."),
+    ] = None,
+    weights: Annotated[
+        bool, typer.Option("--weights", help="Ask for each weight, in grams, as you put it on.")
+    ] = False,
+    design: DesignOption = None,
+    switch_ohm: SwitchOption = None,
+    line_ohm: LineOption = None,
+    noise: Annotated[float | None, typer.Option(help="Relative noise of a resistance; default: as measured.")] = None,
+    seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    force: ForceOption = False,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Find gain and offset of every pillar from known loads.
+
+    One of the loads should be none at all. The fit is by least squares.
+    """
+    from hardware.readout.calibration import read_calibration, write_calibration
+    from tripillar.board.calibrating import calibrated, measured_in_recording, measured_live
+    from tripillar.pipeline.run import respond
+
+    require_positive(seconds=seconds, timeout=timeout)
+    require_unused(out, calibration)
+    if (loads is None) != weights:
+        raise DesignError("give either --loads FILE or --weights.")
+    if noise is not None and not 0 < noise < 1:
+        raise DesignError(f"--noise {noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
+    sensor = chosen(design)
+    known = None if calibration is None else read_calibration(calibration).electronics
+    electronics = electronics_of(known, switch_ohm, line_ohm)
+    if not Path(port).is_file():
+        pairs = measured_live(port, loads, sensor, electronics, seconds, force, baud=baud, timeout=timeout)
+    elif loads is not None:
+        pairs = measured_in_recording(Path(port), loads, sensor, electronics, force)
+    else:
+        raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
+    with progress_bars(verbosity) as bars:
+        _, solved = respond(sensor, bars)
+    found, residual = calibrated(pairs, solved, electronics, noise, force)
+    write_calibration(found, out)
+    figures = {
+        "loads": len(pairs.names),
+        "noise": found.made_from["noise"],
+        "gain": [float(found.gain.min()), float(found.gain.max())],
+        "offset_ohm": [float(found.offset_ohm.min()), float(found.offset_ohm.max())],
+        "residual": residual,
+    }
+    if json_:
+        show_json({"file": str(out), **figures})
+    else:
+        print(
+            f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
+            f"{found.offset_ohm.min():.0f} to {found.offset_ohm.max():.0f} Ω; what is left: {100 * residual:.2f} %"
+        )
+    wrote([out])

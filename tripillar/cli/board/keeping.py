@@ -1,0 +1,201 @@
+"""Record what a board says, and play it again."""
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from tripillar.cli.board.options import (
+    BAUD,
+    TIMEOUT_S,
+    BaudOption,
+    CalibrationOption,
+    ModelOption,
+    PortArgument,
+    SecondsOption,
+    TimeoutOption,
+    require_positive,
+)
+from tripillar.terminal.console import (
+    BOARD,
+    JsonOption,
+    VerbosityOption,
+    output_file,
+    require_other,
+    require_suffix,
+    say,
+    show_json,
+    wrote,
+)
+
+if TYPE_CHECKING:
+    from hardware.recording import Recording
+
+commands = typer.Typer()
+
+RecordingArgument = Annotated[
+    Path, typer.Argument(help="Recording, or what 'convert' made of one, or a board's bytes.")
+]
+MAX_NAMED = 3  #: places of damage in one line
+
+
+@commands.command(rich_help_panel=BOARD)
+def record(
+    port: PortArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="File to write; it ends in .frames.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Model file that the recording is meant for: its hash goes along.")
+    ] = None,
+    calibration: CalibrationOption = None,
+    seconds: SecondsOption = math.inf,
+    append: Annotated[bool, typer.Option("--append", help="Continue the recording --out, of the same board.")] = False,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Record what a board sends, raw, as it comes; a killed recording loses one scan.
+
+    'replay' makes forces of a recording, 'convert' NetCDF, MCAP or CSV.
+    """
+    from decoupler.model.model_file import read_model
+    from tripillar.board.keep import QUEUE, met_beside, record_scans
+    from tripillar.board.session import Session, board_on, hashes_of
+
+    require_positive(seconds=seconds, timeout=timeout)
+    if out.suffix in (".nc", ".mcap", ".csv"):
+        raise DesignError(f"{out}: record to {out.with_suffix('.frames')}, then 'tripillar convert' makes {out} of it.")
+    require_suffix("--out", out, ".frames")
+    decoupler = None if model is None else read_model(model)
+    with board_on(port, calibration, baud=baud, timeout=timeout, queue=QUEUE) as (scanner, known):
+        if decoupler is not None:
+            Session(scanner, decoupler, known)  # refuses a model of another sensor
+        hashes = {} if decoupler is None else hashes_of(decoupler)
+        advance = None if verbosity is False else progress
+        recorded = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
+    if advance is not None:
+        print("\r\033[K", end="", file=sys.stderr)
+    if json_:
+        show_json({"file": str(out), "scans": recorded.scans, "statistics": asdict(recorded.statistics)})
+    else:
+        met = recorded.statistics
+        print(", ".join([f"{recorded.scans} scans, {met.lost} lost, {met.overruns} overruns", *met_beside(met)]))
+    wrote([out])
+
+
+@commands.command(rich_help_panel=BOARD)
+def convert(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write: .nc (NetCDF), .mcap (Foxglove, ROS) or .csv.")
+    ],
+    json_: JsonOption = False,
+) -> None:
+    """Turn a recording into NetCDF, MCAP or CSV, whole or not at all."""
+    from hardware.recording import convert as converted
+    from hardware.recording import read_recording
+
+    require_suffix("--out", out, ".nc", ".mcap", ".csv")
+    require_other(out, recording)
+    recorded = read_recording(recording)
+    say(damage(recording, recorded))
+    converted(recorded, out)
+    if json_:
+        show_json({"file": str(out), "frames": len(recorded.run), "statistics": asdict(recorded.statistics)})
+    else:
+        print(f"{len(recorded.run)} frames, {recorded.statistics.lost} lost")
+    wrote([out])
+
+
+def damage(path: Path, recorded: "Recording") -> str:
+    """One line on what of a file is damaged and left out; empty if nothing is."""
+    found = [f"byte {at}" for at in recorded.damaged_at[:MAX_NAMED]]
+    if (more := len(recorded.damaged_at) - MAX_NAMED) > 0:
+        found.append(f"{more} more places")
+    ends = "its last frame is cut off" if recorded.truncated_bytes else ""
+    said = "; ".join(part for part in (f"damaged at {', '.join(found)}, left out" if found else "", ends) if part)
+    return f"warning: {path}: {said}" if said else ""
+
+
+def progress(seconds: float, scans: int, trouble: str | None) -> None:
+    """How far a recording is, on one line of stderr."""
+    print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
+
+
+@commands.command(rich_help_panel=BOARD)
+def replay(
+    recording: RecordingArgument,
+    model: ModelOption,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration file to use instead of the one in the recording, if any.")
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Times its own pace at which to show it, as 'live' does; default: all at once.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            callback=output_file,
+            help="File for the forces of every frame: .nc, or .mcap with the counts beside.",
+        ),
+    ] = None,
+    crosstalk: Annotated[bool, typer.Option(help="Correct the crossbar's crosstalk.")] = True,
+    json_: JsonOption = False,
+) -> None:
+    """Turn a recording into forces, or watch it again."""
+    from decoupler.model.model_file import read_model
+    from hardware import read_calibration, read_recording, write_forces
+    from hardware import replay as replay_frames
+    from tripillar.board.session import Session, board_on, hashes_of
+
+    require_suffix("--out", out, ".nc", ".mcap")
+    require_other(out, recording, model, calibration)
+    decoupler = read_model(model)
+    if speed is not None:
+        if not speed >= 1e-3:
+            raise DesignError(f"--speed {speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
+        if out is not None or not crosstalk:
+            raise DesignError("--speed only shows forces: leave --out and --no-crosstalk out, or leave out --speed.")
+        from tripillar.board.follow import print_lines, show_forces
+
+        read_recording(recording)  # refuses what is none before it is taken for a port
+        with board_on(str(recording), calibration, speed) as (scanner, known):
+            (print_lines if json_ else show_forces)(Session(scanner, decoupler, known), math.inf)
+        return
+    recorded = read_recording(recording)
+    say(damage(recording, recorded))
+    own = None if calibration is None else read_calibration(calibration)
+    hashes = hashes_of(decoupler)
+    if other_design(recorded.made_from, hashes):
+        say("warning: recorded for a model of another design: its forces are those of the design of --model")
+    replayed = replay_frames(recorded, decoupler, own, crosstalk, uncertainty=out is not None)
+    frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
+    if out is not None and out.suffix == ".mcap":
+        from hardware.recording.mcap_file import write_mcap
+
+        used = replace(recorded, calibration=replayed.calibration, made_from=hashes)
+        write_mcap(used, out, replayed, decoupler.component.axes)
+    elif out is not None:
+        write_forces(replayed, decoupler.component.axes, out, hashes)
+    if json_:
+        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(replayed.statistics)}
+        forces = {"time_s": replayed.time_s.tolist(), "force_n": replayed.force_n.tolist()}
+        show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
+    else:
+        print(f"{frames} frames, {replayed.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
+        for name, newtons in zip(decoupler.component.forces, replayed.force_n.transpose(3, 0, 1, 2), strict=True):
+            print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
+    wrote([] if out is None else [out])
+
+
+def other_design(recorded: Mapping[str, str], used: Mapping[str, str]) -> bool:
+    """Whether both name their design, and not the same."""
+    hashes = {made_from.get("design_hash") for made_from in (recorded, used)}
+    return len(hashes - {None, ""}) == 2

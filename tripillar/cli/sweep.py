@@ -1,0 +1,201 @@
+"""The commands of design sweeps; `tripillar/cli/app.py` adds them to its own."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geometry.errors import DesignError
+from tripillar.terminal.console import (
+    STUDYING,
+    JsonOption,
+    VerbosityOption,
+    output_folder,
+    progress_bars,
+    say,
+    show_json,
+    wrote,
+)
+from tripillar.terminal.interrupts import last_words
+
+if TYPE_CHECKING:
+    from tripillar.sweep.rows import Row
+    from tripillar.sweep.sweep_file import Sweep
+    from tripillar.terminal.progress import Bars
+
+commands = typer.Typer()
+
+SweepArgument = Annotated[Path, typer.Argument(help="Sweep file (TOML): what is varied, and how.")]
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        "--out", "-o", callback=output_folder, help="Folder for rows, tables and pictures, named after the sweep file."
+    ),
+]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", help="Number of worker processes; default: one a core.")
+]
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler to use instead of processes here.")
+]
+TrainOption = Annotated[bool, typer.Option("--train", help="Train the network of every design, too.")]
+RetryOption = Annotated[bool, typer.Option("--retry", help="Try designs that failed before once more.")]
+
+
+@commands.command(rich_help_panel=STUDYING)
+def sweep(
+    file: SweepArgument,
+    out: OutOption = Path("out"),
+    count: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    train: TrainOption = False,
+    retry: RetryOption = False,
+    best: Annotated[int, typer.Option(help="Number of designs in the printed table.")] = 8,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Compare many designs by error, range, crosstalk and cost.
+
+    The same command again goes on where it was stopped.
+    """
+    require_counts(workers=count, best=best)
+    require_packages("pyarrow", "matplotlib", *(["dask", "distributed"] if scheduler else []))
+    from tripillar.sweep.rows import flat, write_parquet, write_rows_netcdf
+    from tripillar.sweep.run import judge_all, kept_rows
+    from tripillar.sweep.sampling import samples_of
+    from tripillar.sweep.table import best_table, ranked, reasons
+    from tripillar.sweep.trade_offs import draw_parallel, draw_pareto
+    from tripillar.sweep.workers import workers
+    from tripillar.terminal.tables import show
+
+    asked = chosen(file, train)
+    samples = samples_of(asked)
+    folder = out / f"{file.stem}-rows"
+    found = kept_rows(samples, folder, retry)
+    missing = [sample for sample in samples if sample.recipe not in found]
+    if missing:
+        log = out / f"{file.stem}-workers.log"
+        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as judges:
+            found |= judge_all(missing, asked.judging, judges, folder, shown(bars, "designs", len(missing)))
+    rows = [found[sample.recipe] for sample in samples]
+    files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
+    write_parquet(rows, files[0])
+    write_rows_netcdf(rows, files[1])
+    if not all(row.failed for row in rows):
+        files += [out / f"{file.stem}-pareto.png", out / f"{file.stem}-parallel.png"]
+        draw_pareto(rows, asked, files[2])
+        draw_parallel(rows, asked, files[3])
+    failed = reasons(rows)
+    if json_:
+        best_rows = [flat(row) for row in ranked(rows, asked)[:best]]
+        counts = {
+            "designs": len(rows),
+            "judged_now": len(missing),
+            "failed": {kind: len(each) for kind, each in failed.items()},
+        }
+        show_json(counts | {"best": best_rows, "files": [str(path) for path in files]})
+    else:
+        show(best_table(rows, asked, best))
+    for each in failed.values():
+        say(f"{len(each)} failed, such as: {each[0]}")
+    wrote(files)
+
+
+@commands.command(rich_help_panel=STUDYING)
+def optimize(
+    file: SweepArgument,
+    out: OutOption = Path("out"),
+    trials: Annotated[
+        int | None, typer.Option(help="Number of designs to try in all; default: samples of the file.")
+    ] = None,
+    count: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Search for the design of least error within bounds.
+
+    The same command again goes on where it was stopped.
+    """
+    require_counts(workers=count, trials=trials)
+    require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
+    from geometry.storage.files import replacing
+    from tripillar.sweep.optimize import finished, open_study, search, written
+    from tripillar.sweep.rows import flat
+    from tripillar.sweep.run import kept_rows
+    from tripillar.sweep.table import best_table, ranked
+    from tripillar.sweep.workers import workers
+    from tripillar.terminal.tables import show
+
+    asked = chosen(file, train=False)
+    if trials is not None:
+        asked = replace(asked, samples=trials)
+    folder = out / f"{file.stem}-rows"
+    journal = out / f"{file.stem}-trials.log"
+    with written(journal):
+        study = open_study(asked, journal)
+    done = finished(study, asked)
+    kept = kept_rows(done, folder)
+    rows = list(kept.values())
+    left = max(0, asked.samples - len(done))
+    if left or len(kept) < len({sample.recipe for sample in done}):
+        log = out / f"{file.stem}-workers.log"
+        with (
+            written(journal),
+            stoppable(folder),
+            progress_bars(verbosity) as bars,
+            workers(count, scheduler, log) as judges,
+        ):
+            rows = search(asked, study, judges, folder, shown(bars, "trials", left))
+    best = ranked(rows, asked)
+    if all(row.failed for row in rows):
+        raise DesignError(f"all {len(rows)} designs of {file} failed, such as: {rows[0].reason}")
+    if not best:
+        raise DesignError(f"none of {len(rows)} designs is within the bounds of {file}: loosen them or try more.")
+    path = out / f"{file.stem}-best.toml"
+    with replacing(path) as temporary:
+        temporary.write_text(best[0].design or "", encoding="utf-8")
+    if json_:
+        counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
+        show_json(counts | {"best": flat(best[0]), "file": str(path)})
+    else:
+        show(best_table(rows, asked, 5))
+    wrote([path])
+
+
+def chosen(file: Path, train: bool) -> "Sweep":
+    """The sweep of a file, with or without trained nets."""
+    from tripillar.sweep.sweep_file import read_sweep
+
+    asked = read_sweep(file)
+    return replace(asked, judging=replace(asked.judging, train=train))
+
+
+def stoppable(folder: Path) -> AbstractContextManager[None]:
+    """On Ctrl-C say that what is done is kept."""
+    return last_words(f"stopped; the rows in {folder} are kept: give the same command again to go on.")
+
+
+def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:
+    """Progress of rows as a bar."""
+    advance = bars.begin(what, total=total)
+    advance(0, "workers begin")
+    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.figures['seconds']:.1f} s")
+
+
+def require_counts(**counts: int | None) -> None:
+    """Refuse options that must be at least 1."""
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise DesignError(f"--{name} {count} must be at least 1.")
+
+
+def require_packages(*names: str) -> None:
+    """Refuse to begin without the packages of the extra `sweep`."""
+    absent = [name for name in names if find_spec(name) is None]
+    if absent:
+        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")

@@ -1,0 +1,160 @@
+"""Five seconds of computing, every answer known beforehand: solver, response, resistances, inverse, network, link.
+
+Each function gives the relative error of one stage; `KNOWN` says what a sound installation stays below.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from time import perf_counter
+
+import numpy as np
+
+from dataset.resistance import pillar_resistances
+from dataset.samples import LabelledData
+from dataset.simulation import DatasetSettings, measured_again, simulate
+from decoupler.data.components import component_named, force_columns, pillar_columns
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import model_inverse
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, solve_response
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Load, Probe, Scene
+from geometry.design import Material, SensorDesign
+from geometry.layout import pillar_volumes
+from tripillar.doctor.check import Check
+
+TOLERANCE = 1e-2  #: of the response: what the pictures and sweeps use, and the quickest
+
+
+def known_answers() -> Iterator[Check]:
+    """Compute each known answer; one that fails, in whatever way, is a line and not the end."""
+    for known in KNOWN:
+        start = perf_counter()
+        try:
+            error = known.error()
+        except Exception as fault:  # whatever is broken here is what the doctor is asked about
+            found, sound = f"{type(fault).__name__}: {fault}", False
+        else:
+            found = f"error {error:.1e}, {known.limit:.0e} allowed, {perf_counter() - start:.1f} s"
+            sound = error <= known.limit
+        yield Check(
+            name=known.name, state="ok" if sound else "wrong", found=found, advice="" if sound else known.advice
+        )
+
+
+def column_under_pressure() -> float:
+    """A column with ν = 0 under σ on its whole top shortens by σ h/E, exactly."""
+    material, size_mm, pressure_mpa = Material(young_mpa=6.1, poisson=0.0), (4.0, 4.0, 10.0), 1.0
+    load = Load(center_mm=(2.0, 2.0), size_mm=(4.0, 4.0), traction_mpa=(0.0, 0.0, -pressure_mpa))
+    probe = Probe(name="top", kind="mean", center_mm=(2.0, 2.0), size_mm=(4.0, 4.0))
+    scene = Scene(body=Block(size_mm=size_mm), material=material, loads=(load,), probes=(probe,))
+    solution, _ = solve_scene(scene)
+    expected = -pressure_mpa * size_mm[2] / material.young_mpa
+    return float(abs(solution.probes["top"][2] / expected - 1))
+
+
+def response_of_the_papers_array() -> float:
+    """The middle pad's own electrodes against NGSolve's converged solution, stored with the benchmarks."""
+    from studies.bench.arrays import errors
+
+    return errors(_paper_response().influence_mm_per_n)["inner self"]
+
+
+def resistance_of_a_shorter_pillar() -> float:
+    """A z pillar of 10 kΩ pressed to 0.9 of its length has 8.1 kΩ: R = ρ l²/V, eq. 1."""
+    design = SensorDesign()
+    length_mm = np.array([9.0, 14.0, 14.0])
+    ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    return float(abs(ohm[0] / 8100.0 - 1))
+
+
+def forces_back_from_resistances() -> float:
+    """108 forces -> resistances -> forces again, by Gauss-Newton on the response itself."""
+    forward = ForwardModel.of(_paper_response(), component_named("all"))
+    data = _samples("three-axis", 4)
+    component = component_named("all")
+    force_n = force_columns(data.force_n, component)
+    again = model_inverse(forward, pillar_columns(data.resistance_ohm, component), force_n.mean(axis=0))
+    return float(np.abs(again - force_n).max() / np.abs(force_n).max())
+
+
+def network_of_200_samples() -> float:
+    """Relative error of eq. 17 on samples that the network never saw; the paper has 1.86 %."""
+    from decoupler.evaluation.metrics import evaluate
+    from decoupler.model.settings import NetworkConfig, TrainingConfig
+    from decoupler.training.trainer import train
+
+    response = _paper_response()
+    trained_on, tested_on = _samples("contact-fz", 200), _samples("contact-fz", 50, seed=1)
+    model, _ = train(
+        trained_on, "fz", NetworkConfig(feature="inverse"), TrainingConfig(max_iterations=20), response=response
+    )
+    error = evaluate(model, tested_on)["fz"].rel_err
+    assert error is not None, "no pad of these loads goes free, so eq. 17 has a meaning"
+    return error
+
+
+def scans_over_a_terminal() -> float:
+    """Share of ten scans of a simulated board that do not arrive as they were sent."""
+    from hardware import Info, Scanner, VirtualBoard
+
+    counts = np.arange(108) + 400
+    with VirtualBoard(counts, Info(rate_hz=200)) as board, Scanner(board.port) as scanner:
+        scans = [scan for scan, _ in zip(scanner, range(10), strict=False)]
+    return float(np.mean([not np.array_equal(scan.frame.counts, counts) for scan in scans]))
+
+
+@dataclass(frozen=True)
+class KnownAnswer:
+    """Something whose answer is known."""
+
+    name: str
+    error: Callable[[], float]
+    limit: float  #: the largest error of a sound installation
+    advice: str  #: what is wrong if the error is larger
+
+
+KNOWN = [
+    KnownAnswer(
+        "column under pressure", column_under_pressure,
+        1e-9,  # rounding of a factored system
+        "the linear solver is broken: pip install --force-reinstall pypardiso.",
+    ),
+    KnownAnswer(
+        "response of the paper's array", response_of_the_papers_array,
+        TOLERANCE,
+        "finite elements do not hold their tolerance: please report it.",
+    ),
+    KnownAnswer(
+        "resistance of a shorter pillar", resistance_of_a_shorter_pillar,
+        1e-12,  # rounding
+        "eq. 1 does not hold: please report it.",
+    ),
+    KnownAnswer(
+        "forces back from resistances", forces_back_from_resistances,
+        1e-7,  # Gauss-Newton's last step of 1e-12, times a condition number of 2e4
+        "the response is not inverted: please report it.",
+    ),
+    KnownAnswer(
+        "network of 200 samples", network_of_200_samples,
+        0.0186,  # the paper's, table 2
+        "training does worse than the paper: please report it.",
+    ),
+]  # fmt: skip
+if os.name == "posix":  # a simulated board needs a pseudo-terminal
+    KNOWN.append(
+        KnownAnswer("scans over a terminal", scans_over_a_terminal, 0.0, "scans are lost: is the machine very busy?")
+    )
+
+
+@cache
+def _paper_response() -> ArrayResponse:
+    """Solved anew: a cached one would tell nothing of this machine."""
+    return solve_response(SensorDesign(), ResponseSettings(tolerance=TOLERANCE))
+
+
+def _samples(protocol: str, samples: int, seed: int = 0) -> LabelledData:
+    settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed)
+    return measured_again(simulate(_paper_response(), settings), settings, seed)

@@ -1,0 +1,155 @@
+"""What TriPillar finds on this machine: packages, solver, memory, display, serial ports, the simulated chip's tools."""
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+from tripillar.doctor.check import Check
+
+GIB = 1024**3
+MIN_MEMORY_GIB = 4.0  #: for the paper's array and 2000 samples, with room to spare
+LONGEST_S = 60.0  #: to draw a small picture; 2 s is usual
+DRAW = """
+import pyvista as pv
+from fem.pictures.deformation import draw_off_screen
+draw_off_screen()
+plotter = pv.Plotter(off_screen=True, window_size=(64, 64))
+plotter.set_background("red")
+print(*plotter.screenshot(return_img=True)[32, 32])
+"""
+#: what each extra is for; those for developers are left out
+EXTRAS = {
+    "page": "view --serve",
+    "film": "view --save FILE.mp4",
+    "sweep": "sweep, optimize",
+    "export": "export to ONNX",
+    "mcap": "recordings as MCAP",
+    "paper": "make paper",
+    "bench": "make bench beside other programs",
+}
+
+
+def surroundings() -> Iterator[Check]:
+    """All that can be looked at without computing anything."""
+    yield python()
+    yield from packages()
+    yield solver()
+    yield machine()
+    yield cache()
+    yield display()
+    yield serial_ports()
+    yield firmware_tools()
+
+
+def python() -> Check:
+    found = f"{platform.python_version()} on {platform.platform(terse=True)}"
+    new_enough = sys.version_info >= (3, 11)
+    advice = "" if new_enough else "TriPillar needs Python 3.11 or newer."
+    return Check(name="Python", state="ok" if new_enough else "wrong", found=found, advice=advice)
+
+
+def packages() -> Iterator[Check]:
+    """TriPillar's own requirements in one line, then a line for each extra."""
+    needed: dict[str, list[str]] = {}
+    for requirement in metadata.requires("tripillar") or []:
+        name, _, marker = requirement.partition(";")
+        if "platform" in marker:
+            continue  # solvers that some machines have no wheel of; `solver` says which is in use
+        found = re.search(r"extra == .(\w+)", marker)
+        needed.setdefault(found.group(1) if found else "", []).append(re.split(r"[\[<>=!~ ]", name)[0])
+    for extra in ("", *EXTRAS):
+        versions = {name: _version(name) for name in needed.get(extra, ["(unknown)"])}
+        missing = [name for name, version in versions.items() if version is None]
+        listed = ", ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
+        if not extra:
+            advice = f"missing: {', '.join(missing)}. Run 'make setup', or pip install tripillar." if missing else ""
+            own = f"tripillar {_version('tripillar')}, {listed}"
+            yield Check(name="packages", state="wrong" if missing else "ok", found=own, advice=advice)
+        else:
+            advice = f"for {EXTRAS[extra]}: pip install 'tripillar[{extra}]'" if missing else ""
+            yield Check(
+                name=f"extra {extra}", state="optional" if missing else "ok", found=listed or "none", advice=advice
+            )
+
+
+def solver() -> Check:
+    from fem.linear.linear_solver import solver_name
+
+    name = solver_name()
+    advice = "PARDISO is several times faster: pip install pypardiso (x86-64)." if name == "superlu" else ""
+    found = {"pardiso": "PARDISO (Intel MKL)", "cholmod": "CHOLMOD", "superlu": "SuperLU (SciPy)"}[name]
+    return Check(name="linear solver", state="optional" if advice else "ok", found=found, advice=advice)
+
+
+def machine() -> Check:
+    import psutil
+
+    memory = psutil.virtual_memory()
+    cores, free_gib = psutil.cpu_count(), memory.available / GIB
+    limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS") if name in os.environ]
+    found = ", ".join([f"{cores} cores", f"{free_gib:.1f} of {memory.total / GIB:.1f} GiB free", *limits])
+    short = free_gib < MIN_MEMORY_GIB
+    advice = f"less than {MIN_MEMORY_GIB:g} GiB free: large arrays will be solved slowly or refused." if short else ""
+    return Check(name="machine", state="optional" if short else "ok", found=found, advice=advice)
+
+
+def cache() -> Check:
+    from geometry.storage.files import cache_folder
+
+    folder = cache_folder()
+    files = [path for path in folder.rglob("*") if path.is_file()] if folder.exists() else []
+    nearest = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    writable = os.access(nearest, os.W_OK)
+    size_mib = sum(path.stat().st_size for path in files) / 1024**2
+    advice = "" if writable else "set TRIPILLAR_CACHE to a folder that can be written."
+    found = f"{folder}: {len(files)} files, {size_mib:.1f} MiB"
+    return Check(name="cache", state="ok" if writable else "wrong", found=found, advice=advice)
+
+
+def display() -> Check:
+    """Draw a red picture off screen and look at it, in a process of its own: without OpenGL, VTK may take it down."""
+    server = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    where = f"display {server}" if server else "no display"
+    try:
+        drawn = subprocess.run([sys.executable, "-c", DRAW], capture_output=True, text=True, timeout=LONGEST_S)
+        sound = drawn.returncode == 0 and drawn.stdout.split() == ["255", "0", "0"]
+    except subprocess.TimeoutExpired:
+        sound = False
+    if sound:
+        return Check(name="pictures", state="ok", found=f"{where}; off screen works")
+    advice = "VTK cannot draw off screen: install Mesa's EGL (Debian: apt install libegl1), or give it a display."
+    return Check(name="pictures", state="wrong", found=where, advice=advice)
+
+
+def serial_ports() -> Check:
+    from hardware.link.serial_ports import list_ports
+
+    found = [port.device for port in list_ports()]
+    refused = [device for device in found if Path(device).exists() and not os.access(device, os.R_OK | os.W_OK)]
+    if refused:
+        advice = f"no permission for {', '.join(refused)}: sudo usermod -aG dialout $USER, then log in again."
+        return Check(name="serial ports", state="wrong", found=", ".join(found), advice=advice)
+    if not found:
+        advice = "plug the board in; without one, 'tripillar simulate' is one."
+        return Check(name="serial ports", state="optional", found="none", advice=advice)
+    return Check(name="serial ports", state="ok", found=", ".join(found))
+
+
+def firmware_tools() -> Check:
+    from hardware.boards.simavr_board import find_tools
+
+    missing = find_tools()
+    found = "compiler and simulated chip" if missing is None else "not complete"
+    return Check(name="firmware", state="ok" if missing is None else "optional", found=found, advice=missing or "")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,1 @@
+"""The way from a design to a table of decoupling errors."""

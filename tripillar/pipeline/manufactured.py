@@ -1,0 +1,74 @@
+"""A sensor as manufacturing would make it: another truth than the response that the networks hold.
+
+Data from the very response that a network starts from test the arithmetic, not the sensor: without noise the inverse of
+that response is exact. Here every part of the truth is a little different, and solved by other elements.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from dataset import Imperfections, LabelledData
+from dataset.simulation import DatasetSettings, simulate
+from decoupler import Decoupler, fine_tune
+from decoupler.evaluation.crossval import selected
+from decoupler.evaluation.metrics import ForceErrors, evaluate
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings
+from geometry.design import SensorDesign
+
+#: serendipity elements and another tolerance; designs are solved by Q2
+SETTINGS = ResponseSettings(tolerance=2e-3, element="S2")
+#: of the specimen: factors in 1 ± 0.1, offsets of 100 Ω, 0.1 % of noise behind a converter of 12 bits
+SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
+READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: the sensor as designed, read as the specimen is
+PAIRS = 10  #: measured ones that a model is fine-tuned on
+SEEDS = {"test": 2, "pairs": 3}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manufactured:
+    """Errors of a model on this sensor."""
+
+    untuned: dict[str, ForceErrors]  #: as trained on the sensor as designed
+    tuned: dict[str, ForceErrors]  #: after `PAIRS` measured pairs
+    tuned_model: Decoupler
+
+
+def as_made(design: SensorDesign) -> SensorDesign:
+    """The design as it comes out of the mould: pads and height off by some tenths of a mm, rubber a little softer."""
+    pillars, matrix = (
+        replace(part, young_mpa=0.95 * part.young_mpa, poisson=part.poisson - 0.003)
+        for part in (design.pillar_material, design.matrix_material)
+    )
+    return replace(
+        design,
+        unit=replace(design.unit, height_mm=1.02 * design.unit.height_mm),
+        pad=replace(design.pad, size_mm=design.pad.size_mm + 0.3, offset_x_mm=0.3, offset_y_mm=-0.2),
+        pillar_material=pillars,
+        matrix_material=matrix,
+    )
+
+
+def measured_on(truth: ArrayResponse, design: SensorDesign, protocol: str, samples: int, seed: int) -> LabelledData:
+    """What the specimen shows under a protocol's loads; its papers say `design`."""
+    made = simulate(truth, DatasetSettings(protocol=protocol, samples=samples, seed=seed, **vars(SPECIMEN)))
+    noise, bits = SPECIMEN.noise, SPECIMEN.bits
+    data = LabelledData(
+        resistance_ohm=made.resistance_ohm, force_n=made.force_n, design=design, content_hash="", noise=noise, bits=bits
+    )
+    return selected(data, slice(None))  # with its hash
+
+
+def errors_as_made(
+    models: Mapping[str, Decoupler], truth: ArrayResponse, response: ArrayResponse, protocol: str, samples: int
+) -> dict[str, Manufactured]:
+    """Errors of models of the sensor as designed on the sensor as made, before and after fine-tuning."""
+    test, pairs = (
+        measured_on(truth, response.design, protocol, n, SEEDS[split])
+        for split, n in (("test", samples), ("pairs", PAIRS))
+    )
+    tuned = {name: fine_tune(model, pairs, response) for name, model in models.items()}
+    return {
+        name: Manufactured(untuned=evaluate(model, test), tuned=evaluate(tuned[name], test), tuned_model=tuned[name])
+        for name, model in models.items()
+    }

@@ -1,0 +1,267 @@
+"""The whole way from a design to a table of decoupling errors, reusing whatever did not change.
+
+design -> CAD -> response -> datasets -> networks -> table. Every file states the recipe it was made by; a stage
+whose file states the wanted one is skipped and says so.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dataset.samples import LabelledData, is_current, read_labelled, write_dataset
+from dataset.simulation import DatasetSettings, dataset_recipe, simulate
+from decoupler.data.components import component_named
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.model_file import model_recipe, read_model, write_model
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, array_response
+from geometry.design import SensorDesign
+from geometry.design_file import design_to_toml
+from geometry.errors import FileFormatError
+from geometry.mesh import sensor_mesh, suited_settings
+from geometry.quality import quality
+from geometry.storage.files import digest
+from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from tripillar.pipeline.comparison import Comparison, compare
+from tripillar.pipeline.manufactured import SETTINGS, as_made
+from tripillar.terminal.progress import Bars
+from tripillar.terminal.writing import write_json, write_text
+
+CAD_METHOD = 1  #: raise when the same design gives other CAD files
+#: protocols of the table, each with the force component it loads
+STUDIED = {"contact-fz": "fz", "contact-fx": "fx", "independent-fz": "fz", "independent-fx": "fx"}
+SPLITS = {"train": (2000, 1), "test": (200, 2)}  #: samples and seed, as many as the paper's
+CAP = 0.3  #: largest pillar strain, the paper's wider one
+
+#: networks of the table by name
+NETWORKS = {
+    "skip net from the response (ours)": (NetworkConfig(feature="inverse"), TrainingConfig()),
+    "skip net on √R, 36 nodes (ours)": (NetworkConfig(hidden=36), TrainingConfig()),
+    "plain 17 (the paper's)": (
+        NetworkConfig(hidden=17, net="plain", feature="resistance"),
+        TrainingConfig(trainer="lm"),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """What became of one stage."""
+
+    name: str
+    seconds: float
+    reused: bool
+    files: tuple[Path, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a run of the pipeline gives."""
+
+    stages: list[Stage]
+    comparisons: list[Comparison]
+
+    def as_plain(self) -> dict[str, Any]:
+        """The same as dictionaries, lists, strings and numbers, for JSON."""
+        stages = [asdict(stage) | {"files": [str(path) for path in stage.files]} for stage in self.stages]
+        return {"stages": stages, "comparisons": [asdict(comparison) for comparison in self.comparisons]}
+
+
+def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False) -> Outcome:
+    """Run every stage, or stop after the datasets.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Of the sensor.
+    out : Path
+        Folder for all files; meshes and responses also stay in the cache.
+    bars : Bars
+        Show the progress.
+    until_dataset : bool
+        Leave the networks out.
+    """
+    stages = [draw(design, out / "cad", bars)]
+    stage, response = respond(design, bars)
+    stages.append(stage)
+    stages.append(make_datasets(response, out, bars))
+    if until_dataset:
+        return Outcome(stages=stages, comparisons=[])
+    stage, models = train_networks(response, out, bars)
+    stages.append(stage)
+    stage, truth = respond(as_made(design), bars, SETTINGS)
+    stages.append(replace(stage, name="as made"))
+    comparisons = [
+        compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol], response, truth)
+        for protocol, test in ((p, read_labelled(_dataset_path(out, p, "test"))) for p in STUDIED)
+    ]
+    outcome = Outcome(stages=stages, comparisons=comparisons)
+    table = out / "table.json"
+    write_json(outcome.as_plain(), table)
+    stages.append(Stage(name="table", seconds=0.0, reused=False, files=(table,)))
+    return outcome
+
+
+def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
+    """Write the design, and STEP and STL of the sensor's parts and its mould."""
+    start = perf_counter()
+    advance = bars.begin("CAD", total=1)
+    made = folder / "made.json"
+    recipe = digest("cad", CAD_METHOD, design.unit, design.array)
+    files = _intact_files(made, recipe)
+    reused = bool(files)
+    if not reused:
+        from geometry.mould import write_cad  # takes seconds to load: only when something is drawn
+
+        files = write_cad(design, folder)
+        hashes = {path.name: _file_hash(path) for path in files}
+        write_text(sealed_json({"recipe": recipe, "files": hashes}, 1) + "\n", made)
+    description = folder / "design.toml"
+    write_text(design_to_toml(design), description)
+    advance(1, "reused" if reused else f"{len(files)} files")
+    return Stage(name="CAD", seconds=perf_counter() - start, reused=reused, files=(description, *files))
+
+
+def _intact_files(made: Path, recipe: str) -> list[Path]:
+    """Files that `made` lists, if it has the recipe and each is still as it was written; otherwise none."""
+    try:
+        record = opened_json(made.read_text(encoding="utf-8"))
+        files = [made.parent / name for name in record["files"]]
+        if record["recipe"] != recipe:
+            return []
+        damaged = [path for path in files if _file_hash(path) != record["files"][path.name]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        damaged = [made]
+    for path in damaged:
+        say_made_anew(path)
+    return [] if damaged else files
+
+
+def _file_hash(path: Path) -> str:
+    return digest(path.read_bytes())
+
+
+def meshed(design: SensorDesign, bars: Bars) -> Stage:
+    """Mesh the sensor and judge the mesh."""
+    start = perf_counter()
+    advance = bars.begin("mesh", total=1)
+    mesh, path, reused = sensor_mesh(design, suited_settings(design), needed=True)
+    shape = quality(mesh)
+    note = (
+        f"{shape.cells} tetrahedra, scaled Jacobian {shape.worst_scaled_jacobian:.2f} at worst, "
+        f"{shape.mean_scaled_jacobian:.2f} in the mean, dihedral angles from {shape.smallest_dihedral_deg:.0f}°"
+    )
+    advance(1, "reused" if reused else note)
+    return Stage(name="mesh", seconds=perf_counter() - start, reused=reused, files=(path,), note=note)
+
+
+def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
+    """Solve for the array's response. No mesh of the array is needed for it, nor made."""
+    start = perf_counter()
+    advance = bars.begin("response", total=1)
+    response, path, reused = array_response(design, settings, lambda step: advance(0, step))
+    note = response_note(response)
+    advance(1, "reused" if reused else note)
+    kept = (path,) if path.exists() else ()
+    return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=kept, note=note), response
+
+
+def response_note(response: ArrayResponse) -> str:
+    """What a response is worth, in a line."""
+    if not response.unknowns:
+        return f"closed form, method {response.method}"
+    note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
+    judged = "" if np.isnan(response.error_estimate) else f", estimated error {response.error_estimate:.1e}"
+    return f"method {response.method}: {note}{judged}"
+
+
+def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
+    """Simulate the training and the test samples of every studied protocol."""
+    start = perf_counter()
+    advance = bars.begin("datasets", total=len(STUDIED) * sum(samples for samples, _ in SPLITS.values()))
+    files, reused, made = [], True, 0
+    for protocol in STUDIED:
+        for split, (samples, seed) in SPLITS.items():
+            settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=CAP)
+            path = _dataset_path(out, protocol, split)
+            if not make_dataset(response, settings, path, lambda n: advance(n, "")):
+                reused, made = False, made + samples
+            else:
+                advance(samples, "reused")
+            files.append(path)
+    return Stage(
+        name="datasets",
+        seconds=perf_counter() - start,
+        reused=reused,
+        files=tuple(files),
+        note="" if reused else f"{made} samples",
+    )
+
+
+def make_dataset(
+    response: ArrayResponse, settings: DatasetSettings, path: Path, progress: Callable[[int], None]
+) -> bool:
+    """Simulate and write a dataset unless `path` holds it already; returns whether it did."""
+    if is_current(path, dataset_recipe(response, settings)):
+        return True
+    write_dataset(simulate(response, settings, progress), path)
+    return False
+
+
+def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
+    """Train every network of the table on every studied protocol."""
+    start = perf_counter()
+    models: dict[str, dict[str, Decoupler]] = {}
+    files, all_reused = [], True
+    advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
+    for protocol, component in STUDIED.items():
+        data = read_labelled(_dataset_path(out, protocol, "train"))
+        models[protocol] = {}
+        for name, (network, training) in NETWORKS.items():
+            path = out / "models" / f"{protocol}-{network.net}{network.hidden}-{network.feature}.safetensors"
+            advance(0, f"{protocol}, {name}")
+            model, reused = trained(data, component, network, training, path, response)
+            all_reused &= reused
+            models[protocol][name] = model
+            files.append(path)
+            advance(1, "reused" if reused else "")
+    stage = Stage(name="networks", seconds=perf_counter() - start, reused=all_reused, files=tuple(files))
+    return stage, models
+
+
+def trained(
+    data: LabelledData,
+    component: str,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    path: Path,
+    response: ArrayResponse | None,
+) -> tuple[Decoupler, bool]:
+    """Train and write a network unless `path` holds it already; returns it and whether it did."""
+    recipe = model_recipe(data, component_named(component).name, network, training, response)
+    try:
+        model = read_model(path)
+        if model.made_from.get("recipe") == recipe:
+            return model, True
+    except FileFormatError:
+        say_made_anew(path)
+    from decoupler.training.trainer import train  # loads torch, which takes seconds: only when something is trained
+
+    model, _ = train(data, component, network, training, response=response)
+    write_model(model, path)
+    return model, False
+
+
+def _dataset_path(out: Path, protocol: str, split: str) -> Path:
+    return out / "data" / f"{protocol}-{split}.nc"
+
+
+def files_of(stages: Iterable[Stage]) -> list[Path]:
+    """Every file that the stages wrote or found, in order."""
+    return [path for stage in stages for path in stage.files]

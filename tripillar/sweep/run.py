@@ -1,0 +1,90 @@
+"""A sweep from its designs to their rows: what is known is read, the rest is judged by workers and kept at once."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from time import monotonic
+
+from fem.array.solving import ResponseSettings, response_recipe
+from fem.array.substructured import cell_recipe, lone_unit
+from geometry.design import SensorDesign
+from geometry.mesh import mesh_recipe, suited_settings
+from tripillar.sweep.rows import Row, read_row, write_row
+from tripillar.sweep.sampling import Sample
+from tripillar.sweep.sweep_file import Judging
+from tripillar.sweep.workers import Workers
+
+QUIET_S = 120.0  #: how long no design may end before it is said why
+
+
+def kept_rows(samples: Sequence[Sample], folder: Path, retry: bool = False) -> dict[str, Row]:
+    """Rows of earlier runs by recipe; with `retry`, without those that failed."""
+    found = {sample.recipe: read_row(folder, sample.recipe) for sample in samples}
+    return {recipe: row for recipe, row in found.items() if row is not None and not (retry and row.failed)}
+
+
+def judge_all(
+    samples: Sequence[Sample],
+    judging: Judging,
+    workers: Workers,
+    folder: Path,
+    progress: Callable[[Row], None] = lambda row: None,
+) -> dict[str, Row]:
+    """Have designs judged; every row is written as it comes. Returns the rows by recipe.
+
+    Raises
+    ------
+    DesignError
+        If the scheduler is lost.
+    OSError
+        If a file cannot be written, here or by a worker.
+    """
+    rows = {}
+    for row in _judged(samples, judging, workers):
+        write_row(row, folder)
+        rows[row.recipe] = row
+        progress(row)
+    return rows
+
+
+def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> Iterator[Row]:
+    """Rows as they finish. A design waits while another one makes a stage that both need: none is made twice."""
+    waiting = {sample.recipe: sample for sample in samples}
+    stages = {sample.recipe: shared_stages(sample, judging) for sample in samples}
+    made: set[str] = set()
+    making: dict[str, set[str]] = {}  #: stages of the designs in work, by recipe
+    while waiting or making:
+        count = workers.count
+        for recipe in list(waiting):
+            own = stages[recipe] - made
+            if len(making) < count and own.isdisjoint(set().union(*making.values())):
+                making[recipe] = own
+                workers.give(waiting.pop(recipe), judging)
+        row = _next_row(workers)
+        made |= making.pop(row.recipe)
+        yield row
+
+
+def _next_row(workers: Workers) -> Row:
+    """The next row; while there is none, a word on why, every `QUIET_S`."""
+    begun = monotonic()
+    while True:
+        row = workers.row(QUIET_S)
+        if row is not None:
+            return row
+        waited = monotonic() - begun
+        logging.getLogger("tripillar").warning("no design has ended for %.0f s: %s.", waited, workers.state())
+
+
+def shared_stages(sample: Sample, judging: Judging) -> set[str]:
+    """Names of the costly stages of a design that others may share: the mesh of its cell, the cell, the response."""
+    if sample.design is None:
+        return set()
+    design: SensorDesign = sample.design
+    settings = ResponseSettings(tolerance=judging.tolerance).suited(design)
+    alone = lone_unit(design)
+    stages = {
+        f"cell {cell_recipe(design, judging.tolerance, settings.element)}",
+        f"response {response_recipe(design, settings)}",
+    }
+    return stages if design.is_homogeneous else stages | {f"mesh {mesh_recipe(alone, suited_settings(alone))}"}

@@ -1,0 +1,68 @@
+"""From a sweep to the designs it asks for: Sobol, Latin hypercube or grid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import ceil, log2
+
+from scipy.stats import qmc
+
+from fem.array.solving import ResponseSettings, response_recipe
+from geometry.design import SensorDesign
+from geometry.design_file import design_from_dict
+from geometry.errors import DesignError
+from geometry.storage.files import digest
+from tripillar.sweep.sweep_file import Judging, Sweep
+from tripillar.sweep.variables import plain, value_of, with_values
+
+VERSION = 1  #: raise when the same design and settings give other figures, so that kept rows are not reused
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One design of a sweep, or why there is none of these numbers."""
+
+    recipe: str  #: hash of the design and of how it is judged
+    values: dict[str, float]  #: of the varied keys
+    design: SensorDesign | None
+    reason: str = ""  #: why there is no design
+
+
+def samples_of(sweep: Sweep) -> list[Sample]:
+    """The designs of a sweep in its order, each once: rounding may make two of them one."""
+    found: dict[str, Sample] = {}
+    for numbers in points_of(sweep):
+        sample = sample_at(sweep, numbers)
+        found.setdefault(sample.recipe, sample)
+    return list(found.values())
+
+
+def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
+    """What each variable is in each design."""
+    if sweep.sampling == "grid":
+        return list(product(*(variable.grid() for variable in sweep.variables)))
+    n_variables = len(sweep.variables)
+    if sweep.sampling == "sobol":
+        # a Sobol sequence is balanced at powers of two; the first of the next one are taken
+        shares = qmc.Sobol(n_variables, seed=sweep.seed).random_base2(ceil(log2(sweep.samples)))[: sweep.samples]
+    else:
+        shares = qmc.LatinHypercube(n_variables, seed=sweep.seed).random(sweep.samples)
+    return [tuple(v.at(float(u)) for v, u in zip(sweep.variables, row, strict=True)) for row in shares]
+
+
+def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
+    """The design with a number for each variable."""
+    table = with_values(plain(sweep.base), sweep.variables, numbers)
+    values = {variable.name: float(value_of(table, variable.name)) for variable in sweep.variables}
+    try:
+        design = design_from_dict(table, "not a design")
+    except DesignError as error:
+        recipe = digest("row", VERSION, table, sweep.judging)
+        return Sample(recipe=recipe, values=values, design=None, reason=str(error))
+    return Sample(recipe=row_recipe(design, sweep.judging), values=values, design=design)
+
+
+def row_recipe(design: SensorDesign, judging: Judging) -> str:
+    """Hash of all that a design's row depends on."""
+    response = response_recipe(design, ResponseSettings(tolerance=judging.tolerance))
+    return digest("row", VERSION, response, design, judging)

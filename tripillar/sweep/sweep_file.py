@@ -1,0 +1,185 @@
+"""Sweep files: TOML read into a `Sweep`, unknown keys and nonsense refused in one line that names the place."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from itertools import chain
+from pathlib import Path
+from typing import Any, Literal
+
+from dataset import Imperfections
+from fem.array.solving import ResponseSettings
+from geometry.design import SensorDesign, quantity, require_numbers
+from geometry.design_file import design_from_dict
+from geometry.errors import DesignError
+from geometry.storage.text_file import read_text, tables_of
+from tripillar.sweep.merits import FIGURES
+from tripillar.sweep.variables import Variable
+
+SAMPLINGS = ("sobol", "latin-hypercube", "grid")
+MAX_SAMPLES = 100_000  #: rows of one sweep
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judging:
+    """How each design is judged: with its own values, all that its row depends on."""
+
+    tolerance: float = quantity(1e-2, "relative error wanted of the response")
+    noise: float = quantity(1e-3, "relative standard deviation of a resistance")
+    bits: int | None = None  #: of the converter; None reads exactly
+    cap: float = quantity(0.3, "largest strain of a pillar")
+    train: bool = False  #: whether the joint decoupler is trained as well
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        ResponseSettings(tolerance=self.tolerance)
+        Imperfections(noise=self.noise, bits=self.bits)
+        if not self.noise and self.bits is None:
+            raise DesignError("noise=0 and no bits leave no error to compare designs by: give noise = 0.001.")
+        if not 0 < self.cap < 1:
+            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """Limits of a figure, for designs to be acceptable."""
+
+    least: float = -math.inf
+    most: float = math.inf
+
+    def __post_init__(self) -> None:
+        for number in (self.least, self.most):
+            if not isinstance(number, int | float) or math.isnan(number):
+                raise DesignError(f"{number!r} must be a number.")
+        if not self.least <= self.most:
+            raise DesignError(f"least={self.least:g} is above most={self.most:g}.")
+
+    def excess(self, value: float | None) -> float:
+        """How far a value is out of bounds, relative to the bound; 0 if it is within, infinite if there is none."""
+        if value is None:
+            return math.inf
+        over = max(self.least - value, value - self.most, 0.0)
+        return over / max(abs(self.least if value < self.least else self.most), 1e-300) if over else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """A sweep: what is varied, how it is sampled, how designs are judged, and which are acceptable."""
+
+    base: SensorDesign
+    variables: tuple[Variable, ...]
+    sampling: Literal["sobol", "latin-hypercube", "grid"] = "sobol"
+    samples: int = 64  #: designs, but for a grid, which has as many as its values make; trials of `optimize`
+    seed: int = 0
+    least: str = "error_n"  #: the figure whose least value makes a design the best
+    judging: Judging = field(default_factory=Judging)
+    bounds: dict[str, Bound] = field(default_factory=dict)  #: by figure
+
+    def __post_init__(self) -> None:
+        if not self.variables:
+            raise DesignError("nothing is varied: give at least one [[vary]] with key, low and high.")
+        keys = list(chain.from_iterable(variable.key for variable in self.variables))
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise DesignError(f"{twice} is varied twice: keep one of them.")
+        shares = {key for variable in self.variables if variable.of for key in variable.key}
+        chained = next((variable for variable in self.variables if variable.of in shares), None)
+        if chained is not None:
+            raise DesignError(f"{chained.name} is a share of {chained.of}, itself a share: name the key that is not.")
+        if self.sampling not in SAMPLINGS:
+            raise DesignError(f"sampling={self.sampling!r} is unknown; choose {', '.join(SAMPLINGS)}.")
+        if not _whole(self.samples) or not 1 <= self.samples <= MAX_SAMPLES:
+            raise DesignError(f"samples={self.samples!r} must be a whole number from 1 to {MAX_SAMPLES}.")
+        if not _whole(self.seed) or not 0 <= self.seed < 2**32:
+            raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
+        for name in (self.least, *self.bounds):
+            if not isinstance(name, str) or name not in FIGURES:
+                raise DesignError(f"no figure {name!r}; known are {', '.join(FIGURES)}.")
+        if self.sampling == "grid":
+            count = math.prod(len(variable.grid()) for variable in self.variables)
+            if count > MAX_SAMPLES:
+                raise DesignError(f"the grid has {count} designs, at most {MAX_SAMPLES} are taken: use fewer steps.")
+        else:
+            gridded = next((variable for variable in self.variables if variable.steps is not None), None)
+            if gridded is not None:
+                raise DesignError(f"{gridded.name}: steps belong to sampling = 'grid'.")
+
+    def excess(self, figures: dict[str, float | None]) -> float:
+        """How far a design's figures are out of bounds, summed; 0 if all are within."""
+        return sum(bound.excess(figures.get(name)) for name, bound in self.bounds.items())
+
+
+def read_sweep(path: Path) -> Sweep:
+    """Read a sweep file; `DesignError` if it is missing, not TOML or no sweep. The message begins with the path."""
+    text = read_text(path, "give a sweep file, such as examples/sweep.toml", DesignError)
+    return sweep_from_dict(tables_of(text, path, DesignError), str(path))
+
+
+def sweep_from_dict(table: dict[str, Any], source: str = "the sweep") -> Sweep:
+    """A sweep from the nested tables of a TOML file; errors as in `read_sweep`."""
+    try:
+        return _sweep(table)
+    except DesignError as error:
+        raise DesignError(f"{source}: {error}") from None
+
+
+def _sweep(table: dict[str, Any]) -> Sweep:
+    _require_known(table, ("design", "sweep", "vary", "bounds"), "")
+    settings = _table(table, "sweep")
+    judged = tuple(spec.name for spec in fields(Judging) if spec.name != "train")
+    own = ("sampling", "samples", "seed", "least")
+    _require_known(settings, (*own, *judged), " in [sweep]")
+    entries = table.get("vary", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise DesignError("'vary' must be an array of tables, each written [[vary]].")
+    return _made(
+        "[sweep]",
+        Sweep,
+        base=design_from_dict(_table(table, "design"), "[design]"),
+        variables=tuple(_variable(f"[[vary]] {number}", entry) for number, entry in enumerate(entries, start=1)),
+        judging=_made("[sweep]", Judging, **{key: settings[key] for key in judged if key in settings}),
+        bounds={name: _bound(name, entry) for name, entry in _table(table, "bounds").items()},
+        **{key: settings[key] for key in own if key in settings},
+    )
+
+
+def _variable(place: str, entry: dict[str, Any]) -> Variable:
+    _require_known(entry, tuple(spec.name for spec in fields(Variable)), f" in {place}")
+    key, values = entry.get("key", []), entry.get("values", [])
+    keys = [key] if isinstance(key, str) else key
+    if not (isinstance(keys, list) and all(isinstance(one, str) for one in keys) and isinstance(values, list)):
+        raise DesignError(f"{place}: key must be a text or a list of texts, values a list of numbers.")
+    variable: Variable = _made(place, Variable, **entry | {"key": tuple(keys), "values": tuple(values)})
+    return variable
+
+
+def _bound(name: str, entry: Any) -> Bound:
+    if not isinstance(entry, dict):
+        raise DesignError(f"[bounds]: {name} must be written {{least = 1.0}}, {{most = 2.0}} or both.")
+    _require_known(entry, ("least", "most"), f" in [bounds] {name}")
+    bound: Bound = _made(f"[bounds] {name}", Bound, **entry)
+    return bound
+
+
+def _made(place: str, make: Callable[..., Any], **values: Any) -> Any:
+    try:
+        return make(**values)
+    except DesignError as error:
+        raise DesignError(f"{place}: {error}") from None
+
+
+def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise DesignError(f"'{key}' must be one table, written [{key}].")
+    return value
+
+
+def _require_known(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise DesignError(f"unknown key {key!r}{where}; known are {', '.join(known)}.")
+
+
+def _whole(number: Any) -> bool:
+    return isinstance(number, int) and not isinstance(number, bool)

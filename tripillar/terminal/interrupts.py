@@ -1,0 +1,147 @@
+"""Ctrl-C and a termination: the process ends at any moment within two seconds, in one line, and leaves nothing behind.
+
+It ends itself instead of raising an exception: libraries swallow those (`except BaseException` while they load), crash
+when one passes through them, or compute on for minutes. A thread that waits for nothing else does it where compiled
+code runs. Only the commands of a board and the served page, which end so every day, take Ctrl-C themselves.
+
+This is loaded before anything else: standard library and psutil only.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
+TIDY_S = 0.4  #: left to processes started by this one to remove what they were writing
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: processes started by others warn of what their parent left to them when it was killed, and remove it
+_SILENT = "ignore:resource_tracker:UserWarning"
+
+_rung: list[int] = []  #: the end of a pipe that wakes the thread
+_ending = threading.Lock()
+_last_words = ["interrupted."]
+
+
+def install() -> None:
+    """Take the signals over, once."""
+    if _rung or threading.current_thread() is not threading.main_thread():
+        return
+    warnings = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = f"{warnings},{_SILENT}" if warnings else _SILENT
+    heard, rung = os.pipe()
+    os.set_blocking(rung, False)
+    _rung.append(rung)
+    for number in SIGNALS:
+        signal.signal(number, _end)
+    signal.set_wakeup_fd(rung, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(heard,), daemon=True, name="Ctrl-C").start()
+    import psutil  # noqa: F401  # now, because at the end the main thread may hold the lock of imports
+
+
+def leave_to_finish() -> None:
+    """Ignore signals from now on: all is done, only the interpreter is to be closed."""
+    for number in SIGNALS if _rung else ():
+        signal.signal(number, signal.SIG_IGN)
+
+
+def ending() -> bool:
+    """Whether the process is about to end: whoever starts processes anew must not, now."""
+    return _ending.locked()
+
+
+@contextmanager
+def last_words(said: str) -> Iterator[None]:
+    """What is said if the process is interrupted meanwhile."""
+    _last_words.append(said)
+    try:
+        yield
+    finally:
+        _last_words.pop()
+
+
+def _end(number: int, _: FrameType | None = None) -> None:
+    if not _ending.acquire(blocking=False):
+        time.sleep(60)  # the other thread is at it
+    _end_children()
+    unfinished = sys.modules.get("geometry.storage.unfinished")
+    if unfinished is not None:
+        unfinished.remove_unfinished()
+    shown_again = "\x1b[?25h\n" if os.isatty(2) else ""  # the cursor, which bars hide
+    with suppress(OSError):  # nobody reads any more
+        if not _is_worker():
+            os.write(2, f"{shown_again}tripillar: {_last_words[-1]}\n".encode())
+    os._exit(128 + number)
+
+
+def _watch(heard: int) -> None:
+    """End the process where its main thread does not come to it."""
+    while True:
+        number = os.read(heard, 1)[0]
+        if number not in SIGNALS:
+            continue
+        handler: object = signal.getsignal(number)
+        end_s = time.monotonic() + GRACE_S
+        while hasattr(handler, "before") and time.monotonic() < end_s:  # held back
+            time.sleep(0.02)
+            handler = signal.getsignal(number)
+        while hasattr(handler, "before"):
+            handler = handler.before
+        if handler is _end:
+            _end(number)
+
+
+def _is_worker() -> bool:
+    """Whether another of our processes started this one: that one has the word."""
+    multiprocessing = sys.modules.get("multiprocessing.process")
+    return multiprocessing is not None and multiprocessing.parent_process() is not None
+
+
+def _end_children() -> None:
+    """End what this process started; remove what Intel's OpenMP keeps of each in shared memory.
+
+    Nothing may be imported here: the main thread may be in the middle of it, and wait.
+    """
+    ended = _descendants()
+    for number in ended:
+        _signal(number, signal.SIGTERM)
+    end_s = time.monotonic() + TIDY_S
+    while ended & _parents().keys() and time.monotonic() < end_s:
+        time.sleep(0.02)
+    for number in ended & _parents().keys():
+        _signal(number, signal.SIGKILL)
+    for number in {os.getpid(), *ended}:
+        with suppress(OSError):
+            os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
+
+
+def _signal(number: int, kind: signal.Signals) -> None:
+    with suppress(OSError):
+        os.kill(number, kind)
+
+
+def _descendants() -> set[int]:
+    """Processes that this one started, and those that they started."""
+    parents, found = _parents(), {os.getpid()}
+    while more := {number for number, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {os.getpid()}
+
+
+def _parents() -> dict[int, int]:
+    """The parent of every process, where the system tells by files, but for those that tidy up after killed ones."""
+    found = {}
+    for name in os.listdir("/proc") if os.path.isdir("/proc/self") else []:
+        with (
+            suppress(OSError, ValueError),
+            open(f"/proc/{int(name)}/stat") as stat,
+            open(f"/proc/{name}/cmdline") as words,
+        ):
+            state, parent = stat.read().rpartition(")")[2].split()[:2]
+            if state != "Z" and "resource_tracker" not in words.read():
+                found[int(name)] = int(parent)
+    return found

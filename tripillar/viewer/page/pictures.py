@@ -1,0 +1,123 @@
+"""Pictures of the scene for the browser: drawn here, sent as JPEG, as finely as there is time for.
+
+While something moves a picture is given less time than once all is still; what can be drawn and encoded in that time
+decides how many pixels it has, and the browser scales it to its place. So software without a graphics card keeps up, at
+a coarser picture, and a card draws every pixel, or more, which smooths edges.
+"""
+
+import asyncio
+import io
+import math
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+import pyvista as pv
+from PIL import Image
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+
+STILL_AFTER_S = 0.3  #: without a change
+MIN_PIXELS = 120_000
+MAX_PIXELS = 9_000_000  #: a screen of 3840 × 2160
+MAX_ZOOM = 2.0  #: pixels drawn for one of the screen's, along each side; more smooth nothing further
+
+Send = Callable[[bytes], Awaitable[None]]
+
+
+@dataclass
+class Grade:
+    """How good pictures are."""
+
+    seconds: float  #: for one, from drawing to JPEG
+    quality: int  #: of JPEG
+    pixels_per_s: float = 8e6  #: as measured
+    least_zoom: float = 0.0  #: however long it takes
+
+    def zoom(self, wide: int, high: int) -> float:
+        """Pixels to draw for one of a place's, along each side."""
+        pixels = max(self.seconds * self.pixels_per_s, MIN_PIXELS)
+        wanted = max(math.sqrt(pixels / (wide * high)), self.least_zoom)
+        return min(wanted, MAX_ZOOM, math.sqrt(MAX_PIXELS / (wide * high)))
+
+    def learn(self, pixels: int, seconds: float) -> None:
+        """Take into account what one picture took."""
+        self.pixels_per_s += 0.3 * (pixels / seconds - self.pixels_per_s)
+
+
+class Pictures:
+    """Pictures of one browser.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+        What they show.
+    on_resize : callable
+        Called once the window has another size.
+    """
+
+    def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
+        self._window = plotter.render_window
+        self._window.ShowWindowOff()
+        self._reader = vtkWindowToImageFilter()
+        self._reader.SetInput(self._window)
+        self._reader.ShouldRerenderOff()
+        self._reader.ReadFrontBufferOff()
+        self._reader.SetInputBufferTypeToRGBA()
+        self._on_resize = on_resize
+        self._size = (800, 600)  # of the place for pictures, in the screen's pixels
+        self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92, least_zoom=1.0)
+        self._is_wanted = asyncio.Event()
+        self.draw_ms = 0.0  #: the last moving picture took, encoding included
+
+    async def run(self, send: Send) -> None:
+        """Draw and send whatever is wanted, until cancelled; what is sent slowly is drawn less often."""
+        while True:
+            await self._is_wanted.wait()
+            await asyncio.sleep(0.001)  # numbers go first
+            self._is_wanted.clear()
+            await send(await self._drawn(self._moving))
+            try:
+                await asyncio.wait_for(self._is_wanted.wait(), STILL_AFTER_S)
+            except TimeoutError:
+                await send(await self._drawn(self._still))
+
+    def resize(self, wide: int, high: int) -> None:
+        """Draw for a place of this size [pixels of the screen]."""
+        self._size = (wide, high)
+        self._window.SetSize(wide, high)
+        self._on_resize()
+        self.schedule_render()
+
+    def schedule_render(self) -> None:
+        """Draw soon."""
+        self._is_wanted.set()
+
+    async def _drawn(self, grade: Grade) -> bytes:
+        """A picture as JPEG."""
+        start = time.perf_counter()
+        image = self._rendered(grade.zoom(*self._size))
+        content = await asyncio.to_thread(_jpeg, image, grade.quality)
+        seconds = time.perf_counter() - start
+        grade.learn(image.width * image.height, seconds)
+        if grade is self._moving:
+            self.draw_ms = 1e3 * seconds
+        return content
+
+    def _rendered(self, zoom: float) -> Image.Image:
+        """A picture of so many pixels for one of the place's, along each side."""
+        wide, high = self._size
+        self._window.SetSize(max(1, round(zoom * wide)), max(1, round(zoom * high)))
+        self._window.Render()
+        self._reader.Modified()
+        self._reader.Update()
+        drawn = self._reader.GetOutput()
+        cols, rows, _ = drawn.GetDimensions()
+        pixels = vtk_to_numpy(drawn.GetPointData().GetScalars())
+        return Image.frombytes("RGBX", (cols, rows), pixels, "raw", "RGBX", 0, -1)  # VTK's lowest row is the first
+
+
+def _jpeg(image: Image.Image, quality: int) -> bytes:
+    written = io.BytesIO()
+    image.save(written, "JPEG", quality=quality, subsampling=0)  # thin lines keep their colours
+    return written.getvalue()

@@ -1,0 +1,67 @@
+"""What is looked at: a design under pressures, or a scene under its own loads."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fem.fields.array_field import array_field
+from fem.fields.deformed import Parts, sensor_parts
+from fem.fields.pad_loads import PAD_LOADS, WHERE
+from fem.fields.scene_parts import scene_parts
+from fem.scene.scene import Scene
+from fem.scene.scene_file import scene_from_dict
+from geometry.design import SensorDesign
+from geometry.design_file import whole_design
+from geometry.errors import DesignError
+from geometry.layout import FloatArray
+from geometry.storage.text_file import read_text, tables_of
+
+AUTO = 0.2  #: of the body's height, which the largest displacement takes where its scale is chosen
+ROUND = (1.0, 2.0, 5.0)
+
+
+def read_body(path: Path) -> SensorDesign | Scene:
+    """A scene if the file has a table [body], else a design; errors as those of their readers."""
+    text = read_text(path, "give a scene or a design", DesignError)
+    tables = tables_of(text, path, DesignError)
+    return scene_from_dict(tables, str(path)) if "body" in tables else whole_design(text, path)
+
+
+def panels_of(
+    body: SensorDesign | Scene,
+    pressures_mpa: Sequence[float],
+    load: str,
+    stress: bool,
+    progress: Callable[[str], None] = lambda step: None,
+) -> dict[str, Parts]:
+    """Solve for what is shown: one panel for each pressure of a design, one for a scene, by the name of its load."""
+    if isinstance(body, Scene):
+        return {"the scene's load": scene_parts(body, stress, progress)}
+    field = array_field(body, progress)
+    progress("pads")
+    one = sensor_parts(field, field.state(PAD_LOADS[load](body, 1.0)), stress)
+    return {
+        f"{pressure:g} MPa {WHERE[load]}": {name: part.times(pressure) for name, part in one.items()}
+        for pressure in pressures_mpa
+    }
+
+
+def suited_scale(panels: dict[str, Parts]) -> float:
+    """A round factor that makes the largest displacement a fifth of the body's height.
+
+    1, 2 or 5 times a power of ten; 1 where nothing moves.
+    """
+    parts = [part for panel in panels.values() for part in panel.values()]
+    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
+    largest = max(largest_mm(part.displacement_mm) for part in parts)
+    if largest == 0.0:
+        return 1.0
+    wanted = AUTO * height / largest
+    tens = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step * tens for step in ROUND if step * tens <= wanted * (1 + 1e-9)))
+
+
+def largest_mm(displacement_mm: FloatArray) -> float:
+    """Length of the largest of displacements (n, 3)."""
+    return float(np.linalg.norm(displacement_mm, axis=1).max(initial=0.0))
