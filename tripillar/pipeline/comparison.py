@@ -14,8 +14,8 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
-from studies.paper.printed import MEAN_OVER_WIDTHS
 from tripillar.pipeline.manufactured import READ, errors_as_made
+from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
 from tripillar.pipeline.touches import Forces, Touched, touches
 
 PAPER_CAP = 0.3  #: strain of the paper's data beside which ours are set

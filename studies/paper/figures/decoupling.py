@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
-from studies.paper.printed import MEAN_OVER_WIDTHS
-from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import Results, Shown
+from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
+from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

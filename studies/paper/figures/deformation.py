@@ -11,7 +11,7 @@ import numpy as np
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from studies.paper.deformation import Sample, one_pad
-from studies.paper.printed import PRESSURES_MPA
+from tripillar.pipeline.printed import PRESSURES_MPA
 
 
 def draw_figure_6(response: ArrayResponse, path: Path) -> None:

@@ -8,8 +8,8 @@ from fem.array.layer import layer_mean_compliance
 from geometry.design import Material
 from geometry.layout import FloatArray
 from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
-from studies.paper.printed import LARGEST_FORCE_N, SPACING_MM
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spaced, Spacing
+from tripillar.pipeline.printed import LARGEST_FORCE_N, SPACING_MM
 
 
 def draw_spacing(found: Spacing, height_mm: float, material: Material, path: Path) -> None:

@@ -20,10 +20,10 @@ from studies.paper.experiments import (
     TABLE_2,
     TABLE_2_SAMPLES,
 )
-from studies.paper.printed import BEST_WIDTH, MEAN_OVER_WIDTHS, TABLE_2_AVERAGE
-from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import Results, Shown
 from studies.paper.sections.words import both, compared, listed, of_one_size, percent, than, whole_percent
+from tripillar.pipeline.printed import BEST_WIDTH, MEAN_OVER_WIDTHS, TABLE_2_AVERAGE
+from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 
 CONTACT, INDEPENDENT = LOADS
 OURS = f"{INFORMED} {NETWORKS[INFORMED][0].hidden}"

@@ -5,8 +5,8 @@ from itertools import pairwise
 from geometry.design import SensorDesign
 from studies.paper.deformation import CAP, LOADED, Deformation, middle_unit
 from studies.paper.document import Grid, Picture, Section, Verdict
-from studies.paper.printed import LARGEST_FORCE_N, PRESSURES_MPA
 from studies.paper.sections.words import listed, strain, whole_percent
+from tripillar.pipeline.printed import LARGEST_FORCE_N, PRESSURES_MPA
 
 FIGURE_6, FIGURE_7, FIGURE_8 = "figure-6.png", "figure-7.png", "figure-8.png"
 

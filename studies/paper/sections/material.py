@@ -4,8 +4,8 @@ from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
 from geometry.design import SensorDesign
 from geometry.layout import rest_lengths
 from studies.paper.document import Grid, Section, Verdict
-from studies.paper.printed import TABLE_1, Rubber
 from studies.paper.sections.words import listed
+from tripillar.pipeline.printed import TABLE_1, Rubber
 
 
 def rubber_of(design: SensorDesign) -> Rubber:

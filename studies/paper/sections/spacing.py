@@ -4,9 +4,9 @@ from itertools import pairwise
 
 from geometry.design import SensorDesign
 from studies.paper.document import Grid, Picture, Section, Verdict
-from studies.paper.printed import LARGEST_FORCE_N, SPACING_MM
 from studies.paper.sections.words import listed, whole_percent
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spaced, Spacing
+from tripillar.pipeline.printed import LARGEST_FORCE_N, SPACING_MM
 
 SPACING = "spacing.png"
 QUIET = 0.05  #: share of its own that a unit may move by a neighbour's load and be called undisturbed

@@ -24,11 +24,11 @@ from studies.paper.experiments import (
     Experiments,
     recipe_of,
 )
-from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
-from studies.paper.printed import TABLE_2_AVERAGE
 from studies.paper.results import read_results
 from studies.paper.sections import decoupling
 from tests.studies.paper.small_experiments import SMALL
+from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
+from tripillar.pipeline.printed import TABLE_2_AVERAGE
 from tripillar.terminal.progress import Bars
 
 
