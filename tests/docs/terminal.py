@@ -51,7 +51,7 @@ class Terminal:
         self.folder = folder
         programs = folder / ".programs"
         programs.mkdir(parents=True)
-        (programs / "tripillar").write_text(f'#!/bin/sh\nexec {sys.executable} {ROOT}/tripillar.py "$@"\n')
+        (programs / "tripillar").write_text(f'#!/bin/sh\nexec {sys.executable} -m tripillar "$@"\n')
         (programs / "tripillar").chmod(0o755)
         environment = os.environ | {
             "PATH": f"{programs}:{os.environ['PATH']}",

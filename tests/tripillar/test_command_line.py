@@ -102,7 +102,7 @@ def test_version(tmp_path):
 )
 def test_the_shell_completes(tmp_path, typed, offered):
     """The console script asks itself, as bash does after --install-completion."""
-    code = "import sys, tripillar; sys.argv = ['tripillar']; tripillar.main()"
+    code = "import sys; sys.argv = ['tripillar']; from tripillar.cli.app import main; main()"
     environment = os.environ | {
         "_TRIPILLAR_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split(" ")) - 1),
     }  # fmt: skip

@@ -5,9 +5,11 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from fem.linear.linear_solver import SolverError
+from tests.docs.terminal import ROOT
 from tripillar.doctor import known_answers, surroundings
 from tripillar.doctor.known_answers import KNOWN
 
@@ -71,3 +73,10 @@ def test_a_failure_ends_with_code_1(tmp_path):
     done = ask("--no-compute", folder=tmp_path, VTK_DEFAULT_OPENGL_WINDOW="vtkNoSuchWindow", DISPLAY="")
     wrong = [check["name"] for check in json.loads(done.stdout)["checks"] if check["state"] == "wrong"]
     assert (wrong, done.returncode) == (["pictures"], 1)
+
+
+def test_the_known_response_is_that_of_the_benchmarks():
+    """18 numbers of `studies/bench/references.json`, which the product does not hold, to seven digits."""
+    scenes = json.loads((ROOT / "studies/bench/references.json").read_text(encoding="utf-8"))["scenes"]
+    known = [[scenes[f"response-inner-{axis}"]["probes"][f"21-{name}"] for name in ("U1", "U2")] for axis in "xyz"]
+    assert np.array(known_answers.MIDDLE_MM_PER_N) == pytest.approx(np.array(known), rel=1e-6)

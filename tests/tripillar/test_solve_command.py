@@ -25,7 +25,7 @@ def run(tmp_path, monkeypatch, capsys):
     def run(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["tripillar", *words])
         with pytest.raises(SystemExit) as end:
-            tripillar.main()
+            tripillar.cli.app.main()
         printed = capsys.readouterr()
         return int(end.value.code or 0), printed.out, printed.err
 
