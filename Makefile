@@ -4,9 +4,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 OUT ?= out
+WORKERS := --numprocesses logical --maxprocesses 4 --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test docs check format clean
+.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test test-long docs check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -55,10 +56,13 @@ simulator: firmware  ## the program that runs that firmware on a simulated chip
 	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware simulator
 
 hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
-	$(BIN)/python -m pytest -rs hardware tests/hardware tests/studies/board
+	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/board
 
-test: $(READY)  ## run the tests
-	$(BIN)/python -m pytest
+test: $(READY)  ## run the tests, on up to four cores
+	$(BIN)/python -m pytest $(WORKERS)
+
+test-long: $(READY)  ## run those that take minutes each: an hour of frames, a million damaged ones, the edge cases
+	$(BIN)/python -m pytest $(WORKERS) -m long
 
 docs: $(READY)  ## docs/ as pages with the API, out/docs/site/index.html; with a search: mkdocs serve
 	$(BIN)/python docs/site-parts/command_reference.py

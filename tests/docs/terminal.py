@@ -57,6 +57,7 @@ class Terminal:
             "PATH": f"{programs}:{os.environ['PATH']}",
             "TRIPILLAR_CACHE": str(cache),
             "COLUMNS": "200",
+            "PYTHONPATH": str(ROOT),
         }
         self._typed = 0
         self._shell = subprocess.Popen(

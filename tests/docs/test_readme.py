@@ -18,6 +18,7 @@ TYPED = indented_commands(README, "tripillar", "make", "kill")
 ELSEWHERE = {
     "make train": "tests/tripillar/test_tripillar.py::test_the_pipeline_beats_the_paper_and_the_marks",
     "make test": "",  # runs this
+    "make test-long": "",  # runs the tests that are marked so
     "make setup": "",  # what all tests need
     "make -C hardware/firmware SCAN_MODE=2 SENSE_OHM=4700": (
         "tests/hardware/test_firmware_run.py::test_a_board_reads_every_crossing_on_time"

@@ -84,7 +84,7 @@ def test_a_cache_that_cannot_be_written_loses_nothing(tmp_path, caplog, monkeypa
 @pytest.mark.skipif(sys.platform == "win32", reason="no locks")
 def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_holds_is_not(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from geometry.files import replacing\n"
+        "import sys, time; from pathlib import Path; from geometry.storage.files import replacing\n"
         "with replacing(Path(sys.argv[1])) as temporary:\n"
         "    temporary.write_text('half'); print('begun', flush=True); time.sleep(60)"
     )
@@ -116,8 +116,8 @@ def test_scratch_is_removed():
 def test_a_signal_ends_what_swallows_it(tmp_path, number, code):
     """Libraries swallow an exception, or compute on; what is unfinished is removed and one line is said."""
     program = (
-        "from studies import interrupts; interrupts.install()\n"
-        "import time; from pathlib import Path; from geometry.files import replacing\n"
+        "from tripillar.terminal import interrupts; interrupts.install()\n"
+        "import time; from pathlib import Path; from geometry.storage.files import replacing\n"
         "with replacing(Path('data.txt')) as temporary:\n"
         "    print('begun', flush=True)\n"
         "    while True:\n"

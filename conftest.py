@@ -1,0 +1,62 @@
+"""Fixtures of every test: a cache of its own or one shared by all, folders that are filled once, and Ctrl-C."""
+
+import os
+import signal
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import filelock
+import pytest
+from hypothesis.configuration import set_hypothesis_home_dir
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # before NumPy loads: the cores belong to pytest's workers
+if "PYTEST_XDIST_WORKER" not in os.environ:  # the workers inherit the first process's environment
+    _scratch = tempfile.TemporaryDirectory(prefix="tripillar-tests-")
+    os.environ["TRIPILLAR_TESTS"] = _scratch.name
+    os.environ["TRIPILLAR_CACHE"] = f"{_scratch.name}/cache"  # of fixtures that live longer than one test
+SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a session, in whatever process they run
+# hypothesis starts to write while tests are still being collected, before any fixture
+set_hypothesis_home_dir(SHARED / "hypothesis")
+
+
+def pytest_unconfigure() -> None:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        _scratch.cleanup()
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give each test a cache of its own, so that no test finds what another has left there."""
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def shared_cache(own_cache: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a test reuse what others have solved; not for tests that change how it is solved, or look into the cache."""
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(SHARED / "cache"))
+
+
+@pytest.fixture(scope="session")
+def made_once() -> Callable[[str, Callable[[Path], object]], Path]:
+    """Fill a named folder once a session; other tests and processes wait for it and then find it filled."""
+
+    def made_once(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, filled = SHARED / name, SHARED / f"{name}.filled"
+        with filelock.FileLock(f"{folder}.lock"):
+            if not filled.exists():
+                folder.mkdir(exist_ok=True)
+                fill(folder)
+                filled.touch()
+        return folder
+
+    return made_once
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C interrupt what tests start, also in the background of a shell, where it would be ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
