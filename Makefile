@@ -7,7 +7,7 @@ OUT ?= out
 WORKERS := --numprocesses logical --maxprocesses 4 --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench stress robustness firmware simulator hardware-test test test-long docs check format clean
+.PHONY: help setup train dataset picture paper bench edge-cases robustness firmware simulator hardware-test test test-long docs check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -43,8 +43,8 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
 
-stress: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
-	$(BIN)/python -m studies.edge_cases --out $(OUT)/stress
+edge-cases: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
+	$(BIN)/python -m studies.edge_cases --out $(OUT)/edge-cases
 
 robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
 	$(BIN)/python -m studies.robustness --out $(OUT)/robustness

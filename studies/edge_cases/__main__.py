@@ -31,7 +31,7 @@ def all_trials() -> list[Trial]:
     return scene_trials() + training_trials()
 
 
-def stress_table(findings: Iterable[Finding]) -> Table:
+def edge_table(findings: Iterable[Finding]) -> Table:
     """Every trial with its verdict."""
     table = Table(title="At the edge: error, and what it may be")
     table.add_column("trial")
@@ -59,8 +59,8 @@ def stress_table(findings: Iterable[Finding]) -> Table:
     return table
 
 
-def stress(
-    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/stress"),
+def judge_all(
+    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/edge-cases"),
     only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
 ) -> None:
     """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
@@ -70,19 +70,19 @@ def stress(
         if name not in names:
             raise typer.BadParameter(f"no trial '{name}'; there are {', '.join(names)}")
     findings = []
-    with tempfile.TemporaryDirectory(prefix="stress-") as cache:
+    with tempfile.TemporaryDirectory(prefix="edge-cases-") as cache:
         os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
         for trial in trials:
             if only and trial.name not in only:
                 continue
             findings.append(tried(trial))
             print(f"{trial.name}, {trial.value}: {findings[-1].verdict}, {findings[-1].seconds:.1f} s", file=sys.stderr)
-    show(stress_table(findings))
-    write_json([asdict(one) for one in findings], out / "stress.json")
-    wrote([out / "stress.json"])
+    show(edge_table(findings))
+    write_json([asdict(one) for one in findings], out / "edge-cases.json")
+    wrote([out / "edge-cases.json"])
     if any(one.verdict.startswith("WRONG") for one in findings):
         raise typer.Exit(1)
 
 
 if __name__ == "__main__":
-    run_alone(stress)
+    run_alone(judge_all)

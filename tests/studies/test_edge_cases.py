@@ -72,14 +72,14 @@ def test_trials_are_told_apart_by_name_and_value():
 
 
 @pytest.mark.parametrize(("error", "status"), [(1e-4, 0), (1e-2, 1)])
-def test_the_table_is_stored_and_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error, status):
+def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error, status):
     monkeypatch.setattr(command, "all_trials", lambda: [Trial(name="one", value="1", run=lambda: outcome(error))])
     app = typer.Typer()
-    app.command()(command.stress)
+    app.command()(command.judge_all)
     with pytest.raises(SystemExit) as ended:
         app(["--out", str(tmp_path), "--only", "one"])
     assert ended.value.code == status
-    stored = json.loads((tmp_path / "stress.json").read_text(encoding="utf-8"))
+    stored = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]
     assert "a twin" in capsys.readouterr().out
 
