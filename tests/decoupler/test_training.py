@@ -16,9 +16,9 @@ from decoupler import (
     component_named,
     evaluate,
     pca_floor,
-    training,
 )
 from decoupler.data.components import force_columns, pillar_columns
+from decoupler.training import trainer
 from decoupler.training.trainer import train
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -210,7 +210,7 @@ def test_only_a_response_that_explains_the_readings_is_asked_about_rest():
     columns, forces = pillar_columns(TRAIN.resistance_ohm, FX, None), force_columns(TRAIN.force_n, FX)
     asked = {}
     for name, given in {"own": own, "other": other}.items():
-        untrained = training._untrained(TRAIN, FX, network, columns, forces, given)
+        untrained = trainer._untrained(TRAIN, FX, network, columns, forces, given)
         asked[name] = training._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
         decoupler, _ = train(TRAIN, "fx", network, config, response=given)
         assert decoupler.made_from["n_samples"] == len(TRAIN.force_n)
