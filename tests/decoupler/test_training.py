@@ -211,7 +211,7 @@ def test_only_a_response_that_explains_the_readings_is_asked_about_rest():
     asked = {}
     for name, given in {"own": own, "other": other}.items():
         untrained = trainer._untrained(TRAIN, FX, network, columns, forces, given)
-        asked[name] = training._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
+        asked[name] = trainer._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
         decoupler, _ = train(TRAIN, "fx", network, config, response=given)
         assert decoupler.made_from["n_samples"] == len(TRAIN.force_n)
     assert asked == {"own": True, "other": False}

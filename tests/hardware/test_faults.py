@@ -111,7 +111,8 @@ def test_an_open_port_that_was_given_cannot_be_reopened(board):
 def test_killed_and_started_again(link):
     """A board's process dies at once, leaves its link behind, and another one, of newer firmware, takes over."""
     program = (
-        "import sys; from hardware.boards.virtual_board import VirtualBoard; from tests.hardware.boards import COUNTS, INFO\n"
+        "import sys\nfrom hardware.boards.virtual_board import VirtualBoard\n"
+        "from tests.hardware.boards import COUNTS, INFO\n"
         "VirtualBoard(COUNTS, INFO, link=sys.argv[1]); print('ready', flush=True); sys.stdin.read()"
     )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
