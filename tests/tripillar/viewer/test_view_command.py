@@ -10,8 +10,8 @@ import pyvista as pv
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from tests.house import House
-from tripillar.cli import view as command
-from tripillar.cli.view import repeated
+from tripillar.cli import viewing as command
+from tripillar.cli.viewing import repeated
 from tripillar.viewer import saving
 from tripillar.viewer.sights import panels_of, read_body, suited_scale
 

@@ -1,4 +1,4 @@
-"""The commands of design sweeps; `tripillar/cli/app.py` adds them to its own."""
+"""The commands that compare designs and search for the best."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -11,7 +11,6 @@ import typer
 
 from geometry.errors import DesignError
 from tripillar.terminal.console import (
-    STUDYING,
     JsonOption,
     VerbosityOption,
     output_folder,
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from tripillar.sweep.sweep_file import Sweep
     from tripillar.terminal.progress import Bars
 
-commands = typer.Typer()
 
 SweepArgument = Annotated[Path, typer.Argument(help="Sweep file (TOML): what is varied, and how.")]
 OutOption = Annotated[
@@ -46,7 +44,6 @@ TrainOption = Annotated[bool, typer.Option("--train", help="Train the network of
 RetryOption = Annotated[bool, typer.Option("--retry", help="Try designs that failed before once more.")]
 
 
-@commands.command(rich_help_panel=STUDYING)
 def sweep(
     file: SweepArgument,
     out: OutOption = Path("out"),
@@ -105,7 +102,6 @@ def sweep(
     wrote(files)
 
 
-@commands.command(rich_help_panel=STUDYING)
 def optimize(
     file: SweepArgument,
     out: OutOption = Path("out"),

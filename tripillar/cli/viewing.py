@@ -1,4 +1,4 @@
-"""`tripillar view`: a deformed sensor or scene, in a window or as a file."""
+"""The command that shows a deformed sensor or scene: in a window, a file or a page."""
 
 import math
 import os
@@ -13,7 +13,6 @@ from typer.core import TyperCommand
 
 from geometry.errors import DesignError, FileFormatError
 from tripillar.terminal.console import (
-    STUDYING,
     DesignOption,
     JsonOption,
     VerbosityOption,
@@ -47,8 +46,6 @@ NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 PICTURE_OPTIONS = ("pressure", "load", "colour", "scale", "camera", "save")
 PAGE_OPTIONS = ("host", "http_port", "port", "model", "calibration")
-
-viewer = typer.Typer()
 
 
 class SeveralPressures(TyperCommand):
@@ -85,7 +82,6 @@ def _is_number(word: str) -> bool:
     return True
 
 
-@viewer.command(cls=SeveralPressures, rich_help_panel=STUDYING)
 def view(
     context: typer.Context,
     body: Annotated[

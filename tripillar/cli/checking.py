@@ -1,17 +1,15 @@
-"""``tripillar doctor``."""
+"""The command that checks this machine."""
 
 from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
-from tripillar.terminal.console import STUDYING, JsonOption, VerbosityOption, progress_bars, show_json
+from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
-commands = typer.Typer()
 
 
-@commands.command(rich_help_panel=STUDYING)
 def doctor(
     compute: Annotated[bool, typer.Option(help="Compute what has a known answer, too: about 5 s.")] = True,
     json_: JsonOption = False,

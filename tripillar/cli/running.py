@@ -1,0 +1,47 @@
+"""The command that runs the whole pipeline."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tripillar.terminal.console import (
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    output_folder,
+    progress_bars,
+    show_json,
+    wrote,
+)
+
+
+def run(
+    design: DesignOption = None,
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_folder, help="Folder for all files.")] = Path(
+        "out"
+    ),
+    until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage to run.")] = "table",
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Run the whole pipeline, from a design to a table of errors.
+
+    The stages are design, CAD, mesh, response, data sets, networks and table. What did not change is not made again.
+    """
+    from tripillar.pipeline.run import files_of
+    from tripillar.pipeline.run import run as run_pipeline
+    from tripillar.terminal.tables import comparison_table, show, stage_table, touch_table
+
+    sensor = chosen(design)
+    with progress_bars(verbosity) as bars:
+        outcome = run_pipeline(sensor, out, bars, until_dataset=until == "dataset")
+    if json_:
+        show_json(outcome.as_plain())
+    else:
+        if outcome.comparisons:
+            show(comparison_table(outcome.comparisons))
+            show(touch_table(outcome.comparisons))
+        show(stage_table(outcome.stages))
+    wrote(files_of(outcome.stages))
