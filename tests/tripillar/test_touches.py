@@ -10,8 +10,8 @@ from decoupler import NetworkConfig, TrainingConfig, fine_tune
 from decoupler.training.trainer import train
 from fem.array.response import ArrayResponse
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tripillar.pipeline.comparison import TOUCHES_N, touches
 from tripillar.pipeline.manufactured import READ, SPECIMEN
-from tripillar.pipeline.touches import TOUCHES_N, touches
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)

@@ -176,8 +176,14 @@ def train(
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.model_file import write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from tripillar.pipeline.doubts import heed, joint_model, mention
-    from tripillar.pipeline.suited import judging_response, likely_design, suited_network
+    from tripillar.pipeline.data_checks import (
+        heed,
+        joint_model,
+        judging_response,
+        likely_design,
+        mention,
+        suited_network,
+    )
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
@@ -229,8 +235,7 @@ def evaluate(
     from dataset.samples import read_labelled
     from decoupler.evaluation.assessment import assess
     from decoupler.model.model_file import read_model, require_same_sensor
-    from tripillar.pipeline.doubts import warn_of_test
-    from tripillar.pipeline.suited import known_response
+    from tripillar.pipeline.data_checks import known_response, warn_of_test
 
     decoupler, labelled = read_model(model), read_labelled(data)
     require_same_sensor(decoupler, labelled, model, data)
@@ -273,8 +278,14 @@ def crossval(
     from decoupler.evaluation.crossval import cross_validate, split_folds, summary
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from tripillar.pipeline.doubts import heed, joint_model, mention
-    from tripillar.pipeline.suited import judging_response, likely_design, suited_network
+    from tripillar.pipeline.data_checks import (
+        heed,
+        joint_model,
+        judging_response,
+        likely_design,
+        mention,
+        suited_network,
+    )
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
@@ -319,8 +330,7 @@ def fine_tune(
     from decoupler.evaluation.plausibility import doubt
     from decoupler.model.model_file import read_model, require_same_sensor, write_model
     from decoupler.training.fine_tuning import fine_tune as fine_tuned
-    from tripillar.pipeline.doubts import heed, joint_model, mention, mention_another_sensor
-    from tripillar.pipeline.suited import known_response
+    from tripillar.pipeline.data_checks import heed, joint_model, known_response, mention, mention_another_sensor
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")

@@ -30,18 +30,17 @@ def run(
 
     The stages are design, CAD, mesh, response, data sets, networks and table. What did not change is not made again.
     """
-    from tripillar.pipeline.run import files_of
-    from tripillar.pipeline.run import run as run_pipeline
+    from tripillar.pipeline.run import run_pipeline
     from tripillar.terminal.tables import comparison_table, show, stage_table, touch_table
 
     sensor = chosen(design)
     with progress_bars(verbosity) as bars:
-        outcome = run_pipeline(sensor, out, bars, until_dataset=until == "dataset")
+        result = run_pipeline(sensor, out, bars, until_dataset=until == "dataset")
     if json_:
-        show_json(outcome.as_plain())
+        show_json(result.as_plain())
     else:
-        if outcome.comparisons:
-            show(comparison_table(outcome.comparisons))
-            show(touch_table(outcome.comparisons))
-        show(stage_table(outcome.stages))
-    wrote(files_of(outcome.stages))
+        if result.comparisons:
+            show(comparison_table(result.comparisons))
+            show(touch_table(result.comparisons))
+        show(stage_table(result.stages))
+    wrote(result.files)

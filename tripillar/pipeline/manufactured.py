@@ -1,7 +1,7 @@
-"""A sensor as manufacturing would make it: another truth than the response that the networks hold.
+"""The sensor as manufacturing would make it, which differs a little from the response that the networks hold.
 
-Data from the very response that a network starts from test the arithmetic, not the sensor: without noise the inverse of
-that response is exact. Here every part of the truth is a little different, and solved by other elements.
+Test data of the response that a network starts from test only the arithmetic: without noise the inverse of that
+response is exact. Here geometry, rubber, readings and elements all differ.
 """
 
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ from geometry.design import SensorDesign
 
 #: serendipity elements and another tolerance; designs are solved by Q2
 SETTINGS = ResponseSettings(tolerance=2e-3, element="S2")
-#: of the specimen: factors in 1 ± 0.1, offsets of 100 Ω, 0.1 % of noise behind a converter of 12 bits
+#: readings of the sensor as made: gains of 1 ± 0.1, offsets of 100 Ω, noise of 0.1 %, a converter of 12 bits
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
-READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: the sensor as designed, read as the specimen is
-PAIRS = 10  #: measured ones that a model is fine-tuned on
+READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: noise and converter alone, for the sensor as designed
+PAIRS = 10  #: measured samples that a model is fine-tuned on
 SEEDS = {"test": 2, "pairs": 3}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manufactured:
-    """Errors of a model on this sensor."""
+    """Errors of one model on the sensor as made."""
 
     untuned: dict[str, ForceErrors]  #: as trained on the sensor as designed
     tuned: dict[str, ForceErrors]  #: after `PAIRS` measured pairs
@@ -35,7 +35,7 @@ class Manufactured:
 
 
 def as_made(design: SensorDesign) -> SensorDesign:
-    """The design as it comes out of the mould: pads and height off by some tenths of a mm, rubber a little softer."""
+    """The design with pads and height off by some tenths of a mm and rubber 5 % softer."""
     pillars, matrix = (
         replace(part, young_mpa=0.95 * part.young_mpa, poisson=part.poisson - 0.003)
         for part in (design.pillar_material, design.matrix_material)
@@ -50,7 +50,7 @@ def as_made(design: SensorDesign) -> SensorDesign:
 
 
 def measured_on(truth: ArrayResponse, design: SensorDesign, protocol: str, samples: int, seed: int) -> LabelledData:
-    """What the specimen shows under a protocol's loads; its papers say `design`."""
+    """Samples of the sensor as made under the loads of a protocol; they state the design that was intended."""
     made = simulate(truth, DatasetSettings(protocol=protocol, samples=samples, seed=seed, **vars(SPECIMEN)))
     noise, bits = SPECIMEN.noise, SPECIMEN.bits
     data = LabelledData(

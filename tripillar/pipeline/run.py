@@ -1,10 +1,9 @@
-"""The whole way from a design to a table of decoupling errors, reusing whatever did not change.
+"""The stages from a design to a table of decoupling errors, from top to bottom.
 
-design -> CAD -> response -> datasets -> networks -> table. Every file states the recipe it was made by; a stage
-whose file states the wanted one is skipped and says so.
+design -> CAD -> response -> datasets -> networks -> table. Every file holds the cache key of what made it; a stage is
+skipped, and says so, if its files hold the wanted key.
 """
 
-from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -33,7 +32,7 @@ from tripillar.terminal.progress import Bars
 from tripillar.terminal.writing import write_json, write_text
 
 CAD_METHOD = 1  #: raise when the same design gives other CAD files
-#: protocols of the table, each with the force component it loads
+#: protocols of the table, each with the force component that it loads
 STUDIED = {"contact-fz": "fz", "contact-fx": "fx", "independent-fz": "fz", "independent-fx": "fx"}
 SPLITS = {"train": (2000, 1), "test": (200, 2)}  #: samples and seed, as many as the paper's
 CAP = 0.3  #: largest pillar strain, the paper's wider one
@@ -51,7 +50,7 @@ NETWORKS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """What became of one stage."""
+    """Result of one stage: its time, its files, and whether they were there already."""
 
     name: str
     seconds: float
@@ -61,51 +60,56 @@ class Stage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a run of the pipeline gives."""
+class PipelineResult:
+    """The stages that ran and the comparisons of the table."""
 
     stages: list[Stage]
     comparisons: list[Comparison]
 
+    @property
+    def files(self) -> list[Path]:
+        """Every file that the stages wrote or found, in order."""
+        return [path for stage in self.stages for path in stage.files]
+
     def as_plain(self) -> dict[str, Any]:
-        """The same as dictionaries, lists, strings and numbers, for JSON."""
+        """The result as dictionaries, lists, strings and numbers, for JSON."""
         stages = [asdict(stage) | {"files": [str(path) for path in stage.files]} for stage in self.stages]
         return {"stages": stages, "comparisons": [asdict(comparison) for comparison in self.comparisons]}
 
 
-def run(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False) -> Outcome:
+def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False) -> PipelineResult:
     """Run every stage, or stop after the datasets.
 
     Parameters
     ----------
     design : SensorDesign
-        Of the sensor.
+        Design of the sensor.
     out : Path
         Folder for all files; meshes and responses also stay in the cache.
     bars : Bars
-        Show the progress.
+        Progress bars.
     until_dataset : bool
-        Leave the networks out.
+        Stop after the datasets.
     """
     stages = [draw(design, out / "cad", bars)]
     stage, response = respond(design, bars)
     stages.append(stage)
     stages.append(make_datasets(response, out, bars))
     if until_dataset:
-        return Outcome(stages=stages, comparisons=[])
+        return PipelineResult(stages=stages, comparisons=[])
     stage, models = train_networks(response, out, bars)
     stages.append(stage)
     stage, truth = respond(as_made(design), bars, SETTINGS)
     stages.append(replace(stage, name="as made"))
-    comparisons = [
-        compare(protocol, read_labelled(_dataset_path(out, protocol, "train")), test, models[protocol], response, truth)
-        for protocol, test in ((p, read_labelled(_dataset_path(out, p, "test"))) for p in STUDIED)
-    ]
-    outcome = Outcome(stages=stages, comparisons=comparisons)
+    comparisons = []
+    for protocol in STUDIED:
+        training, test = (read_labelled(_dataset_path(out, protocol, split)) for split in SPLITS)
+        comparisons.append(compare(protocol, training, test, models[protocol], response, truth))
+    result = PipelineResult(stages=stages, comparisons=comparisons)
     table = out / "table.json"
-    write_json(outcome.as_plain(), table)
+    write_json(result.as_plain(), table)
     stages.append(Stage(name="table", seconds=0.0, reused=False, files=(table,)))
-    return outcome
+    return result
 
 
 def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
@@ -113,27 +117,27 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     start = perf_counter()
     advance = bars.begin("CAD", total=1)
     made = folder / "made.json"
-    recipe = digest("cad", CAD_METHOD, design.unit, design.array)
-    files = _intact_files(made, recipe)
+    cache_key = digest("cad", CAD_METHOD, design.unit, design.array)
+    files = _intact_files(made, cache_key)
     reused = bool(files)
     if not reused:
         from geometry.mould import write_cad  # takes seconds to load: only when something is drawn
 
         files = write_cad(design, folder)
         hashes = {path.name: _file_hash(path) for path in files}
-        write_text(sealed_json({"recipe": recipe, "files": hashes}, 1) + "\n", made)
+        write_text(sealed_json({"recipe": cache_key, "files": hashes}, 1) + "\n", made)
     description = folder / "design.toml"
     write_text(design_to_toml(design), description)
     advance(1, "reused" if reused else f"{len(files)} files")
     return Stage(name="CAD", seconds=perf_counter() - start, reused=reused, files=(description, *files))
 
 
-def _intact_files(made: Path, recipe: str) -> list[Path]:
-    """Files that `made` lists, if it has the recipe and each is still as it was written; otherwise none."""
+def _intact_files(made: Path, cache_key: str) -> list[Path]:
+    """The files that `made` lists, if it holds the cache key and each file is as it was written; otherwise none."""
     try:
         record = opened_json(made.read_text(encoding="utf-8"))
         files = [made.parent / name for name in record["files"]]
-        if record["recipe"] != recipe:
+        if record["recipe"] != cache_key:
             return []
         damaged = [path for path in files if _file_hash(path) != record["files"][path.name]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -162,7 +166,7 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
 
 
 def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
-    """Solve for the array's response. No mesh of the array is needed for it, nor made."""
+    """Solve for the array's response. The array itself is never meshed."""
     start = perf_counter()
     advance = bars.begin("response", total=1)
     response, path, reused = array_response(design, settings, lambda step: advance(0, step))
@@ -173,7 +177,7 @@ def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None 
 
 
 def response_note(response: ArrayResponse) -> str:
-    """What a response is worth, in a line."""
+    """Method, size, residual and estimated error of a response, in a line."""
     if not response.unknowns:
         return f"closed form, method {response.method}"
     note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
@@ -190,28 +194,14 @@ def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
         for split, (samples, seed) in SPLITS.items():
             settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=CAP)
             path = _dataset_path(out, protocol, split)
-            if not make_dataset(response, settings, path, lambda n: advance(n, "")):
-                reused, made = False, made + samples
-            else:
+            if is_current(path, dataset_recipe(response, settings)):
                 advance(samples, "reused")
+            else:
+                write_dataset(simulate(response, settings, lambda n: advance(n, "")), path)
+                reused, made = False, made + samples
             files.append(path)
-    return Stage(
-        name="datasets",
-        seconds=perf_counter() - start,
-        reused=reused,
-        files=tuple(files),
-        note="" if reused else f"{made} samples",
-    )
-
-
-def make_dataset(
-    response: ArrayResponse, settings: DatasetSettings, path: Path, progress: Callable[[int], None]
-) -> bool:
-    """Simulate and write a dataset unless `path` holds it already; returns whether it did."""
-    if is_current(path, dataset_recipe(response, settings)):
-        return True
-    write_dataset(simulate(response, settings, progress), path)
-    return False
+    note = "" if reused else f"{made} samples"
+    return Stage(name="datasets", seconds=perf_counter() - start, reused=reused, files=tuple(files), note=note)
 
 
 def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
@@ -244,10 +234,10 @@ def trained(
     response: ArrayResponse | None,
 ) -> tuple[Decoupler, bool]:
     """Train and write a network unless `path` holds it already; returns it and whether it did."""
-    recipe = model_recipe(data, component_named(component).name, network, training, response)
+    cache_key = model_recipe(data, component_named(component).name, network, training, response)
     try:
         model = read_model(path)
-        if model.made_from.get("recipe") == recipe:
+        if model.made_from.get("recipe") == cache_key:
             return model, True
     except FileFormatError:
         say_made_anew(path)
@@ -260,8 +250,3 @@ def trained(
 
 def _dataset_path(out: Path, protocol: str, split: str) -> Path:
     return out / "data" / f"{protocol}-{split}.nc"
-
-
-def files_of(stages: Iterable[Stage]) -> list[Path]:
-    """Every file that the stages wrote or found, in order."""
-    return [path for stage in stages for path in stage.files]

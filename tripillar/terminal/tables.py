@@ -13,10 +13,9 @@ from decoupler.evaluation.crossval import Fold, over_folds
 from decoupler.evaluation.metrics import ForceErrors
 from fem.scene.solution import Solution
 from geometry.layout import AXES
-from tripillar.pipeline.comparison import Comparison
+from tripillar.pipeline.comparison import AT_REST, TOUCHES_N, Comparison
 from tripillar.pipeline.manufactured import PAIRS, READ
 from tripillar.pipeline.run import CAP, SPLITS, Stage
-from tripillar.pipeline.touches import AT_REST, TOUCHES_N
 
 AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
 
