@@ -80,3 +80,14 @@ def test_the_known_response_is_that_of_the_benchmarks():
     scenes = json.loads((ROOT / "studies/bench/references.json").read_text(encoding="utf-8"))["scenes"]
     known = [[scenes[f"response-inner-{axis}"]["probes"][f"21-{name}"] for name in ("U1", "U2")] for axis in "xyz"]
     assert np.array(known_answers.MIDDLE_MM_PER_N) == pytest.approx(np.array(known), rel=1e-6)
+
+
+def test_a_package_of_others_in_the_place_of_ours_is_named(tmp_path):
+    """`dataset` of PyPI first on the path: every command says so, in one line, and does nothing."""
+    other = tmp_path / "dataset" / "__init__.py"
+    other.parent.mkdir()
+    other.touch()
+    done = ask(folder=tmp_path, PYTHONPATH=str(tmp_path))
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, done.stdout) == (2, "")
+    assert line.startswith(f"tripillar: 'dataset' comes from {other}, not from TriPillar")

@@ -1,4 +1,18 @@
-"""``tripillar doctor``: whether this machine has what TriPillar needs, and whether known answers come out.
+"""Checks of this machine, for `tripillar doctor`: has it what TriPillar needs, and do known answers come out?
 
-Out: a list of `Check`. Open `surroundings.py` for what is looked at, `known_answers.py` for what is computed.
+Out: `Check`s. `surroundings.py` looks at packages and devices, `known_answers.py` computes, `foreign.py` finds packages
+of others that stand in the way of ours.
 """
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One thing that was checked."""
+
+    name: str
+    state: Literal["ok", "optional", "wrong"]  #: optional: something is missing that only some commands need
+    found: str
+    advice: str = ""  #: how to mend it; empty if all is well

@@ -23,7 +23,7 @@ from fem.methods.solving import solve_scene
 from fem.scene.scene import Block, Load, Probe, Scene
 from geometry.design import Material, SensorDesign
 from geometry.layout import pillar_volumes
-from tripillar.doctor.check import Check
+from tripillar.doctor import Check
 
 #: U1 and U2 of the middle unit per newton along x, y, z on its pad, (3, 2, 3) [mm]: NGSolve of high order, hp-refined
 MIDDLE_MM_PER_N = [

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-from tripillar.doctor.check import Check
+from tripillar.doctor import Check
 
 GIB = 1024**3
 MIN_MEMORY_GIB = 4.0  #: for the paper's array and 2000 samples, with room to spare
