@@ -1,28 +1,52 @@
 """From an array's response to labelled training data.
 
-In: a response (influence matrix) and a load protocol. Out: tractions, forces, displacements, pillar lengths
-and resistances of any number of samples, in memory (`SimulatedData`) and as a NetCDF file. Open
-`protocols.py` for the loads, `simulate.py` for the samples, `imperfections.py` for what a real sensor does to them,
-`labelled.py` for the file.
+In: a response (influence matrix) and a load protocol. Out: `Samples`, that is tractions, forces, displacements, pillar
+lengths and resistances of many samples, in memory and as a NetCDF file. In the order of the data: `protocols.py` draws
+the loads, `resistance.py` turns displacements into resistances, `imperfections.py` and `measurement.py` say what a real
+sensor makes of them, `simulation.py` does all of it for many samples, `samples.py` holds them and their file, and
+`torch_samples.py` gives them to torch. Names that need the finite elements or torch are loaded when they are asked for.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import Readout, counts_from_resistance, measured, resistance_from_counts
 from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
-from dataset.samples import LabelledData, SimulatedData, read_labelled, write_dataset
+from dataset.samples import SampleError, Samples, read_samples
+
+if TYPE_CHECKING:
+    from dataset.simulation import DatasetSettings, measured_again, simulate
+    from dataset.torch_samples import TorchSamples
 
 __all__ = [
     "OPEN_OHM",
+    "DatasetSettings",
     "Imperfections",
-    "LabelledData",
     "Readout",
-    "SimulatedData",
+    "SampleError",
+    "Samples",
+    "TorchSamples",
     "counts_from_resistance",
     "measured",
+    "measured_again",
     "pillar_lengths",
     "pillar_resistances",
-    "read_labelled",
+    "read_samples",
     "resistance_from_counts",
     "rest_resistances",
-    "write_dataset",
+    "simulate",
 ]
+
+_LAZY = {
+    "DatasetSettings": "dataset.simulation",
+    "TorchSamples": "dataset.torch_samples",
+    "measured_again": "dataset.simulation",
+    "simulate": "dataset.simulation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'dataset' has no name '{name}'; it has {', '.join(__all__)}.")

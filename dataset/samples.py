@@ -1,11 +1,9 @@
-"""The dataset file: loads, displacements, lengths and resistances of many samples, as NetCDF.
-
-`SimulatedData` is what a simulation knows and writes; `LabelledData` is what training and evaluation need of
-it, read from any file that follows the contract, whoever made it.
-"""
+"""`Samples`: forces and resistances of many samples, with what lies between, in memory and as a NetCDF file."""
 
 import tomllib
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 from dataset.imperfections import OPEN_OHM, stated_imperfections
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict, design_to_toml
-from geometry.errors import DesignError, FileFormatError, TriPillarError
+from geometry.errors import DesignError, FileFormatError, TriPillarError, require_type
 from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.storage import files
 from geometry.storage.netcdf import read_netcdf, write_netcdf
@@ -46,53 +44,130 @@ MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulatedData:
-    """Samples as simulated; arrays in the order of `VARIABLES`, float64."""
+#: attributes that are of a whole file and not of some of its samples
+WHOLE_FILE = ("samples", "redrawn", "recipe")
 
-    design: SensorDesign
-    traction_mpa: FloatArray  #: (n_samples, rows, cols, 3), z negative when pushing down
-    force_n: FloatArray  #: (n_samples, rows, cols, 3), z positive in compression
-    displacement_mm: FloatArray  #: (n_samples, rows, cols, 2, 3)
-    length_mm: FloatArray  #: (n_samples, rows, cols, 3)
-    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3), as measured: with the imperfections asked for
-    made_from: dict[str, Any] = field(default_factory=dict)  #: file attributes: seed, protocol, hashes ...
+
+class SampleError(TriPillarError, ValueError):
+    """Samples (resistances, forces) that no network can be trained on or asked about."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """Labelled samples: resistances of a sensor, the forces that cause them, and what lies between.
+
+    `dataset.simulate` makes them, `read_samples` reads them, training and evaluation take them; ``len(samples)`` and
+    ``samples[:100]`` work as with an array. Samples of others may hold resistances and forces alone.
+
+    Raises
+    ------
+    SampleError
+        If an array has another shape than the others ask for.
+
+    Examples
+    --------
+    >>> samples = Samples(force_n=np.ones((5, 2, 3, 3)), resistance_ohm=np.full((5, 2, 3, 3), 1e4))
+    >>> len(samples), len(samples[:2]), samples.length_mm is None
+    (5, 2, True)
+    """
+
+    force_n: FloatArray  #: (n, rows, cols, 3): axes x, y, z [N]; Fz positive in compression
+    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y [Ω], as measured
+    traction_mpa: FloatArray | None = None  #: (n, rows, cols, 3): axes x, y, z [MPa]; z negative when pushing down
+    displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
+    length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
+    design: SensorDesign | None = None  #: None if it is not known
+    noise: float = 0.0  #: relative standard deviation of the resistances; 0 if not known
+    bits: int | None = None  #: of the converter; None if exact or not known
+    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read; None if all can
+    made_from: dict[str, Any] = field(default_factory=dict)  #: other attributes of the file: seed, protocol, hashes ...
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.force_n)
+        if len(shape) != 4 or shape[3] != 3:
+            raise SampleError(f"force_n has shape {shape}, expected (n_samples, rows, cols, 3): axes x, y, z last.")
+        for name in VARIABLES:
+            values = getattr(self, name)
+            if values is not None:
+                expected = (*shape[:3], 2, 3) if name == "displacement_mm" else shape
+                if np.shape(values) != expected:
+                    raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
+                object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
+        if self.dead is not None and np.shape(self.dead) != shape[1:]:
+            raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[1:]}: one entry a pillar.")
+
+    def __len__(self) -> int:
+        return len(self.force_n)
+
+    def __getitem__(self, which: "int | slice | Sequence[int] | np.ndarray") -> "Samples":
+        """Some of the samples, chosen as in an array; of a single number, that one."""
+        if isinstance(which, int | np.integer):
+            if not -len(self) <= which < len(self):
+                raise IndexError(f"no sample {which}: there are {len(self)}.")
+            which = [int(which)]
+        arrays = {name: values[which] for name in VARIABLES if (values := getattr(self, name)) is not None}
+        kept = {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
+        return replace(self, **arrays, made_from=kept)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Hash of forces and resistances."""
+        return files.digest(self.force_n, self.resistance_ohm)
+
+    def labels(self) -> "Samples":
+        """The same without tractions, displacements and lengths, which training does not need."""
+        return replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
 
     def to_xarray(self) -> "xr.Dataset":
+        """The content of a dataset file."""
         import xarray as xr
 
+        held = {name: spec for name, spec in VARIABLES.items() if getattr(self, name) is not None}
+        design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return xr.Dataset(
-            {name: (dims, getattr(self, name), notes) for name, (dims, notes) in VARIABLES.items()},
-            coords=COORDINATES,
-            attrs={
-                "design": design_to_toml(self.design),
-                "content_hash": files.digest(self.force_n, self.resistance_ohm),
-                **self.made_from,
-            },
+            {name: (dims, getattr(self, name), notes) for name, (dims, notes) in held.items()},
+            coords={dim: COORDINATES[dim] for dim in COORDINATES if any(dim in dims for dims, _ in held.values())},
+            attrs={**design, "content_hash": self.content_hash, **self._sensor_and_origin()},
         )
 
+    def write(self, path: Path) -> None:
+        """Write a dataset file, whole or not at all."""
+        write_netcdf(self.to_xarray(), Path(path))
 
-@dataclass(frozen=True, kw_only=True)
-class LabelledData:
-    """Measured resistances and the forces that caused them."""
+    def _sensor_and_origin(self) -> dict[str, Any]:
+        """`made_from`, corrected where it says other than `noise`, `bits` and `dead`."""
+        rows, cols = self.force_n.shape[1:3]
+        stated, attributes = stated_imperfections(self.made_from, rows, cols), dict(self.made_from)
+        if self.noise != stated.noise:
+            attributes["noise"] = self.noise
+        if self.bits != stated.bits:
+            attributes.pop("bits", None)
+            attributes |= {} if self.bits is None else {"bits": self.bits}
+        dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool) if self.dead is None else self.dead
+        if not np.array_equal(dead, stated.dead_mask(rows, cols)):
+            attributes = {name: value for name, value in attributes.items() if not name.startswith("dead_")}
+            places = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(dead)]
+            attributes |= {"dead_pillars": places} if places else {}
+        return attributes
 
-    resistance_ohm: FloatArray  #: (n_samples, rows, cols, 3): pillars z, x, y
-    force_n: FloatArray  #: (n_samples, rows, cols, 3): axes x, y, z; Fz positive in compression
-    design: SensorDesign | None  #: None if the file does not state it as a design TOML
-    content_hash: str  #: of both arrays
-    noise: float = 0.0  #: relative standard deviation of the resistances; 0 if the file does not state it
-    bits: int | None = None  #: of the converter; None if exact or not stated
-    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read; None if all can
+
+def require_samples(name: str, value: object) -> None:
+    """Refuse an argument that is no `Samples`."""
+    require_type(name, value, Samples, "make them with dataset.simulate, or read them with dataset.read_samples")
 
 
-def write_dataset(data: SimulatedData, path: Path) -> None:
-    """Write a dataset file, whole or not at all."""
-    write_netcdf(data.to_xarray(), path)
+def read_samples(path: Path, labels_only: bool = False) -> Samples:
+    """Read a dataset file, whoever made it.
 
+    Parameters
+    ----------
+    path : Path
+        Resistances and forces must be there; tractions, displacements and lengths may be missing.
+    labels_only : bool
+        True leaves tractions, displacements and lengths in the file: training does not need them.
 
-def read_labelled(path: Path) -> LabelledData:
-    """Read forces and resistances of a dataset file, and what its attributes say of noise, converter and dead pillars.
-
+    Notes
+    -----
     Attributes are free in files of others: one that is missing or makes no sense counts as not stated.
 
     Raises
@@ -101,43 +176,49 @@ def read_labelled(path: Path) -> LabelledData:
         If the file is damaged or foreign, states another hash than its content's, lacks an axis or a pillar, or holds
         what no sensor gives.
     """
-    wanted = {name: VARIABLES[name][0] for name in ("force_n", "resistance_ohm")}
-    data = read_netcdf(path, wanted, made_by="tripillar dataset")
-    for dim in ("axis", "pillar"):
-        labels = COORDINATES[dim]
+    path = Path(path)
+    dims = {name: spec[0] for name, spec in VARIABLES.items()}
+    wanted = {name: dims.pop(name) for name in ("force_n", "resistance_ohm")}
+    data = read_netcdf(path, wanted, made_by="tripillar dataset", optional={} if labels_only else dims)
+    for dim, labels in COORDINATES.items():
+        if dim not in data.dims:
+            continue
         given = [str(label) for label in data[dim].values] if dim in data.coords else None
         if given is None or sorted(given) != sorted(labels):
             raise FileFormatError(
                 f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
             )
         data = data.sel({dim: labels})
-    force_n, resistance_ohm = (_numbers(path, name, data[name].to_numpy()) for name in wanted)
+    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in VARIABLES if name in data}
+    force_n, resistance_ohm = arrays["force_n"], arrays["resistance_ohm"]
     _require_sane(path, "force_n", force_n, np.abs(force_n) <= MAX_N, f"finite, at most {MAX_N:g} N either way")
     sound = (resistance_ohm >= MIN_OHM) & (resistance_ohm <= MAX_OHM)
     _require_sane(path, "resistance_ohm", resistance_ohm, sound, f"finite and above 0, {MIN_OHM:g} to {MAX_OHM:g} Ω")
+    for name in dims.keys() & arrays.keys():
+        _require_sane(path, name, arrays[name], np.isfinite(arrays[name]), "finite")
     design = _stated_design(data.attrs.get("design"))
     if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
         raise FileFormatError(
             f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
         )
-    content_hash = files.digest(force_n, resistance_ohm)
-    if data.attrs.get("content_hash", content_hash) != content_hash:
+    rows, cols = force_n.shape[1:3]
+    sensor = stated_imperfections(data.attrs, rows, cols)
+    known = {"content_hash"} if design is None else {"content_hash", "design"}
+    samples = Samples(
+        **arrays,
+        design=design,
+        noise=sensor.noise,
+        bits=sensor.bits,
+        dead=sensor.dead_mask(rows, cols),
+        made_from={name: value for name, value in data.attrs.items() if name not in known},
+    )
+    if data.attrs.get("content_hash", samples.content_hash) != samples.content_hash:
         raise FileFormatError(
             f"{path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if you "
             "changed them on purpose, or make the file again."
         )
-    rows, cols = force_n.shape[1:3]
-    sensor = stated_imperfections(data.attrs, rows, cols)
-    return LabelledData(
-        resistance_ohm=resistance_ohm,
-        force_n=force_n,
-        design=design,
-        content_hash=content_hash,
-        noise=sensor.noise,
-        bits=sensor.bits,
-        dead=sensor.dead_mask(rows, cols),
-    )
+    return samples
 
 
 def _stated_design(text: object) -> SensorDesign | None:
@@ -154,7 +235,7 @@ def is_current(path: Path, recipe: str) -> bool:
     import netCDF4
 
     try:
-        read_labelled(path)
+        read_samples(path, labels_only=True)
         with netCDF4.Dataset(path) as opened:
             return bool(opened.recipe == recipe)
     except (TriPillarError, OSError, AttributeError):
@@ -172,9 +253,12 @@ def _numbers(path: Path, name: str, values: np.ndarray) -> FloatArray:
 
 def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, allowed: str) -> None:
     if not sound.all():
-        sample, row, col, last = np.argwhere(~sound)[0]
-        label = VARIABLES[name][0][-1], COORDINATES[VARIABLES[name][0][-1]][last]
+        index = tuple(np.argwhere(~sound)[0])
+        place = ", ".join(
+            f"{dim} {COORDINATES[dim][number] if dim in COORDINATES else number}"
+            for dim, number in zip(VARIABLES[name][0], index, strict=True)
+        )
         raise FileFormatError(
-            f"{path}: {name} is {values[sample, row, col, last]} at sample {sample}, row {row}, col {col}, "
-            f"{label[0]} {label[1]}; it must be {allowed}: remove that sample or measure it again."
+            f"{path}: {name} is {values[index]} at {place}; it must be {allowed}: remove that sample or measure it "
+            "again."
         )

@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -18,10 +18,10 @@ from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
-from dataset.samples import LabelledData, SimulatedData
+from dataset.samples import SampleError, Samples, require_samples
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign, quantity
-from geometry.errors import DesignError, TriPillarError
+from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, pillar_volumes
 from geometry.storage.files import digest
 
@@ -67,7 +67,7 @@ def simulate(
     settings: DatasetSettings,
     progress: Callable[[int], None] = lambda samples: None,
     readout: Readout | None = None,
-) -> SimulatedData:
+) -> Samples:
     """Simulate labelled samples.
 
     Parameters
@@ -88,6 +88,8 @@ def simulate(
     DesignError
         As `Imperfections.apply` does.
     """
+    require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
+    require_type("settings", settings, DatasetSettings, "say the protocol and the number of samples")
     design, n = response.design, settings.samples
     rows, cols = design.array.rows, design.array.cols
     arrays = {
@@ -113,13 +115,16 @@ def simulate(
             redrawn += again
             progress(kept)
     by_unit = {name: values.reshape(n, rows, cols, *values.shape[2:]) for name, values in arrays.items()}
-    return SimulatedData(
+    return Samples(
         design=design,
         **by_unit,
         force_n=forces(by_unit["traction_mpa"], design),
+        noise=settings.noise,
+        bits=settings.bits,
+        dead=settings.dead_mask(rows, cols),
         made_from={
             **settings.as_attributes(),
-            **({} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}),
+            **_read_through(readout),
             "summary": PROTOCOLS[settings.protocol].summary,
             "redrawn": redrawn,
             "recipe": dataset_recipe(response, settings, readout),
@@ -131,32 +136,39 @@ def simulate(
 
 
 def measured_again(
-    data: SimulatedData, imperfections: Imperfections, seed: int, readout: Readout | None = None
-) -> LabelledData:
-    """What a sensor with these imperfections measures under the loads of `data`, however those were measured.
+    samples: Samples, imperfections: Imperfections, seed: int, readout: Readout | None = None
+) -> Samples:
+    """The same loads as a sensor with these imperfections measures them, however `samples` were measured.
 
     Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
     last bit what `simulate` gives with the same loads, imperfections, seed and readout.
 
     Raises
     ------
+    SampleError
+        If the samples do not hold their lengths and their design.
     DesignError
         As `Imperfections.apply` does.
     """
-    exact_ohm = _exact_resistances(data.length_mm, data.design)
+    require_samples("samples", samples)
+    require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
+    design, lengths = samples.design, samples.length_mm
+    if design is None or lengths is None:
+        raise SampleError("samples without length_mm and design cannot be measured again: take what simulate gave.")
+    exact_ohm = _exact_resistances(lengths, design)
     blocks = [
         imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
         for start in range(0, len(exact_ohm), BLOCK)
     ]
-    resistance_ohm = np.concatenate(blocks)
-    return LabelledData(
-        resistance_ohm=resistance_ohm,
-        force_n=data.force_n,
-        design=data.design,
-        content_hash=digest(data.force_n, resistance_ohm),
+    other = {spec.name for spec in fields(Imperfections)} | {"readout", "recipe"}
+    kept = {name: value for name, value in samples.made_from.items() if name not in other}
+    return replace(
+        samples,
+        resistance_ohm=np.concatenate(blocks),
         noise=imperfections.noise,
         bits=imperfections.bits,
-        dead=imperfections.dead_mask(data.design.array.rows, data.design.array.cols),
+        dead=imperfections.dead_mask(design.array.rows, design.array.cols),
+        made_from={**kept, **imperfections.as_attributes(), **_read_through(readout), "noise_seed": seed},
     )
 
 
@@ -217,6 +229,11 @@ def _block(
         "resistance_ohm": resistance.reshape(length.shape),
     }
     return block, redrawn
+
+
+def _read_through(readout: Readout | None) -> dict[str, str]:
+    """The electronics as a file's attribute."""
+    return {} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}
 
 
 def _exact_resistances(length_mm: FloatArray, design: SensorDesign) -> FloatArray:

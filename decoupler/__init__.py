@@ -1,12 +1,17 @@
-"""From resistances to forces: networks, what they are measured against, and the model file.
+"""From resistances to forces: networks, what they are held against, and the model file.
 
-In: labelled data. Out: a `Decoupler` (ohms in, newtons out), its errors, and one safetensors file. Open
-`decoupler.py` first, then `settings.py`; training is `decoupler.training.trainer.train`, whose algebra is in
-`gauss_newton.py`. The names below load no torch; import `decoupler.training.trainer` where a network is trained.
+In: labelled samples. Out: a `Decoupler` (ohms in, newtons out), its errors, and one safetensors file. In the order of
+the data: `data` takes columns of resistances and forces from samples, `inverse` turns the array's response around,
+`model` is the trained network and its file, `training` trains it, `evaluation` says how large its errors are, `export`
+writes it for other programs. `train` loads torch when it is asked for; nothing else does.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from dataset.samples import SampleError
 from decoupler.data.components import COMPONENTS, Component, component_named
-from decoupler.data.errors import SampleError, TrainingError
+from decoupler.data.errors import TrainingError
 from decoupler.evaluation.assessment import Assessment, Limits, assess
 from decoupler.evaluation.crossval import Fold, cross_validate
 from decoupler.evaluation.floor import PcaFloor, pca_floor
@@ -16,6 +21,9 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_recipe, read_model, require_same_sensor, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.fine_tuning import fine_tune
+
+if TYPE_CHECKING:
+    from decoupler.training.trainer import train
 
 __all__ = [
     "COMPONENTS",
@@ -43,5 +51,12 @@ __all__ = [
     "pca_floor",
     "read_model",
     "require_same_sensor",
+    "train",
     "write_model",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "train":
+        return import_module("decoupler.training.trainer").train
+    raise AttributeError(f"module 'decoupler' has no name '{name}'; it has {', '.join(__all__)}.")

@@ -5,10 +5,8 @@
 
 from dataclasses import replace
 
-from dataset import Imperfections
-from dataset.simulation import DatasetSettings, measured_again, simulate
-from decoupler import NetworkConfig, TrainingConfig, assess
-from decoupler.training.trainer import train
+from dataset import DatasetSettings, simulate
+from decoupler import assess, train
 from fem import array_response
 from geometry import Array, SensorDesign
 
@@ -26,15 +24,14 @@ response, file, reused = array_response(design)
 print(f"response {'found' if reused else 'solved'}: estimated error {response.error_estimate:.1e}, {file}")
 
 # 3. Loads of all three axes on every pad, and what a sensor with noise and a 12-bit converter reads under them.
-sensor = Imperfections(noise=0.001, bits=12)
 training, test = (
-    measured_again(simulate(response, DatasetSettings(protocol="three-axis", samples=samples, seed=seed)), sensor, seed)
+    simulate(response, DatasetSettings(protocol="three-axis", samples=samples, seed=seed, noise=0.001, bits=12))
     for samples, seed in ((1000, 1), (200, 2))
 )
 
 # 4. One network for all forces, which starts from the inverse of the response.
-model, history = train(training, "all", NetworkConfig(feature="inverse"), TrainingConfig(), response=response)
-print(f"trained in {history.iterations} iterations, {history.seconds:.1f} s")
+model = train(training, response=response)
+print(f"trained in {model.made_from['outcome']['iterations']} iterations")
 
 # 5. Its errors on samples it never saw, beside the least that these readings allow, and the paper's eq. 8.
 print("force   error   limit   ratio   each pillar alone")

@@ -4,10 +4,8 @@
 designs than these use ``tripillar sweep FILE``, which shares the work among processes and goes on where it was stopped.
 """
 
-from dataset import Imperfections
-from dataset.simulation import DatasetSettings, measured_again, simulate
-from decoupler import NetworkConfig, TrainingConfig, assess
-from decoupler.training.trainer import train
+from dataset import DatasetSettings, simulate
+from decoupler import assess, train
 from fem import ResponseSettings, array_response
 from geometry import design_from_toml
 from tripillar.sweep.judge import row_of
@@ -46,11 +44,10 @@ for row in best:
 #    readings alone.
 design = design_from_toml(best[0].design)
 response, _, _ = array_response(design, ResponseSettings(tolerance=sweep.judging.tolerance))  # in the cache by now
-sensor = Imperfections(noise=NOISE, bits=BITS)
 training, test = (
-    measured_again(simulate(response, DatasetSettings(protocol="contact", samples=samples, seed=seed)), sensor, seed)
+    simulate(response, DatasetSettings(protocol="contact", samples=samples, seed=seed, noise=NOISE, bits=BITS))
     for samples, seed in ((1000, 1), (200, 2))
 )
-model, _ = train(training, "all", NetworkConfig(feature="inverse"), TrainingConfig(), response=response)
+model = train(training, response=response)
 for name, one in assess(model, test, response).items():
     print(f"{name}: error {one.errors.rmse_n:.2f} N, {one.ratio:.3f} times the limit of the readings")

@@ -19,3 +19,18 @@ class FileFormatError(TriPillarError, ValueError):
 
 class NotWrittenError(TriPillarError, OSError):
     """A file that could not be written: the disk is full, or its folder may not be written to."""
+
+
+class ArgumentError(TriPillarError, TypeError):
+    """An argument of another type than the function takes."""
+
+
+def require_type(name: str, value: object, kind: type, mend: str) -> None:
+    """Refuse an argument of another type than `kind`; `mend` says what to give instead.
+
+    >>> require_type("samples", 3, dict, "give a dict")
+    Traceback (most recent call last):
+    geometry.errors.ArgumentError: samples is of type int, expected dict: give a dict.
+    """
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} is of type {type(value).__name__}, expected {kind.__name__}: {mend}.")

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.samples import MAX_N, MAX_OHM, MIN_OHM
-from decoupler.data.errors import SampleError
+from dataset.samples import MAX_N, MAX_OHM, MIN_OHM, SampleError
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 

@@ -3,10 +3,6 @@
 from geometry.errors import TriPillarError
 
 
-class SampleError(TriPillarError, ValueError):
-    """Samples (resistances, forces) that no network can be trained on or asked about."""
-
-
 class TrainingError(TriPillarError, ArithmeticError):
     """A training that ran away."""
 

@@ -1,17 +1,15 @@
-"""Choosing among samples: some of them, those that differ, and the pillars among them that say something."""
+"""Choosing among samples: those that differ, and the pillars among them that say something."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset import LabelledData
+from dataset import Samples
 from dataset.measurement import reading_deviation
 from decoupler.data.components import Component, force_columns, pillar_columns, readable_columns
 from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import PILLARS, FloatArray
-from geometry.storage.files import digest
 
 MIN_MOVED = 0.3  #: of what its loads should move a pillar; one that lives moves 0.8 to 1.25 of it
 SURE = 3.0  #: standard errors between a slope and `MIN_MOVED`
@@ -22,13 +20,7 @@ MIN_LOADED = 0.1  #: of the usual expected motion: below, errors of the response
 NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
-def selected(data: LabelledData, samples: Sequence[int] | np.ndarray | slice) -> LabelledData:
-    """Some of the samples, with a hash of their own."""
-    force_n, resistance_ohm = data.force_n[samples], data.resistance_ohm[samples]
-    return replace(data, force_n=force_n, resistance_ohm=resistance_ohm, content_hash=digest(force_n, resistance_ohm))
-
-
-def distinct(data: LabelledData, component: Component) -> LabelledData:
+def distinct(data: Samples, component: Component) -> Samples:
     """The samples without those that repeat an earlier one to the bit, in what the component takes and gives.
 
     A repetition tells nothing new, and where one copy is left out of training the other gives its answer away: errors
@@ -38,7 +30,7 @@ def distinct(data: LabelledData, component: Component) -> LabelledData:
     forces = force_columns(data.force_n, component)
     keys = [hash(ohm.tobytes() + newton.tobytes()) for ohm, newton in zip(columns, forces, strict=True)]
     first = np.unique(keys, return_index=True)[1]
-    return data if len(first) == len(keys) else selected(data, np.sort(first))
+    return data if len(first) == len(keys) else data[np.sort(first)]
 
 
 def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
@@ -55,7 +47,7 @@ def over_loads(values: FloatArray, load: NDArray[np.int64]) -> FloatArray:
     return np.bincount(load, values)[load].astype(np.float64, copy=False)
 
 
-def without_stuck(data: LabelledData, component: Component, forward: ForwardModel | None) -> LabelledData:
+def without_stuck(data: Samples, component: Component, forward: ForwardModel | None) -> Samples:
     """The same samples, with pillars that do not follow their loads marked as dead.
 
     A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as

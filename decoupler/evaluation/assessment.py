@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
 from decoupler.data.components import force_columns, readable_columns
 from decoupler.evaluation.light_touch import LightTouch, light_touch
 from decoupler.evaluation.metrics import ForceErrors, component_errors
@@ -41,7 +41,7 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
-def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> dict[str, Assessment]:
+def assess(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
     `response` is that of the sensor; without it there are no limits, and nothing is known of light touches.
@@ -83,7 +83,7 @@ def assess(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | 
     return found
 
 
-def _limits(decoupler: Decoupler, data: LabelledData, response: "ArrayResponse | None") -> list[Limits] | None:
+def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> list[Limits] | None:
     """Limits of every axis of the component; None where the response does not say them."""
     component = decoupler.component
     others = [index for index, axis in enumerate(AXES) if axis not in component.axes]

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -11,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
+from dataset.samples import SampleError
 from decoupler.data.components import component_named
-from decoupler.data.errors import SampleError
-from decoupler.data.selection import distinct, load_numbers, selected
+from decoupler.data.selection import distinct, load_numbers
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.training.suited import suited_training
 from geometry.storage.files import uninterrupted
 
 if TYPE_CHECKING:
@@ -49,10 +51,10 @@ def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
 
 
 def cross_validate(
-    data: LabelledData,
-    component: str,
-    network: NetworkConfig,
-    training: TrainingConfig,
+    data: Samples,
+    component: str | None = None,
+    network: NetworkConfig | None = None,
+    training: TrainingConfig | None = None,
     folds: int = 10,
     response: "ArrayResponse | None" = None,
     progress: Callable[[int], None] = lambda fold: None,
@@ -61,9 +63,9 @@ def cross_validate(
 
     Parameters
     ----------
-    data : LabelledData
+    data : Samples
     component, network, training, response
-        As `training.train` takes them. The seed also shuffles the samples.
+        As `training.trainer.train` takes them. The seed also shuffles the samples.
     folds : int
         From 2 to half the number of samples.
     progress : callable
@@ -74,11 +76,12 @@ def cross_validate(
     list of Fold
         In the order of the folds; the same however many processes there are.
     """
-    return in_parallel(jobs_of(data, component, network, training, folds, response), progress)
+    parts, network, training = suited_training(data, component, network, training, response)
+    return in_parallel(jobs_of(data, parts.name, network, training, folds, response), progress)
 
 
 def jobs_of(
-    data: LabelledData,
+    data: Samples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -89,7 +92,7 @@ def jobs_of(
 
     A sample given twice counts once, and samples of one load come into one fold: else the answer would be known.
     """
-    data = distinct(data, component_named(component))
+    data = distinct(data.labels(), component_named(component))
     load = load_numbers(data.force_n)
     by_load = np.split(np.argsort(load, kind="stable"), np.cumsum(np.bincount(load))[:-1])
     loads = split_folds(len(by_load), folds, training.seed)
@@ -116,7 +119,7 @@ def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
 
 
 def fold(
-    data: LabelledData,
+    data: Samples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -127,9 +130,11 @@ def fold(
     """Train on some samples of `data` and test on others, in whatever process this runs."""
     from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
 
-    model, history = train(selected(data, trained_on), component, network, training, response=response)
-    errors = evaluate(model, selected(data, tested_on))
-    return Fold(errors=errors, iterations=history.iterations, reason=history.reason, seconds=history.seconds)
+    started = time.perf_counter()
+    model = train(data[trained_on], component, network, training, response=response)
+    seconds, outcome = time.perf_counter() - started, model.made_from["outcome"]
+    errors = evaluate(model, data[tested_on])
+    return Fold(errors=errors, iterations=outcome["iterations"], reason=outcome["reason"], seconds=seconds)
 
 
 @contextmanager

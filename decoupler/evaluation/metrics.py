@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
+from dataset.samples import SampleError, require_samples
 from decoupler.data.components import Component, force_columns
-from decoupler.data.errors import SampleError
 from decoupler.model.decoupler import Decoupler
+from geometry.errors import require_type
 from geometry.layout import FloatArray
 
 BOUNDED_AWAY = 1e-3  #: of full scale; eq. 17 is given only if every |F| is above this
@@ -50,12 +51,20 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     )
 
 
-def component_errors(predicted_n: FloatArray, data: LabelledData, component: Component) -> dict[str, ForceErrors]:
+def component_errors(predicted_n: FloatArray, data: Samples, component: Component) -> dict[str, ForceErrors]:
     """Errors of every force of a component; `predicted_n` has shape (n_samples, rows, cols, n_axes)."""
     actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
     return {name: force_errors(predicted_n[..., axis], actual[..., axis]) for axis, name in enumerate(component.forces)}
 
 
-def evaluate(decoupler: Decoupler, data: LabelledData) -> dict[str, ForceErrors]:
-    """Errors of a model on data, of every force it gives."""
+def evaluate(decoupler: Decoupler, data: Samples) -> dict[str, ForceErrors]:
+    """Errors of a model on data, of every force it gives.
+
+    Raises
+    ------
+    ArgumentError, SampleError
+        If an argument is of another type, or the data are of another array.
+    """
+    require_type("decoupler", decoupler, Decoupler, "train one, or read a model file")
+    require_samples("data", data)
     return component_errors(decoupler.forces(data.resistance_ohm), data, decoupler.component)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from dataset import LabelledData
+from dataset import Samples
 from dataset.measurement import reading_deviation
 from dataset.samples import MAX_N
 from decoupler.data.components import COMPONENTS, Component, force_columns, pillar_columns, readable_columns
-from decoupler.data.selection import distinct, load_numbers, selected
+from decoupler.data.selection import distinct, load_numbers
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.model_inverse import SLOPES
 from decoupler.model.calibration import MIN_NOISE
@@ -92,12 +92,12 @@ UNLINKED = Mistake(
 ORDER = "the readings fit the forces far better in another order, {} of {} are out of place: pair each with its load"
 
 
-def doubt(data: LabelledData, component: Component, forward: ForwardModel | None) -> str | None:
+def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
     """What seems to be wrong with samples, and what to do, in a line; None if nothing.
 
     Parameters
     ----------
-    data : LabelledData
+    data : Samples
     component : Component
         Whose pillars and forces are looked at.
     forward : ForwardModel, optional
@@ -129,7 +129,7 @@ def doubt(data: LabelledData, component: Component, forward: ForwardModel | None
     return _mistaken(data, component, forward)
 
 
-def nothing_to_learn(data: LabelledData, component: Component) -> str | None:
+def nothing_to_learn(data: Samples, component: Component) -> str | None:
     """That all samples show the same, or were taken under the same load, in a line; None if they differ."""
     if len(data.force_n) < 2:
         return None
@@ -139,7 +139,7 @@ def nothing_to_learn(data: LabelledData, component: Component) -> str | None:
     return "every resistance is the same in all samples: nothing can be learnt" if _is_constant(columns) else None
 
 
-def disturbance(data: LabelledData, component: Component, forward: ForwardModel | None) -> str | None:
+def disturbance(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
     """That forces other than the component's move its pillars, in a line; None if they do not.
 
     `forward` is joint (`all`); without it any such force is one too many.
@@ -162,7 +162,7 @@ def disturbance(data: LabelledData, component: Component, forward: ForwardModel 
     )
 
 
-def explained(data: LabelledData, component: Component, forward: ForwardModel) -> float | None:
+def explained(data: Samples, component: Component, forward: ForwardModel) -> float | None:
     """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
 
     Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
@@ -177,14 +177,14 @@ def explained(data: LabelledData, component: Component, forward: ForwardModel) -
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
 
 
-def _some(data: LabelledData, component: Component) -> LabelledData:
+def _some(data: Samples, component: Component) -> Samples:
     data = distinct(data, component)
     if len(data.force_n) <= MAX_JUDGED:
         return data
-    return selected(data, np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int))
+    return data[np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int)]
 
 
-def _mistaken(data: LabelledData, component: Component, forward: ForwardModel) -> str | None:
+def _mistaken(data: Samples, component: Component, forward: ForwardModel) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
     as_given, n = _left(data, component, forward), len(data.force_n)
     unlinked = _left(data, component, forward, UNLINKED)
@@ -206,25 +206,25 @@ def _mistaken(data: LabelledData, component: Component, forward: ForwardModel) -
     return said.format(int((order != np.arange(n)).sum()), n) if said == ORDER else said
 
 
-def _best_order(data: LabelledData, component: Component, forward: ForwardModel) -> NDArray[np.int64]:
+def _best_order(data: Samples, component: Component, forward: ForwardModel) -> NDArray[np.int64]:
     """The order of the forces in which they fit the readings best, shape (n,)."""
     moved, expected = _motions(data, component, forward, NONE)
     return linear_sum_assignment(moved @ expected.T, maximize=True)[1].astype(np.int64)
 
 
-def _is_possible(mistake: Mistake, data: LabelledData, forward: ForwardModel) -> bool:
+def _is_possible(mistake: Mistake, data: Samples, forward: ForwardModel) -> bool:
     """Whether rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
     force_n = mistake.force(data.force_n)
     told = mistake.pillar is _as_it_is or _is_joint(forward, data)
     return told and force_n.shape == data.force_n.shape and bool(np.abs(force_n).max() <= MAX_N)
 
 
-def _is_joint(forward: ForwardModel, data: LabelledData) -> bool:
+def _is_joint(forward: ForwardModel, data: Samples) -> bool:
     return forward.n_pillars == forward.n_forces == data.force_n[0].size
 
 
 def _motions(
-    data: LabelledData, component: Component, forward: ForwardModel, mistake: Mistake
+    data: Samples, component: Component, forward: ForwardModel, mistake: Mistake
 ) -> tuple[FloatArray, FloatArray]:
     """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
     joint = _is_joint(forward, data)
@@ -238,7 +238,7 @@ def _motions(
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 
 
-def _left(data: LabelledData, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
+def _left(data: Samples, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
     """What the forces leave of the measured motions, (n, n_readable)."""
     moved, expected = _motions(data, component, forward, mistake)
     both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
@@ -251,7 +251,7 @@ def _energy(residuals: FloatArray) -> float:
     return float((residuals**2).sum() + residuals.size * (0.5 * MIN_NOISE) ** 2)
 
 
-def _log_likelier(as_given: FloatArray, other: FloatArray, data: LabelledData) -> float:
+def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> float:
     """By how much the residuals of another explanation are likelier, each (n, n_columns)."""
     covariance = as_given @ as_given.T if len(as_given) < as_given.shape[1] else as_given.T @ as_given
     squared = float((covariance**2).sum())
@@ -260,7 +260,7 @@ def _log_likelier(as_given: FloatArray, other: FloatArray, data: LabelledData) -
     return 0.5 * loads * directions * math.log(_energy(as_given) / _energy(other))
 
 
-def _scattered(columns: FloatArray, data: LabelledData) -> bool:
+def _scattered(columns: FloatArray, data: Samples) -> bool:
     """Whether readings (n, n_columns) of one load scatter more than noise.
 
     The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
-from decoupler.data.errors import SampleError
+from dataset.samples import SampleError
 from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import FloatArray
 

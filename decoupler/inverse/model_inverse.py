@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset import LabelledData
-from decoupler.data.components import Component, force_columns, pillar_columns, readable_columns
-from decoupler.data.errors import SampleError
+from dataset.samples import SampleError
+from decoupler.data.components import Component
 from decoupler.data.rowwise import rowwise
-from decoupler.data.selection import without_stuck
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.model.settings import Feature, Net
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -186,20 +183,6 @@ def explaining(
             "use the feature 'root', or the component that holds all loads ('all')."
         )
     return forward
-
-
-def suited_feature(data: LabelledData, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
-    """`inverse` for a skip net if the response explains the data, else `root`."""
-    if net != "skip" or response is None:
-        return "root"
-    data = without_stuck(data, component, ForwardModel.of(response, component))
-    columns = pillar_columns(data.resistance_ohm, component, data.dead)
-    forces = force_columns(data.force_n, component)
-    try:
-        explaining(response, component, columns, forces, readable_columns(component, data.dead, columns.shape[1]))
-    except SampleError:
-        return "root"
-    return "inverse"
 
 
 def _explained(measured: FloatArray, modelled: FloatArray) -> float:

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset import LabelledData
+from dataset import Samples
 from decoupler.data.components import Component, force_columns, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
@@ -53,7 +53,7 @@ class LeastSquares:
     dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that are not looked at
 
     @classmethod
-    def fitted(cls, data: LabelledData, component: Component) -> Self:
+    def fitted(cls, data: Samples, component: Component) -> Self:
         """The map with the smallest squared error in newtons on `data`; the shortest if there are several."""
         inputs = _root_and_one(data.resistance_ohm, component, data.dead)
         coefficients = np.linalg.lstsq(inputs, force_columns(data.force_n, component))[0]

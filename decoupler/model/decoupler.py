@@ -9,8 +9,8 @@ import numpy as np
 
 from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
+from dataset.samples import SampleError
 from decoupler.data.components import Component, pillar_columns
-from decoupler.data.errors import SampleError
 from decoupler.data.resting import Resting
 from decoupler.data.rowwise import in_blocks, rowwise
 from decoupler.data.scaling import Scaling

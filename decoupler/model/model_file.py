@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dataset import LabelledData
+from dataset import Samples
 from decoupler.data.components import component_named
 from decoupler.data.resting import Resting
 from decoupler.data.scaling import Scaling
@@ -57,7 +57,7 @@ _MEND = "give a file made by 'tripillar train'"
 
 
 def model_recipe(
-    data: LabelledData,
+    data: Samples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -130,7 +130,7 @@ def read_model(path: Path) -> Decoupler:
     return decoupler
 
 
-def require_same_sensor(decoupler: Decoupler, data: LabelledData, model: Path, dataset: Path) -> None:
+def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, dataset: Path) -> None:
     """Refuse data of another sensor than the model's; `model` and `dataset` are the names for the message.
 
     Raises

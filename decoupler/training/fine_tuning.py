@@ -5,15 +5,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
+from dataset.samples import SampleError, require_samples
 from decoupler.data.components import force_columns
-from decoupler.data.errors import SampleError
 from decoupler.data.resting import Resting
 from decoupler.data.selection import distinct, load_numbers, without_stuck
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.calibration import Calibration
 from decoupler.model.decoupler import Decoupler
 from decoupler.training.ridge import best_ridge
+from geometry.errors import require_type
 from geometry.layout import PILLARS
 from geometry.storage.files import digest
 
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
 MIN_PAIRS = 10  #: below which the output layer stays as it is: its errors could not be judged
 
 
-def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayResponse | None") -> Decoupler:
+def fine_tune(decoupler: Decoupler, pairs: Samples, response: "ArrayResponse | None" = None) -> Decoupler:
     """The same model for the sensor that the pairs were measured on.
 
     Parameters
     ----------
     decoupler : Decoupler
         Trained on simulated data.
-    pairs : LabelledData
+    pairs : Samples
         Measured resistances and the forces that caused them; one is enough to begin with; one given twice counts once.
     response : ArrayResponse, optional
         Of the sensor as designed; not needed if the model holds one.
@@ -46,6 +47,8 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
     First gain and offset of every pillar (`calibration`). Then, from `MIN_PAIRS` on, the output layer: its deviation
     from the simulated one by ridge regression, kept only where the errors of pairs left out fall.
     """
+    require_type("decoupler", decoupler, Decoupler, "train one, or read a model file")
+    require_samples("pairs", pairs)
     component = decoupler.component
     if decoupler.inverse is not None:
         forward = decoupler.inverse.forward
@@ -72,7 +75,7 @@ def fine_tune(decoupler: Decoupler, pairs: LabelledData, response: "ArrayRespons
     return replace(tuned, made_from=decoupler.made_from | story | {"recipe": recipe})
 
 
-def _require_alive(pairs: LabelledData, decoupler: Decoupler, forward: ForwardModel) -> None:
+def _require_alive(pairs: Samples, decoupler: Decoupler, forward: ForwardModel) -> None:
     """Refuse pairs of a sensor with a stuck pillar: no gain and offset make it tell its load."""
     known = np.zeros(pairs.resistance_ohm.shape[1:], dtype=bool) if decoupler.dead is None else decoupler.dead
     found = without_stuck(replace(pairs, dead=known), decoupler.component, forward).dead

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 
-class Samples:
+class TrainingSet:
     """A training set, with the products of input columns that every Gauss-Newton matrix is made of.
 
     Parameters
@@ -26,9 +26,9 @@ class Samples:
         self.targets = targets
         self.linear = self.X if skip else self.X[:, -1:]  # what A holds beside the hidden nodes
 
-    def __getitem__(self, part: slice | Tensor) -> "Samples":
+    def __getitem__(self, part: slice | Tensor) -> "TrainingSet":
         """Some of the samples, or all in another order."""
-        return Samples(self.X[part, :-1], self.targets[part], self.linear is self.X)
+        return TrainingSet(self.X[part, :-1], self.targets[part], self.linear is self.X)
 
     @cached_property
     def products(self) -> Tensor:
@@ -69,7 +69,7 @@ class GaussNewton:
     the pairs of nodes once an iteration, and one matrix product of a quarter of the size is left.
     """
 
-    def __init__(self, samples: Samples, hidden: Tensor, output: Tensor) -> None:
+    def __init__(self, samples: TrainingSet, hidden: Tensor, output: Tensor) -> None:
         h, p = hidden.shape
         A = samples.activations(hidden)
         s = 1.0 - A[:, :h] ** 2

@@ -5,11 +5,11 @@ from torch import Tensor
 
 from decoupler.model.settings import TrainingConfig
 from decoupler.training.damping import Outcome, Point, Progress, minimise
-from decoupler.training.gauss_newton import GaussNewton, Samples
+from decoupler.training.gauss_newton import GaussNewton, TrainingSet
 
 
 class _AllWeights:
-    def __init__(self, samples: Samples, point: Point) -> None:
+    def __init__(self, samples: TrainingSet, point: Point) -> None:
         self.samples, self.point = samples, point
         self.matrix = GaussNewton(samples, point.hidden, point.output)
         self.scale = self.matrix.largest_diagonal()
@@ -23,7 +23,7 @@ class _AllWeights:
         return point_at(self.samples, self.point.hidden + step[0], self.point.output + step[1]), promised
 
 
-def point_at(samples: Samples, hidden: Tensor, output: Tensor) -> Point:
+def point_at(samples: TrainingSet, hidden: Tensor, output: Tensor) -> Point:
     """Weights with their cost ½‖r‖² and their mean squared error."""
     residual = samples.activations(hidden) @ output.T - samples.targets
     cost = 0.5 * torch.sum(residual**2).item()
@@ -31,7 +31,7 @@ def point_at(samples: Samples, hidden: Tensor, output: Tensor) -> Point:
 
 
 def train_lm(
-    samples: Samples, hidden: Tensor, output: Tensor, config: TrainingConfig, progress: Progress
+    samples: TrainingSet, hidden: Tensor, output: Tensor, config: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
     """Train from the given weights."""
     start = point_at(samples, hidden, output)

@@ -1,20 +1,20 @@
 """From labelled data to a trained `Decoupler`. Loads torch."""
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset import LabelledData, measured
+from dataset import Samples, measured
 from dataset.measurement import reading_deviation
 from dataset.protocols import MAX_TOUCHED
-from decoupler.data.components import Component, component_named, force_columns, pillar_columns, readable_columns
-from decoupler.data.errors import SampleError, TrainingError
+from dataset.samples import SampleError
+from decoupler.data.components import Component, force_columns, pillar_columns, readable_columns
+from decoupler.data.errors import TrainingError
 from decoupler.data.resting import Resting
 from decoupler.data.scaling import Scaling
 from decoupler.data.selection import distinct, load_numbers, without_stuck
@@ -27,11 +27,12 @@ from decoupler.model.model_file import model_recipe
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.training.damping import Outcome, Point, Progress, Stop
-from decoupler.training.gauss_newton import Samples
+from decoupler.training.gauss_newton import TrainingSet
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.momentum import Momentum
 from decoupler.training.network import Network
 from decoupler.training.ridge import best_ridge
+from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
 
@@ -43,44 +44,44 @@ UNTOLD = 3e-3  #: of the readings' variance, what a response may leave and still
 TOUCH = 0.05  #: of the largest force: a light touch
 
 
-@dataclass(frozen=True, kw_only=True)
-class History:
-    """How a training went."""
-
-    iterations: int
-    mse: float  #: mean squared error of the outputs scaled to [-1, 1], on the training set
-    reason: str  #: why it stopped: goal, iterations, stagnation or validation
-    seconds: float
-
-
 def _silent(iteration: int, mse: float) -> None:
     """The progress callback of whoever does not want one."""
 
 
 def train(
-    data: LabelledData,
-    component: str,
-    network: NetworkConfig,
-    training: TrainingConfig,
+    data: Samples,
+    component: str | None = None,
+    network: NetworkConfig | None = None,
+    training: TrainingConfig | None = None,
     progress: Progress = _silent,
     response: "ArrayResponse | None" = None,
-) -> tuple[Decoupler, History]:
+) -> Decoupler:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
     Parameters
     ----------
-    data : LabelledData
+    data : Samples
         At least two samples that differ; one that is given twice counts once.
-    component : str
-        fz, fx, fy or all.
-    network, training : NetworkConfig, TrainingConfig
+    component : str, optional
+        fz, fx, fy or all; default: the forces that act.
+    network : NetworkConfig, optional
+        Default: a skip net of 17 hidden nodes, which starts from the response if one is given that explains the data.
+    training : TrainingConfig, optional
     progress : callable
         Called as progress(iteration, mse) once an iteration.
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
 
+    Returns
+    -------
+    Decoupler
+        ``made_from["outcome"]`` says how its training ended: iterations, mse (of the outputs scaled to [-1, 1]) and
+        reason, which is goal, iterations, stagnation or validation.
+
     Raises
     ------
+    ArgumentError, DesignError
+        If an argument is of another type, or the component is unknown.
     SampleError
         If there are too few samples, a resistance or force is no number, or the response that the feature needs is
         missing or does not explain the samples.
@@ -93,8 +94,7 @@ def train(
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
     must not move rest, which data under load do not hold: light samples are added.
     """
-    started = time.perf_counter()
-    parts = component_named(component)
+    parts, network, training = suited_training(data, component, network, training, response)
     given, data = data, distinct(data, parts)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
@@ -112,7 +112,7 @@ def train(
     targets = untrained.output_scaling.scale(forces)
     if known:
         targets = targets - inputs
-    samples = Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
+    samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     if known:
         torch.nn.init.zeros_(model.output)  # what is known is the start
@@ -126,18 +126,17 @@ def train(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
-    decoupler = replace(
+    return replace(
         trained,
         uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
         made_from={
-            "recipe": model_recipe(given, component, network, training, response),
+            "recipe": model_recipe(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
             "n_samples": len(data.force_n),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
     )
-    return decoupler, History(**asdict(outcome), seconds=time.perf_counter() - started)
 
 
 def _ridge(network: NetworkConfig, n_samples: int) -> float:
@@ -147,7 +146,7 @@ def _ridge(network: NetworkConfig, n_samples: int) -> float:
 
 
 def _untrained(
-    data: LabelledData,
+    data: Samples,
     component: Component,
     network: NetworkConfig,
     columns_ohm: FloatArray,
@@ -232,7 +231,7 @@ def _one_torch_thread() -> Iterator[None]:
 @torch.no_grad()
 def _varpro(
     model: Network,
-    samples: Samples,
+    samples: TrainingSet,
     load: NDArray[np.int64],
     ridge: float,
     training: TrainingConfig,
@@ -250,7 +249,7 @@ def _varpro(
 @torch.no_grad()
 def _lm(
     model: Network,
-    samples: Samples,
+    samples: TrainingSet,
     load: NDArray[np.int64],
     ridge: float,
     training: TrainingConfig,
@@ -261,7 +260,7 @@ def _lm(
 
 def _momentum(
     model: Network,
-    samples: Samples,
+    samples: TrainingSet,
     load: NDArray[np.int64],
     ridge: float,
     training: TrainingConfig,

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from decoupler.model.settings import TrainingConfig
 from decoupler.training.damping import Outcome, Point, Progress, minimise
-from decoupler.training.gauss_newton import Samples
+from decoupler.training.gauss_newton import TrainingSet
 
 RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
 SCARCE_RIDGE = 1e-4  #: of plain nets with no more samples than output weights; halves their error on new samples
@@ -28,7 +28,7 @@ class Projected:
     the time of a factored step at 36 nodes and 36 inputs, and as many steps.
     """
 
-    def __init__(self, samples: Samples, ridge: float, point: Point) -> None:
+    def __init__(self, samples: TrainingSet, ridge: float, point: Point) -> None:
         self.samples, self.ridge, self.point = samples, ridge, point
         X, (h, p) = samples.X, point.hidden.shape
         A = samples.activations(point.hidden)
@@ -88,7 +88,7 @@ class Projected:
         return projected(self.samples, self.point.hidden + direction, self.ridge), promised
 
 
-def projected(samples: Samples, hidden: Tensor, ridge: float) -> Point:
+def projected(samples: TrainingSet, hidden: Tensor, ridge: float) -> Point:
     """Hidden weights with the output weights that are best for them; cost ½‖r‖² + ½ ridge ‖W₂‖²."""
     A = samples.activations(hidden)
     M = A.T @ A
@@ -101,13 +101,13 @@ def projected(samples: Samples, hidden: Tensor, ridge: float) -> Point:
 
 
 def train_varpro(
-    samples: Samples, hidden: Tensor, ridge: float, held_out: int, config: TrainingConfig, progress: Progress
+    samples: TrainingSet, hidden: Tensor, ridge: float, held_out: int, config: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
     """Train from the given hidden weights.
 
     Parameters
     ----------
-    samples : Samples
+    samples : TrainingSet
     hidden : tensor, shape (n_hidden, n_in+1)
     ridge : float
         λ on the output weights, biases included.

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from geometry.errors import FileFormatError
@@ -45,7 +46,12 @@ def _require_room(path: Path, n_bytes: int) -> None:
             os.posix_fallocate(file.fileno(), 0, n_bytes)
 
 
-def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str) -> "xr.Dataset":
+def read_netcdf(
+    path: Path,
+    wanted: Mapping[str, tuple[str, ...]],
+    made_by: str,
+    optional: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+) -> "xr.Dataset":
     """Read the variables named in `wanted`, each with its dims in the order given there.
 
     Parameters
@@ -56,6 +62,8 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
         Dims of every variable that must be there, {variable: dims}.
     made_by : str
         Command that writes such files, for the message of a refusal.
+    optional : mapping
+        The same of variables that are read where they are there.
 
     Raises
     ------
@@ -75,6 +83,7 @@ def read_netcdf(path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str)
                     f"{path} has no variable '{missing[0]}', only {sorted(map(str, opened.data_vars))}: "
                     f"give a file made by '{made_by}'."
                 )
+            wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
             for name, dims in wanted.items():
                 if set(opened[name].dims) != set(dims):
                     raise FileFormatError(

@@ -11,10 +11,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dataset import Imperfections, LabelledData
-from dataset.simulation import DatasetSettings, measured_again, simulate
-from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate
-from decoupler.training.trainer import train
+from dataset import DatasetSettings, Samples, simulate
+from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
@@ -53,7 +51,9 @@ class Measurement:
 def measure(response: ArrayResponse, loads: str, component: str, network: NetworkConfig) -> Measurement:
     """Train a net on exact samples, and time it on others."""
     data = {split: exact_samples(response, loads, n, seed) for split, (n, seed) in SAMPLES.items()}
-    model, history = train(data["train"], component, network, TrainingConfig(), response=response)
+    started = perf_counter()
+    model = train(data["train"], component, network, TrainingConfig(), response=response)
+    training_s = perf_counter() - started
     scans = data["test"].resistance_ohm
     many = np.resize(scans, (MANY, *scans.shape[1:]))
     return Measurement(
@@ -61,17 +61,15 @@ def measure(response: ArrayResponse, loads: str, component: str, network: Networ
         component=component,
         network=network,
         full_scale_pct={name: errors.full_scale_pct for name, errors in evaluate(model, data["test"]).items()},
-        training_s=history.seconds,
+        training_s=training_s,
         scan_us=1e6 * seconds(model, scans[:1]),
         batch_ms=1e3 * seconds(model, many),
     )
 
 
-def exact_samples(response: ArrayResponse, loads: str, n: int, seed: int) -> LabelledData:
+def exact_samples(response: ArrayResponse, loads: str, n: int, seed: int) -> Samples:
     """Samples of a perfect sensor."""
-    return measured_again(
-        simulate(response, DatasetSettings(protocol=loads, samples=n, seed=seed)), Imperfections(), seed
-    )
+    return simulate(response, DatasetSettings(protocol=loads, samples=n, seed=seed)).labels()
 
 
 def seconds(model: Decoupler, scans: FloatArray) -> float:

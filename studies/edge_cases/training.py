@@ -9,17 +9,16 @@ from typing import get_args
 import numpy as np
 import torch
 
-from dataset import Imperfections, LabelledData
-from dataset.simulation import DatasetSettings, measured_again, simulate
+from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
 from decoupler.data.components import force_columns, pillar_columns, readable_columns
 from decoupler.data.scaling import Scaling
-from decoupler.evaluation.crossval import in_parallel, selected
+from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import LINEAR
 from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
 from decoupler.training.damping import Point
-from decoupler.training.gauss_newton import Samples
+from decoupler.training.gauss_newton import TrainingSet
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.network import Network
 from decoupler.training.trainer import LIGHT, train
@@ -69,29 +68,29 @@ def small_response(rows: int = 3, pad_mm: float = 12.0) -> ArrayResponse:
 @cache
 def samples(
     n: int = SAMPLES, seed: int = 1, protocol: str = "independent-fz", rows: int = 3, **imperfections: object
-) -> LabelledData:
+) -> Samples:
     """Samples of the small array, with noise and whatever else is wrong with it."""
     settings = DatasetSettings(protocol=protocol, samples=n, seed=seed)
     faults = Imperfections(**{"noise": NOISE, **imperfections})  # type: ignore[arg-type]  # it checks them itself
-    return measured_again(simulate(small_response(rows), settings), faults, seed)
+    return measured_again(simulate(small_response(rows), settings), faults, seed).labels()
 
 
-def with_input(data: LabelledData, values_ohm: FloatArray | float) -> LabelledData:
+def with_input(data: Samples, values_ohm: FloatArray | float) -> Samples:
     """The same samples with other resistances (n,) [Ω] of the z pillar of unit (0, 0)."""
     resistance_ohm = data.resistance_ohm.copy()
     resistance_ohm[:, 0, 0, 0] = values_ohm
     return replace(data, resistance_ohm=resistance_ohm)
 
 
-def constant(data: LabelledData) -> LabelledData:
+def constant(data: Samples) -> Samples:
     return with_input(data, 1e4)
 
 
-def duplicated(data: LabelledData) -> LabelledData:
+def duplicated(data: Samples) -> Samples:
     return with_input(data, data.resistance_ohm[:, 0, 1, 0])
 
 
-def collinear(data: LabelledData) -> LabelledData:
+def collinear(data: Samples) -> Samples:
     """The root of one resistance is the mean of two others'."""
     return with_input(data, np.sqrt(data.resistance_ohm[:, 0, 1:, 0]).mean(axis=1) ** 2)
 
@@ -99,7 +98,7 @@ def collinear(data: LabelledData) -> LabelledData:
 # what trainings are held against
 
 
-def scaled(data: LabelledData, component: str = "fz") -> tuple[FloatArray, FloatArray]:
+def scaled(data: Samples, component: str = "fz") -> tuple[FloatArray, FloatArray]:
     """Roots of the readable resistances with a 1 (n, n_in + 1), and forces on [-1, 1] (n, n_out)."""
     parts = component_named(component)
     columns = pillar_columns(data.resistance_ohm, parts, data.dead)
@@ -108,22 +107,22 @@ def scaled(data: LabelledData, component: str = "fz") -> tuple[FloatArray, Float
     return np.hstack([roots, np.ones((len(roots), 1))]), Scaling.fitted(forces).scale(forces)
 
 
-def linear_mse(data: LabelledData, component: str = "fz") -> float:
+def linear_mse(data: Samples, component: str = "fz") -> float:
     """Mean squared error of the best linear map of √R, of forces scaled to [-1, 1]."""
     A, targets = scaled(data, component)
     return float(np.mean((A @ np.linalg.lstsq(A, targets)[0] - targets) ** 2))
 
 
-def mean_mse(data: LabelledData) -> float:
+def mean_mse(data: Samples) -> float:
     """Mean squared error of the mean force, of forces scaled to [-1, 1]."""
     return float(scaled(data)[1].var(axis=0).mean())
 
 
-def trained(kind: Kind, data: LabelledData, hidden: int = HIDDEN, **training: object) -> tuple[Decoupler, float]:
+def trained(kind: Kind, data: Samples, hidden: int = HIDDEN, **training: object) -> tuple[Decoupler, float]:
     """A net for fz, and its mean squared error on the samples, of forces scaled to [-1, 1]."""
     config = TrainingConfig(**{"trainer": kind.trainer, **training})  # type: ignore[arg-type]  # it checks them itself
-    model, history = train(data, "fz", NetworkConfig(hidden=hidden, net=kind.net), config)
-    return model, history.mse
+    model = train(data, "fz", NetworkConfig(hidden=hidden, net=kind.net), config)
+    return model, model.made_from["outcome"]["mse"]
 
 
 def no_worse(mse: float, bound: float, against: str, note: str = "") -> Outcome:
@@ -139,7 +138,7 @@ def difference(one: FloatArray, other: FloatArray) -> float:
 # trials
 
 
-def degenerate(kind: Kind, change: Callable[[LabelledData], LabelledData]) -> Outcome:
+def degenerate(kind: Kind, change: Callable[[Samples], Samples]) -> Outcome:
     """An input that says nothing new: the net still fits as well as a linear map. The momentum rule, slow, beats 1."""
     data = change(samples())
     _, mse = trained(kind, data)
@@ -175,7 +174,7 @@ def many_samples(kind: Kind) -> Outcome:
 def repeated(kind: Kind, times: int) -> tuple[float, float]:
     """Error after two iterations on samples repeated, and the largest memory of this process so far [MiB]."""
     few = samples(n=MANY // 100, rows=6)
-    data = selected(few, np.tile(np.arange(len(few.force_n)), times))
+    data = few[np.tile(np.arange(len(few.force_n)), times)]
     _, mse = trained(kind, data, hidden=17, max_iterations=2, held_out=0.0)
     return mse, getrusage(RUSAGE_SELF).ru_maxrss / 1024
 
@@ -213,16 +212,16 @@ def saturated(kind: Kind) -> Outcome:
     return no_worse(point.mse, linear_mse(samples()), LINEAR)
 
 
-def _start(kind: Kind, data: LabelledData, hidden: int) -> tuple[Samples, Network]:
+def _start(kind: Kind, data: Samples, hidden: int) -> tuple[TrainingSet, Network]:
     """What a trainer is given: scaled samples, and a random network."""
     A, targets = scaled(data)
     inputs = Scaling.fitted(A[:, :-1]).scale(A[:, :-1])
     start = Network(NetworkConfig(hidden=hidden, net=kind.net), inputs.shape[1], targets.shape[1], seed=0)
-    return Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=kind.net == "skip"), start
+    return TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=kind.net == "skip"), start
 
 
 @torch.no_grad()
-def _from(kind: Kind, given: Samples, hidden: torch.Tensor, start: Network, config: TrainingConfig) -> Point:
+def _from(kind: Kind, given: TrainingSet, hidden: torch.Tensor, start: Network, config: TrainingConfig) -> Point:
     """Where a trainer of second order ends from hidden weights, and from the start's output weights if it heeds any."""
     if kind.trainer == "varpro":
         n = len(given.X)
@@ -301,7 +300,7 @@ def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
     """
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")
     data = samples(protocol="three-axis", dead_cols=dead_cols)
-    model, _ = train(data, "all", network, TrainingConfig(), response=response)
+    model = train(data, "all", network, TrainingConfig(), response=response)
     new = _with_rest(samples(seed=2, protocol="three-axis", dead_cols=dead_cols))
     assert model.least_squares is not None
     found, linear = (each.forces(new.resistance_ohm) - new.force_n for each in (model, model.least_squares))
@@ -310,7 +309,7 @@ def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
     return Outcome(error=error, allowed=1.0, against=f"{LINEAR}, new samples and rest")
 
 
-def _with_rest(data: LabelledData) -> LabelledData:
+def _with_rest(data: Samples) -> Samples:
     """The same exact samples of a three-axis protocol, and a share of `LIGHT` of them at rest."""
     n = round(LIGHT * len(data.force_n))
     rest_ohm = ForwardModel.of(small_response(), component_named("all")).at_rest_ohm()
@@ -326,10 +325,10 @@ def one_pair() -> Outcome:
     """One measured pair of a specimen whose gains differ by 20 % is worth more than none."""
     response = small_response()
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")
-    model, _ = train(samples(protocol="three-axis"), "all", network, TrainingConfig(), response=response)
+    model = train(samples(protocol="three-axis"), "all", network, TrainingConfig(), response=response)
     specimen = samples(seed=3, protocol="three-axis", gain_spread=0.2)
-    tuned = fine_tune(model, selected(specimen, slice(0, 1)), response)
-    before, after = (evaluate(one, selected(specimen, slice(1, None))) for one in (model, tuned))
+    tuned = fine_tune(model, specimen[:1], response)
+    before, after = (evaluate(one, specimen[1:]) for one in (model, tuned))
     error = max(after[name].rmse_n / before[name].rmse_n for name in after)
     return Outcome(error=error, allowed=1.0, against="the untouched model")
 
@@ -356,13 +355,13 @@ def gradient_at_the_end(kind: Kind) -> Outcome:
     return Outcome(error=slope(start) / before, allowed=FLAT, against="autograd's slope at the start")
 
 
-def _taught(skip: bool) -> Samples:
+def _taught(skip: bool) -> TrainingSet:
     """Targets of two bent nodes with a tenth of noise, so that the best weights are neither 0 nor infinite."""
     generator = np.random.default_rng(5)
     inputs = generator.uniform(-1.0, 1.0, (150, 3))
     bent = np.tanh(inputs @ np.array([[2.0, -1.0], [1.0, 2.0], [-1.0, 1.0]]) + 0.3)
     targets = bent @ np.array([[1.0, 0.5], [-0.5, 1.0]]) + 0.1 * generator.standard_normal((150, 2))
-    return Samples(torch.from_numpy(inputs), torch.from_numpy(targets), skip=skip)
+    return TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=skip)
 
 
 def training_trials() -> list[Trial]:

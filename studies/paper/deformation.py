@@ -113,11 +113,14 @@ def pressure_at_cap(response: ArrayResponse, loaded: str) -> float:
 def sample(response: ArrayResponse) -> Sample:
     """One sample of the kind of data that presses and drags at once."""
     made = simulate(response, SAMPLE)
+    assert made.displacement_mm is not None
+    assert made.length_mm is not None
+    assert made.traction_mpa is not None
     moved, force_n = made.displacement_mm[0], np.abs(made.force_n[0]).max(axis=(0, 1))
     return Sample(
         traction_mpa=made.traction_mpa[0].reshape(-1, 3).tolist(),
         force_n={f"f{axis}": float(largest) for axis, largest in zip(AXES, force_n, strict=True)},
         largest_mm=float(np.linalg.norm(moved, axis=-1).max()),
         sideways_mm=float(np.linalg.norm(moved[..., :2], axis=-1).max()),
-        largest_strain=float(pillar_strains(moved, made.length_mm[0], made.design.unit).max()),
+        largest_strain=float(pillar_strains(moved, made.length_mm[0], response.design.unit).max()),
     )

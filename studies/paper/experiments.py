@@ -8,11 +8,11 @@ from time import perf_counter
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
 from dataset.resistance import pillar_strains
-from dataset.simulation import DatasetSettings, dataset_recipe, measured_again, simulate
+from dataset.simulation import DatasetSettings, dataset_recipe, simulate
 from decoupler.data.components import component_named, force_columns
-from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, selected, split_folds
+from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, split_folds
 from decoupler.evaluation.floor import pca_floor
 from decoupler.evaluation.metrics import ForceErrors, component_errors
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
@@ -61,7 +61,7 @@ class Experiments:
         return DatasetSettings(protocol=f"{loads}-{component}", samples=samples, seed=self.seed, cap=cap)
 
 
-Kinds = dict[tuple[str, str, float], LabelledData]  #: by loads, component and cap
+Kinds = dict[tuple[str, str, float], Samples]  #: by loads, component and cap
 
 
 def recipe_of(response: ArrayResponse, asked: Experiments) -> str:
@@ -117,9 +117,10 @@ def simulate_all(response: ArrayResponse, asked: Experiments) -> tuple[Kinds, li
     for loads, component, cap in product(LOADS, COMPONENTS, CAPS):
         settings = asked.data_settings(loads, component, cap)
         made = simulate(response, settings)
-        data = measured_again(made, settings, settings.seed)
-        kinds[loads, component, cap] = data
-        strain = pillar_strains(made.displacement_mm, made.length_mm, made.design.unit).max()
+        kinds[loads, component, cap] = data = made.labels()
+        assert made.displacement_mm is not None
+        assert made.length_mm is not None
+        strain = pillar_strains(made.displacement_mm, made.length_mm, response.design.unit).max()
         widest = pca_floor(data.force_n[: asked.training_samples], component_named(component), max(asked.widths))
         described.append(
             DataSet(
@@ -157,7 +158,7 @@ def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> 
 def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
     """Cross-validation of every network on the large and the small set."""
     for loads, component, size in product(LOADS, COMPONENTS, TABLE_2_SAMPLES):
-        data = selected(kinds[loads, component, CAPS[0]], slice(size))
+        data = kinds[loads, component, CAPS[0]][:size]
         for name, (usual, training) in NETWORKS.items():
             network = replace(usual, hidden=asked.table_nodes[component]) if name == PAPERS else usual
             jobs = jobs_of(data, component, network, training, asked.folds, response)
@@ -197,7 +198,7 @@ def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) ->
 
 
 def decoupled_forces(
-    data: LabelledData,
+    data: Samples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -206,9 +207,9 @@ def decoupled_forces(
     shown: np.ndarray,
 ) -> FloatArray:
     """Train on some samples and give the forces of others [N]; for another process, like `crossval.fold`."""
-    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
+    from decoupler import train  # loads torch: in the processes that train, and only there
 
-    model, _ = train(selected(data, trained_on), component, network, training, response=response)
+    model = train(data[trained_on], component, network, training, response=response)
     return model.forces(data.resistance_ohm[shown])
 
 
@@ -236,13 +237,13 @@ def floors(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
 def marks(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
     """Errors of eq. 8 and of least squares on table 2's sets, the latter cross-validated on the networks' folds."""
     for loads, name, size in product(LOADS, COMPONENTS, TABLE_2_SAMPLES):
-        data, component = selected(kinds[loads, name, CAPS[0]], slice(size)), component_named(name)
+        data, component = kinds[loads, name, CAPS[0]][:size], component_named(name)
         assert data.design is not None, "simulated data state their design"
         forces = {HOOKE: hooke_forces(data.resistance_ohm, data.design, component)}
         forces[LINEAR] = np.empty_like(forces[HOOKE])
         for part in split_folds(size, asked.folds, TrainingConfig().seed):
             others = np.setdiff1d(np.arange(size), part)
-            fitted = LeastSquares.fitted(selected(data, others), component)
+            fitted = LeastSquares.fitted(data[others], component)
             forces[LINEAR][part] = fitted.forces(data.resistance_ohm[part])
         for network, found in forces.items():
             trial = Trial(

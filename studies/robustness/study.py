@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset import Imperfections, LabelledData, SimulatedData
-from dataset.simulation import DatasetSettings, measured_again, simulate
+from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named, fine_tune
 from decoupler.data.components import force_columns, readable_columns
-from decoupler.evaluation.crossval import in_parallel, selected
+from decoupler.evaluation.crossval import in_parallel
 from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes
@@ -114,10 +113,10 @@ class Sensor:
     """The loads, and the response of the sensor as designed."""
 
     response: ArrayResponse
-    loads: dict[str, SimulatedData]  #: by the names of `SEEDS`
+    loads: dict[str, Samples]  #: by the names of `SEEDS`
 
-    def measured(self, faults: Imperfections, split: str) -> LabelledData:
-        return measured_again(self.loads[split], faults, SEEDS[split])
+    def measured(self, faults: Imperfections, split: str) -> Samples:
+        return measured_again(self.loads[split], faults, SEEDS[split]).labels()
 
 
 def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> Sensor:
@@ -180,12 +179,10 @@ def trained(
     return dict(zip(keys, found, strict=True))
 
 
-def _trained(
-    data: LabelledData, test: LabelledData, feature: Feature, response: ArrayResponse, usual_n: FloatArray
-) -> Trained:
-    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
+def _trained(data: Samples, test: Samples, feature: Feature, response: ArrayResponse, usual_n: FloatArray) -> Trained:
+    from decoupler import train  # loads torch: in the processes that train, and only there
 
-    model, _ = train(data, "all", NetworkConfig(hidden=HIDDEN, feature=feature), TrainingConfig(), response=response)
+    model = train(data, "all", NetworkConfig(hidden=HIDDEN, feature=feature), TrainingConfig(), response=response)
     return Trained(model=model, assessed=assess(model, test, response), bayes_n=unit_bayes(response, test, usual_n))
 
 
@@ -222,7 +219,7 @@ def fine_tuned(sensor: Sensor, sizes: Sizes, net: Feature, designed: Trained) ->
         errors = []
         for draw in range(sizes.draws if count else 1):
             start = draw * max(sizes.pairs)
-            few = selected(pairs, slice(start, start + count))
+            few = pairs[start : start + count]
             tuned = fine_tune(designed.model, few, sensor.response) if count else designed.model
             errors.append({force: one.full_scale_pct or 0.0 for force, one in evaluate(tuned, test).items()})
         for row in _rows("specimen", "1 pair" if count == 1 else f"{count} pairs", net, designed):
@@ -261,12 +258,12 @@ def with_dead(
     return rows, Named(case=case, net=net, rise=now / before, named=named)
 
 
-def unit_rmse(model: Decoupler, data: LabelledData) -> FloatArray:
+def unit_rmse(model: Decoupler, data: Samples) -> FloatArray:
     """Root mean squared error of every unit, (rows, cols, 3) [N]."""
     return np.sqrt(((model.forces(data.resistance_ohm) - data.force_n) ** 2).mean(axis=0))
 
 
-def unit_bayes(response: ArrayResponse, data: LabelledData, usual_n: FloatArray) -> FloatArray:
+def unit_bayes(response: ArrayResponse, data: Samples, usual_n: FloatArray) -> FloatArray:
     """Least error of every unit for who knows the usual loads (n, rows, cols, 3) [N], (rows, cols, 3) [N]."""
     parts = component_named("all")
     forward = ForwardModel.of(response, parts)

@@ -8,21 +8,29 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from dataset import OPEN_OHM, Imperfections, SimulatedData, read_labelled, write_dataset
-from dataset.samples import is_current
-from dataset.simulation import DatasetSettings, simulate
+from dataset import (
+    OPEN_OHM,
+    DatasetSettings,
+    Imperfections,
+    SampleError,
+    Samples,
+    TorchSamples,
+    read_samples,
+    simulate,
+)
+from dataset.samples import VARIABLES, is_current
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.storage.netcdf import write_netcdf
 
 
 @pytest.fixture(scope="module")
-def data(response) -> SimulatedData:
+def data(response) -> Samples:
     return simulate(response, DatasetSettings(protocol="contact", samples=5, seed=3, noise=0.001, bits=16))
 
 
 @pytest.fixture
 def path(data, tmp_path) -> Path:
-    write_dataset(data, tmp_path / "data.nc")
+    data.write(tmp_path / "data.nc")
     return tmp_path / "data.nc"
 
 
@@ -37,7 +45,7 @@ def rewritten(path: Path, change) -> Path:
 
 def refusal(path: Path) -> str:
     with pytest.raises(TriPillarError) as caught:
-        read_labelled(path)
+        read_samples(path)
     assert isinstance(caught.value, FileFormatError | DesignError)
     message = str(caught.value)
     assert message.startswith(str(path))
@@ -81,7 +89,7 @@ def test_file_keeps_the_contract(path, data, response):
 
 
 def test_file_comes_back_to_the_last_bit(path, data):
-    labelled = read_labelled(path)
+    labelled = read_samples(path)
     assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm)
     assert np.array_equal(labelled.force_n, data.force_n)
     assert labelled.design == data.design
@@ -90,14 +98,14 @@ def test_file_comes_back_to_the_last_bit(path, data):
 
 def test_exact_dataset_leaves_the_converter_out(response, tmp_path):
     """None is no attribute of a NetCDF file."""
-    write_dataset(simulate(response, DatasetSettings(protocol="contact", samples=1)), tmp_path / "a.nc")
+    simulate(response, DatasetSettings(protocol="contact", samples=1)).write(tmp_path / "a.nc")
     with netCDF4.Dataset(tmp_path / "a.nc") as file:
         assert "bits" not in file.ncattrs()
 
 
 def test_largest_seed_fits_the_file(response, tmp_path):
     settings = DatasetSettings(protocol="contact", samples=1, seed=2**63 - 1)
-    write_dataset(simulate(response, settings), tmp_path / "a.nc")
+    simulate(response, settings).write(tmp_path / "a.nc")
     with netCDF4.Dataset(tmp_path / "a.nc") as file:
         assert file.seed == 2**63 - 1
 
@@ -115,8 +123,8 @@ def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dea
     settings = DatasetSettings(
         protocol="contact", samples=4, noise=0.01, bits=12, gain_spread=0.1, offset_ohm=20.0, specimen=9, **dead
     )
-    write_dataset(simulate(response, settings), tmp_path / "a.nc")
-    labelled = read_labelled(tmp_path / "a.nc")
+    simulate(response, settings).write(tmp_path / "a.nc")
+    labelled = read_samples(tmp_path / "a.nc")
     assert (labelled.noise, labelled.bits) == (0.01, 12)
     assert type(labelled.bits) is int
     assert np.array_equal(labelled.dead, Imperfections(**dead).dead_mask(2, 3))
@@ -130,7 +138,7 @@ def test_a_file_that_states_no_sensor_is_taken_as_exact_and_whole(path):
         content.attrs.clear()
         return content
 
-    labelled = read_labelled(rewritten(path, drop_attributes))
+    labelled = read_samples(rewritten(path, drop_attributes))
     assert (labelled.noise, labelled.bits, labelled.dead.shape) == (0.0, None, (2, 3, 3))
     assert not labelled.dead.any()
 
@@ -148,18 +156,18 @@ def test_a_file_that_states_no_sensor_is_taken_as_exact_and_whole(path):
 )  # fmt: skip
 def test_attributes_of_others_that_make_no_sense_are_passed_over(path, attributes):
     """And they take no other attribute with them."""
-    labelled = read_labelled(rewritten(path, lambda d: d.assign_attrs(attributes)))
+    labelled = read_samples(rewritten(path, lambda d: d.assign_attrs(attributes)))
     assert labelled.noise == (0.0 if "noise" in attributes else 0.001)
     assert labelled.bits == (None if "bits" in attributes else 16)
     assert not labelled.dead.any()
 
 
 def test_content_hash_is_of_forces_and_resistances_alone(path, data):
-    before = read_labelled(path).content_hash
-    assert read_labelled(rewritten(path, lambda d: d.assign_attrs(seed=99))).content_hash == before
-    assert read_labelled(rewritten(path, lambda d: d.drop_vars("length_mm"))).content_hash == before
+    before = read_samples(path).content_hash
+    assert read_samples(rewritten(path, lambda d: d.assign_attrs(seed=99))).content_hash == before
+    assert read_samples(rewritten(path, lambda d: d.drop_vars("length_mm"))).content_hash == before
     changed = rewritten(path, lambda d: d.assign(force_n=d.force_n + 1e-9))
-    assert read_labelled(changed).content_hash != before
+    assert read_samples(changed).content_hash != before
 
 
 @pytest.mark.parametrize(
@@ -174,7 +182,7 @@ def test_content_hash_is_of_forces_and_resistances_alone(path, data):
     ids=["dims in another order", "labels in another order", "needed only", "more", "numbered samples"],
 )
 def test_files_of_others_are_read_by_their_labels(path, data, change):
-    labelled = read_labelled(rewritten(path, change))
+    labelled = read_samples(rewritten(path, change))
     assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm)
     assert np.array_equal(labelled.force_n, data.force_n)
 
@@ -182,7 +190,7 @@ def test_files_of_others_are_read_by_their_labels(path, data, change):
 @pytest.mark.parametrize("dtype", [np.float32, np.int32, ">f8"])
 def test_other_types_of_numbers_become_float64(path, data, dtype):
     change = {name: (lambda v: v.astype(dtype)) for name in ("force_n", "resistance_ohm")}
-    labelled = read_labelled(rewritten(path, lambda d: d.assign({n: f(d[n]) for n, f in change.items()})))
+    labelled = read_samples(rewritten(path, lambda d: d.assign({n: f(d[n]) for n, f in change.items()})))
     assert labelled.force_n.dtype == labelled.resistance_ohm.dtype == np.float64
     assert np.array_equal(labelled.resistance_ohm, data.resistance_ohm.astype(dtype))
 
@@ -192,7 +200,7 @@ def test_file_that_does_not_say_its_design_is_read(path):
         del content.attrs["design"]
         return content
 
-    assert read_labelled(rewritten(path, drop_design)).design is None
+    assert read_samples(rewritten(path, drop_design)).design is None
 
 
 @pytest.mark.parametrize(
@@ -212,7 +220,7 @@ def test_file_that_does_not_say_its_design_is_read(path):
 def test_senseless_values_are_named_with_their_place(path, data, name, value, said):
     values = getattr(data, name).copy()
     values[3, 1, 2, 1] = value
-    write_dataset(replace(data, **{name: values}), path)
+    replace(data, **{name: values}).write(path)
     message = refusal(path)
     assert said in message
     assert message.endswith("remove that sample or measure it again.")
@@ -220,8 +228,8 @@ def test_senseless_values_are_named_with_their_place(path, data, name, value, sa
 
 def test_negative_forces_are_taken(path, data):
     """A pad that is dragged to −x, or pulled."""
-    write_dataset(replace(data, force_n=-data.force_n), path)
-    assert np.array_equal(read_labelled(path).force_n, -data.force_n)
+    replace(data, force_n=-data.force_n).write(path)
+    assert np.array_equal(read_samples(path).force_n, -data.force_n)
 
 
 @pytest.mark.parametrize("name", ["force_n", "resistance_ohm"])
@@ -273,7 +281,7 @@ def test_design_of_another_array_is_refused(path):
 @pytest.mark.parametrize("design", ["a 6 × 6 array", "", "# by hand", "[sensor]\npitch = 15\n", 5])
 def test_a_design_in_other_words_is_not_known(path, design):
     """Whoever made the file may describe the sensor in another way; the arrays are the contract."""
-    assert read_labelled(rewritten(path, lambda d: d.assign_attrs(design=design))).design is None
+    assert read_samples(rewritten(path, lambda d: d.assign_attrs(design=design))).design is None
 
 
 def test_a_copy_by_another_program_is_accepted_while_it_states_the_truth(path, data, tmp_path):
@@ -282,7 +290,7 @@ def test_a_copy_by_another_program_is_accepted_while_it_states_the_truth(path, d
         content = opened.load()
     packed = {name: {"zlib": True} for name in content.data_vars}
     content.to_netcdf(tmp_path / "copy.nc", encoding=packed)
-    assert np.array_equal(read_labelled(tmp_path / "copy.nc").force_n, data.force_n)
+    assert np.array_equal(read_samples(tmp_path / "copy.nc").force_n, data.force_n)
     content.isel(sample=slice(3)).to_netcdf(tmp_path / "part.nc")
     assert "do not match its attribute 'content_hash': drop the attribute if you" in refusal(tmp_path / "part.nc")
 
@@ -327,7 +335,92 @@ def test_a_file_changed_by_hand_is_not_current(path, data, value):
 
 def test_failed_write_leaves_the_old_file_and_no_litter(path, data):
     before = path.read_bytes()
-    with pytest.raises(ValueError, match="conflicting sizes"):
-        write_dataset(replace(data, force_n=data.force_n[:2]), path)
+    with pytest.raises(TypeError, match="Invalid value for attr"):
+        replace(data, made_from={"note": object()}).write(path)
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_file_gives_back_all_that_was_simulated(path, data):
+    """And with `labels_only` what training needs of it; written again, it is the same file."""
+    samples = read_samples(path)
+    for name in VARIABLES:
+        assert np.array_equal(getattr(samples, name), getattr(data, name))
+    assert samples.made_from["protocol"] == "contact"
+    samples.write(path.with_name("again.nc"))
+    assert path.with_name("again.nc").read_bytes() == path.read_bytes()
+    few = read_samples(path, labels_only=True)
+    assert (few.traction_mpa, few.displacement_mm, few.length_mm) == (None, None, None)
+    assert few.content_hash == samples.content_hash
+
+
+def test_samples_are_chosen_as_in_an_array(data):
+    some = data[[3, 1]]
+    assert (len(data), len(some), len(data[:2]), len(data[-1])) == (5, 2, 2, 1)
+    for name in VARIABLES:
+        assert np.array_equal(getattr(some, name), getattr(data, name)[[3, 1]])
+    assert some.design == data.design
+    assert some.content_hash != data.content_hash
+    assert "recipe" not in some.made_from  # it is that of all samples
+    with pytest.raises(IndexError, match="no sample 5: there are 5"):
+        data[5]
+
+
+def test_a_file_states_noise_converter_and_dead_pillars_of_samples_made_otherwise(data, tmp_path):
+    """Also where they differ from what the samples were simulated with."""
+    dead = np.zeros((2, 3, 3), dtype=bool)
+    dead[1, 2, 0] = dead[0, 0, 1] = True
+    for samples in (data, replace(data, made_from={}, design=None).labels()):
+        replace(samples, noise=0.02, bits=None, dead=dead).write(tmp_path / "a.nc")
+        back = read_samples(tmp_path / "a.nc")
+        assert (back.noise, back.bits, back.design) == (0.02, None, samples.design)
+        assert np.array_equal(back.dead, dead)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"force_n": np.ones((5, 2, 3))}, r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
+        (
+            {"resistance_ohm": np.ones((5, 2, 2, 3))},
+            r"resistance_ohm has .* expected \(5, 2, 3, 3\)",
+        ),
+        ({"displacement_mm": np.ones((5, 2, 3, 3))}, r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
+        ({"dead": np.zeros((2, 3), dtype=bool)}, r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(data, changed, said):
+    with pytest.raises(SampleError, match=said):
+        replace(data, **changed)
+
+
+def test_loads_of_others_are_read_or_refused_by_name(path, data):
+    values = data.displacement_mm.copy()
+    values[2, 1, 0, 1, 2] = np.nan
+    replace(data, displacement_mm=values).write(path)
+    assert "displacement_mm is nan at sample 2, row 1, col 0, electrode U2, axis z" in refusal(path)
+    assert len(read_samples(path, labels_only=True)) == 5
+
+
+@pytest.mark.parametrize("displacement", [False, True])
+def test_torch_loads_samples_in_two_processes(data, displacement):
+    """In batches, in order, in the type asked for."""
+    torch = pytest.importorskip("torch")
+    samples = TorchSamples(data, dtype=torch.float64, displacement=displacement)
+    batches = list(torch.utils.data.DataLoader(samples, batch_size=2, num_workers=2))
+    assert [len(batch[0]) for batch in batches] == [2, 2, 1]
+    names = ["resistance_ohm", "displacement_mm", "force_n"] if displacement else ["resistance_ohm", "force_n"]
+    for name, parts in zip(names, zip(*batches, strict=True), strict=True):
+        assert np.array_equal(torch.cat(parts).numpy(), getattr(data, name))
+    (resistance_ohm, *_) = TorchSamples(data)[1]
+    assert resistance_ohm.dtype == torch.float32
+
+
+def test_torch_refuses_what_samples_do_not_hold(data):
+    torch = pytest.importorskip("torch")
+    with pytest.raises(SampleError, match="the samples hold no displacement_mm"):
+        TorchSamples(data.labels(), displacement=True)
+    with pytest.raises(SampleError, match=r"dtype=torch.int64 must be torch.float32 or torch.float64"):
+        TorchSamples(data, dtype=torch.int64)
+    with pytest.raises(TypeError, match="samples is of type list, expected Samples"):
+        TorchSamples([1, 2])

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dataset import LabelledData, pillar_lengths, pillar_resistances
+from dataset import Samples, pillar_lengths, pillar_resistances
 from fem.array.response import ArrayResponse
 from geometry import Array, SensorDesign
 from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
-from geometry.storage.files import digest
 
 #: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
 _OWN = np.array(
@@ -32,7 +31,7 @@ def sensor(rows: int = 6, cols: int = 6) -> SensorDesign:
     return replace(SensorDesign(), array=Array(rows=rows, cols=cols))
 
 
-def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> LabelledData:
+def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Samples:
     """Independent random forces along `axes` on every unit, and the resistances they cause."""
     generator = np.random.default_rng(seed)
     rows, cols = design.array.rows, design.array.cols
@@ -44,11 +43,10 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Labe
     length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)
     resistance_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
     force_n = force_n.reshape(n_samples, rows, cols, 3)
-    return LabelledData(
+    return Samples(
         resistance_ohm=resistance_ohm,
         force_n=force_n,
         design=design,
-        content_hash=digest(force_n, resistance_ohm),
     )
 
 
@@ -72,7 +70,6 @@ def _neighbour(design: SensorDesign) -> FloatArray:
     return np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
 
 
-def split(data: LabelledData, n_train: int) -> tuple[LabelledData, LabelledData]:
+def split(data: Samples, n_train: int) -> tuple[Samples, Samples]:
     """The first `n_train` samples and the others."""
-    first = replace(data, resistance_ohm=data.resistance_ohm[:n_train], force_n=data.force_n[:n_train])
-    return first, replace(data, resistance_ohm=data.resistance_ohm[n_train:], force_n=data.force_n[n_train:])
+    return data[:n_train], data[n_train:]

@@ -5,13 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import LeastSquares, NetworkConfig, TrainingConfig, assess, component_errors, component_named, evaluate
+from decoupler import (
+    LeastSquares,
+    NetworkConfig,
+    TrainingConfig,
+    assess,
+    component_errors,
+    component_named,
+    evaluate,
+    train,
+)
 from decoupler.data.components import force_columns
 from decoupler.evaluation.assessment import as_plain
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import hooke_forces
-from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -30,7 +38,7 @@ TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0)), 600)
 
 @pytest.fixture(scope="module")
 def model():
-    return train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)[0]
+    return train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
 
 
 def test_holds_what_its_parts_say(model):
@@ -62,5 +70,5 @@ def test_plain_form_starts_with_the_contracts_numbers(model):
 
 def test_no_limit_where_other_forces_act():
     """A net for Fz alone on mixed loads: the bound of Fz alone would be no bound."""
-    model, _ = train(TRAIN, "fz", NetworkConfig(hidden=4), TrainingConfig(max_iterations=3))
+    model = train(TRAIN, "fz", NetworkConfig(hidden=4), TrainingConfig(max_iterations=3))
     assert assess(model, TEST, RESPONSE)["fz"].limits is None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset import LabelledData, pillar_lengths, pillar_resistances
+from dataset import Samples, pillar_lengths, pillar_resistances
 from decoupler import LeastSquares, component_named, hooke_forces
 from geometry import SensorDesign
 from geometry.layout import pillar_volumes
@@ -53,6 +53,6 @@ def test_least_squares_is_exact_where_force_is_linear_in_root_resistance():
 
 
 def test_least_squares_takes_fewer_samples_than_unknowns():
-    few: LabelledData = labelled(sensor(2, 3), "z", n_samples=3, seed=0)
+    few: Samples = labelled(sensor(2, 3), "z", n_samples=3, seed=0)
     forces = LeastSquares.fitted(few, component_named("fz")).forces(few.resistance_ohm)
     np.testing.assert_allclose(forces[..., 0], few.force_n[..., 2], rtol=1e-9)

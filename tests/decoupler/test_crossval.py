@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate
-from decoupler.evaluation.crossval import jobs_of, over_folds, selected, split_folds, summary
-from decoupler.training.trainer import train
+from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate, train
+from decoupler.evaluation.crossval import jobs_of, over_folds, split_folds, summary
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -35,9 +34,10 @@ def test_processes_give_what_one_after_the_other_gives():
     assert sorted(done) == [0, 1, 2, 3]
     for fold, part in zip(tested, split_folds(53, 4, FEW.seed), strict=True):
         rest = np.setdiff1d(np.arange(53), part)
-        model, history = train(selected(DATA, rest), "fx", NETWORK, FEW)
-        assert fold.errors == evaluate(model, selected(DATA, part))
-        assert fold.iterations == history.iterations
+        model = train(DATA[rest], "fx", NETWORK, FEW)
+        outcome = model.made_from["outcome"]
+        assert fold.errors == evaluate(model, DATA[part])
+        assert fold.iterations == outcome["iterations"]
         actual = DATA.force_n[part][..., :1]
         relative = np.abs(model.forces(DATA.resistance_ohm[part]) - actual) / actual
         assert fold.errors["fx"].rel_err == pytest.approx(relative.mean(), rel=1e-12)
@@ -73,12 +73,12 @@ def test_a_fold_never_sees_its_test_samples_scaling():
     wild.force_n[part] *= 100.0
     wild.resistance_ohm[part] *= 100.0
     rest = np.setdiff1d(np.arange(53), part)
-    tame, same = (train(selected(data, rest), "fx", NETWORK, FEW)[0] for data in (DATA, wild))
+    tame, same = (train(data[rest], "fx", NETWORK, FEW) for data in (DATA, wild))
     for one, other in ((tame.input_scaling, same.input_scaling), (tame.output_scaling, same.output_scaling)):
         np.testing.assert_array_equal(one.centre, other.centre)
         np.testing.assert_array_equal(one.half_range, other.half_range)
     tested = cross_validate(wild, "fx", NETWORK, FEW, folds=4)
-    assert tested[0].errors == evaluate(same, selected(wild, part))
+    assert tested[0].errors == evaluate(same, wild[part])
 
 
 def test_a_failure_in_a_fold_is_said():

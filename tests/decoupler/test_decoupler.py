@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig
+from decoupler import NetworkConfig, SampleError, TrainingConfig, train
 from decoupler.training.network import Network
-from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -23,7 +22,7 @@ FEW = TrainingConfig(max_iterations=3)
 def test_one_sample_gives_the_bits_of_the_batch(component, axes, net, feature):
     data = labelled(SENSOR, axes, n_samples=101, seed=0)
     network = NetworkConfig(hidden=7, net=net, feature=feature)
-    decoupler, _ = train(data, component, network, FEW, response=response(SENSOR))
+    decoupler = train(data, component, network, FEW, response=response(SENSOR))
     batch = decoupler.forces(data.resistance_ohm)
     assert batch.shape == (101, 2, 3, 3 if component == "all" else 1)
     for size in (1, 2, 7):
@@ -36,7 +35,7 @@ def test_one_sample_gives_the_bits_of_the_batch(component, axes, net, feature):
 def test_gives_what_the_torch_network_gives(net, feature):
     """Two routes: numpy on ohms, torch on scaled inputs; they differ by rounding only."""
     config = NetworkConfig(hidden=5, net=net, feature=feature)
-    decoupler, _ = train(DATA, "fx", config, FEW)
+    decoupler = train(DATA, "fx", config, FEW)
     network = Network(config, 6, 6, seed=9)
     network.load_state_dict(
         {
@@ -53,7 +52,7 @@ def test_gives_what_the_torch_network_gives(net, feature):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.0])
 def test_the_first_bad_resistance_is_named(value):
-    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     R = DATA.resistance_ohm.copy()
     R[4:, 1, 2, 0] = value
     with pytest.raises(SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"):
@@ -61,14 +60,14 @@ def test_the_first_bad_resistance_is_named(value):
 
 
 def test_a_dead_pillar_that_is_not_taken_does_no_harm():
-    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     R = DATA.resistance_ohm.copy()
     R[..., 1:] = np.nan
     np.testing.assert_array_equal(decoupler.forces(R), decoupler.forces(DATA.resistance_ohm))
 
 
 def test_wrong_sizes_are_refused():
-    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     with pytest.raises(SampleError, match=r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"):
         decoupler.forces(DATA.resistance_ohm[0])
     with pytest.raises(SampleError, match="of 3 × 2 units, the model's sensor has 2 × 3"):
@@ -76,7 +75,7 @@ def test_wrong_sizes_are_refused():
 
 
 def test_no_samples_give_no_forces():
-    decoupler, _ = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     assert decoupler.forces(DATA.resistance_ohm[:0]).shape == (0, 2, 3, 1)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from decoupler import NetworkConfig, TrainingConfig, write_model
+from decoupler import NetworkConfig, TrainingConfig, train, write_model
 from decoupler.data.errors import ExportError
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, c_header, compiled_forces
@@ -21,7 +21,6 @@ from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from decoupler.export.portable import output_weights_n
 from decoupler.model.calibration import Calibration
-from decoupler.training.trainer import train
 from geometry import DesignError
 from geometry.storage.files import digest
 from tests.decoupler.rounding import float_rounding_n
@@ -49,7 +48,7 @@ def trained(component: str, feature: str, net: str):
     data = labelled(SENSOR, AXES[component], n_samples=80, seed=0)
     data = replace(data, resistance_ohm=gain * data.resistance_ohm + offset, dead=DEAD)
     network = NetworkConfig(hidden=5, net=net, feature=feature)
-    model, _ = train(data, component, network, TrainingConfig(max_iterations=3), response=response(SENSOR))
+    model = train(data, component, network, TrainingConfig(max_iterations=3), response=response(SENSOR))
     if model.calibration is None:  # only `inverse` fits one in training
         n_in = model.hidden_weights.shape[1] - 1
         model = replace(model, calibration=Calibration(np.linspace(0.95, 1.05, n_in), np.linspace(-9.0, 9.0, n_in)))
@@ -92,7 +91,7 @@ def test_header_gives_the_models_forces(component, feature, net):
 def test_as_designed_and_nothing_dead():
     """Without calibration and dead pillars the exported forms lack those steps, and still agree."""
     data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
-    model, _ = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
+    model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
     content = onnx_model(model, np.float64).SerializeToString()
     assert deviation(run_onnx(content, data.resistance_ohm, np.float64), model, data.resistance_ohm) < ROUNDING
     header = c_header(model, np.float64)

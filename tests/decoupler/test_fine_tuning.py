@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune
-from decoupler.evaluation.crossval import selected
+from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune, train
 from decoupler.model.calibration import Calibration
-from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -48,10 +46,10 @@ def test_a_sensor_as_designed_keeps_its_calibration():
 def test_pairs_bring_the_error_down(feature):
     """Untouched the model is useless; one pair helps, and a hundred bring back what it could do on its own sensor."""
     noisy = replace(TRAIN, noise=NOISE)
-    model, _ = train(noisy, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
+    model = train(noisy, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
     own = evaluate(model, REST)
     before = evaluate(model, TEST)
-    one = evaluate(fine_tune(model, selected(PAIRS, slice(1)), RESPONSE), TEST)
+    one = evaluate(fine_tune(model, PAIRS[:1], RESPONSE), TEST)
     all_ = evaluate(fine_tune(model, PAIRS, RESPONSE), TEST)
     for name in before:
         assert one[name].rmse_n < before[name].rmse_n / 3
@@ -62,24 +60,24 @@ def test_pairs_bring_the_error_down(feature):
 def test_pairs_fewer_than_weights_do_not_spoil_the_output_layer():
     """Any ten pairs can be met by an output layer of 19 inputs; it is taken only if it foretells pairs left out."""
     network = NetworkConfig(hidden=18, net="plain", feature="resistance")
-    model, _ = train(TRAIN, "all", network, TrainingConfig(trainer="lm", max_iterations=20), response=RESPONSE)
-    nine, ten = (evaluate(fine_tune(model, selected(PAIRS, slice(n)), RESPONSE), TEST) for n in (9, 10))
+    model = train(TRAIN, "all", network, TrainingConfig(trainer="lm", max_iterations=20), response=RESPONSE)
+    nine, ten = (evaluate(fine_tune(model, PAIRS[:n], RESPONSE), TEST) for n in (9, 10))
     for name in nine:
         assert ten[name].rmse_n < 1.05 * nine[name].rmse_n  # one pair more moves calibrations a little
 
 
 def test_uncertainty_grows_with_few_pairs():
-    model, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
-    few, many = (fine_tune(model, selected(PAIRS, slice(n)), RESPONSE) for n in (2, 100))
+    model = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    few, many = (fine_tune(model, PAIRS[:n], RESPONSE) for n in (2, 100))
     assert few.deviations(TEST.resistance_ohm)[0].mean() > many.deviations(TEST.resistance_ohm)[0].mean()
     inside = np.abs(many.forces(TEST.resistance_ohm) - TEST.force_n) <= many.deviations(TEST.resistance_ohm)[0]
     assert 0.6 < inside.mean() < 0.76  # 1800 forces, a hundred at a time from one load: 68 % to a few percent
 
 
 def test_pairs_given_ten_times_are_ten_times_the_same():
-    model, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
-    few = selected(PAIRS, slice(12))
-    once, often = (fine_tune(model, selected(few, np.tile(np.arange(12), k)), RESPONSE) for k in (1, 10))
+    model = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    few = PAIRS[:12]
+    once, often = (fine_tune(model, few[np.tile(np.arange(12), k)], RESPONSE) for k in (1, 10))
     R = TEST.resistance_ohm
     assert np.array_equal(once.forces(R), often.forces(R))
     assert np.array_equal(once.deviations(R), often.deviations(R))
@@ -89,19 +87,19 @@ def test_pairs_given_ten_times_are_ten_times_the_same():
 def test_a_pillar_that_has_come_to_be_stuck_is_refused_by_name(n):
     """Its gain would be nearly 0 and whatever it reads a wild force; one that the model does not look at may be so."""
     config = NetworkConfig(hidden=6, feature="inverse")
-    model, _ = train(TRAIN, "all", config, TrainingConfig(), response=RESPONSE)
-    stuck = selected(PAIRS, np.arange(n))
+    model = train(TRAIN, "all", config, TrainingConfig(), response=RESPONSE)
+    stuck = PAIRS[np.arange(n)]
     stuck.resistance_ohm[:, 1, 2, 0] = 9000.0
     with pytest.raises(SampleError, match=r"pillar 1,2,z does not follow .* with --dead-pillar 1,2,z"):
         fine_tune(model, stuck, RESPONSE)
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True
-    masked, _ = train(replace(TRAIN, dead=dead), "all", config, TrainingConfig(), response=RESPONSE)
+    masked = train(replace(TRAIN, dead=dead), "all", config, TrainingConfig(), response=RESPONSE)
     assert np.isfinite(fine_tune(masked, stuck, RESPONSE).forces(TEST.resistance_ohm)).all()
 
 
 def test_what_the_model_came_from_is_kept():
-    model, _ = train(TRAIN, "all", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    model = train(TRAIN, "all", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
     tuned = fine_tune(model, PAIRS, None)  # it holds the response itself
     assert tuned.made_from["data_hash"] == TRAIN.content_hash
     assert tuned.made_from["fine_tuned_on"] == PAIRS.content_hash
@@ -109,7 +107,7 @@ def test_what_the_model_came_from_is_kept():
 
 
 def test_without_a_response_it_is_refused():
-    model, _ = train(TRAIN, "all", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
+    model = train(TRAIN, "all", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
     with pytest.raises(SampleError, match="needs the array's response"):
         fine_tune(model, PAIRS, None)
 
@@ -119,8 +117,8 @@ def test_only_a_model_of_one_sensor_is_fine_tuned():
     network, quick = NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(max_iterations=2)
     noisy = NOISE * np.random.default_rng(4).standard_normal(TRAIN.resistance_ohm.shape)
     designed = replace(TRAIN, resistance_ohm=TRAIN.resistance_ohm * (1 + noisy), noise=NOISE)
-    model, _ = train(designed, "all", network, quick, response=RESPONSE)
+    model = train(designed, "all", network, quick, response=RESPONSE)
     assert not model.is_fine_tuned
-    assert fine_tune(model, selected(PAIRS, slice(1)), RESPONSE).is_fine_tuned
-    own, _ = train(measured(TRAIN), "all", network, quick, response=RESPONSE)
+    assert fine_tune(model, PAIRS[:1], RESPONSE).is_fine_tuned
+    own = train(measured(TRAIN), "all", network, quick, response=RESPONSE)
     assert own.is_fine_tuned

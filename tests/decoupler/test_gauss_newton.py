@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from decoupler.model.settings import NetworkConfig
-from decoupler.training.gauss_newton import GaussNewton, Samples
+from decoupler.training.gauss_newton import GaussNewton, TrainingSet
 from decoupler.training.network import Network
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 40, 4, 3, 5
@@ -23,7 +23,7 @@ def problem(request):
         weights = {"hidden": hidden, "output": output}
         return (torch.func.functional_call(network, weights, inputs) - targets).reshape(-1)
 
-    return Samples(inputs, targets, network.skip), hidden, output, residual
+    return TrainingSet(inputs, targets, network.skip), hidden, output, residual
 
 
 def dense_jacobian(residual, hidden, output):
@@ -73,6 +73,6 @@ def test_damped_step_equals_the_dense_one(problem, damping):
 def test_singular_matrix_gives_no_step():
     """Without damping a constant input doubles the bias: no step rather than a wild one."""
     inputs = torch.ones(10, 1, dtype=torch.float64)
-    samples = Samples(inputs, inputs, skip=True)
+    samples = TrainingSet(inputs, inputs, skip=True)
     blocks = GaussNewton(samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64))
     assert blocks.step(0.0) is None

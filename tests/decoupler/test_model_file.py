@@ -9,15 +9,16 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
+from dataset import Samples
 from decoupler import (
     NetworkConfig,
     TrainingConfig,
     model_recipe,
     read_model,
     require_same_sensor,
+    train,
     write_model,
 )
-from decoupler.training.trainer import train
 from geometry import Array, FileFormatError
 from geometry.storage.seal import BLANK, MARK, sealed
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
@@ -30,7 +31,7 @@ FEW = TrainingConfig(max_iterations=2)
 
 @pytest.fixture(scope="module")
 def decoupler():
-    return train(DATA, "all", NETWORK, FEW)[0]
+    return train(DATA, "all", NETWORK, FEW)
 
 
 def test_what_is_read_is_what_was_written(decoupler, tmp_path):
@@ -48,7 +49,7 @@ def test_all_that_a_model_may_hold_comes_back(tmp_path):
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[0, 1, 2] = True
     data = replace(DATA, dead=dead, noise=1e-3, bits=12)
-    model, _ = train(data, "all", replace(NETWORK, feature="inverse"), FEW, response=RESPONSE)
+    model = train(data, "all", replace(NETWORK, feature="inverse"), FEW, response=RESPONSE)
     write_model(model, tmp_path / "model.safetensors")
     again = read_model(tmp_path / "model.safetensors")
     R = DATA.resistance_ohm
@@ -60,7 +61,7 @@ def test_all_that_a_model_may_hold_comes_back(tmp_path):
 
 def test_same_training_gives_the_same_file(tmp_path):
     for name in ("a", "b"):
-        write_model(train(DATA, "fz", NETWORK, FEW)[0], tmp_path / name)
+        write_model(train(DATA, "fz", NETWORK, FEW), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -79,7 +80,7 @@ def test_recipe_follows_all_that_matters():
     assert recipe == model_recipe(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
     known = replace(NETWORK, feature="inverse")
     others = [
-        model_recipe(replace(DATA, content_hash="other"), "fz", NETWORK, FEW),
+        model_recipe(replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
         model_recipe(replace(DATA, noise=0.01), "fz", NETWORK, FEW),
         model_recipe(replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
         model_recipe(DATA, "fx", NETWORK, FEW),
@@ -184,6 +185,6 @@ def test_data_of_another_sensor_are_refused(decoupler):
         FileFormatError, match=r"m was trained for another sensor .* \(array.pitch_mm: model 15, data 17\)"
     ):
         require_same_sensor(decoupler, replace(DATA, design=other), "m", "d")
-    smaller = replace(DATA, resistance_ohm=DATA.resistance_ohm[:, :1, :2], design=None)
+    smaller = Samples(force_n=DATA.force_n[:, :1, :2], resistance_ohm=DATA.resistance_ohm[:, :1, :2])
     with pytest.raises(FileFormatError, match="rows: model 2, data 1; cols: model 3, data 2"):
         require_same_sensor(decoupler, smaller, "m", "d")

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate
+from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
 from decoupler.data.components import force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import ModelInverse, explaining, suited_feature
-from decoupler.training.trainer import train
+from decoupler.inverse.model_inverse import ModelInverse, explaining
+from decoupler.training.suited import suited_feature
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -65,8 +65,8 @@ def test_an_unreadable_pillar_is_not_looked_at():
 
 def test_a_net_on_the_inverse_beats_one_on_the_root():
     config = TrainingConfig(goal_mse=1e-12, max_iterations=20)
-    known, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), config, response=RESPONSE)
-    unknown, _ = train(TRAIN, "all", NetworkConfig(hidden=6, feature="root"), config)
+    known = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), config, response=RESPONSE)
+    unknown = train(TRAIN, "all", NetworkConfig(hidden=6, feature="root"), config)
     for name, errors in evaluate(known, TEST).items():
         assert errors.rmse_n < evaluate(unknown, TEST)[name].rmse_n / 3
 
@@ -86,8 +86,8 @@ def test_another_resistivity_or_gains_are_explained_and_a_softer_body_is_not():
     gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, COLUMNS.shape[1])
     explaining(RESPONSE, ALL, gains * COLUMNS, FORCES, READABLE)
     other = replace(DATA, resistance_ohm=DATA.resistance_ohm * gains.reshape(2, 3, 3))
-    model, _ = train(other, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
-    own, _ = train(DATA, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    model = train(other, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    own = train(DATA, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
     for name, errors in evaluate(model, other).items():
         assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs
     softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)

@@ -8,7 +8,6 @@ import pytest
 
 from dataset import Imperfections
 from decoupler.data.components import COMPONENTS, component_named
-from decoupler.data.selection import selected
 from decoupler.evaluation.plausibility import disturbance, doubt, explained, nothing_to_learn
 from decoupler.inverse.forward_model import ForwardModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
@@ -52,7 +51,7 @@ def test_honest_samples_are_never_doubted(axes, times):
             data = read(exact, Imperfections(noise=noise, bits=bits, **more))
             for n in (1, 3, 10, 600):
                 for forward in (JOINT, own, None):
-                    assert doubt(selected(data, slice(n)), component, forward) is None, (noise, bits, more, n)
+                    assert doubt(data[:n], component, forward) is None, (noise, bits, more, n)
             assert disturbance(data, component, JOINT) is None
 
 
@@ -89,11 +88,11 @@ def test_what_is_wrong_is_named(name):
     """Thirty pairs and ten of a poor specimen: whatever it is, one line says it."""
     data, said = WRONG[name]
     assert re.search(said, doubt(data, ALL, JOINT) or ""), doubt(data, ALL, JOINT)
-    assert doubt(selected(data, slice(10)), ALL, JOINT) is not None
+    assert doubt(data[:10], ALL, JOINT) is not None
 
 
 def test_four_pairs_in_a_wrong_order_are_enough():
-    four = selected(PAIRS, slice(4))
+    four = PAIRS[:4]
     wrong = replace(four, resistance_ohm=four.resistance_ohm[[1, 2, 3, 0]])
     assert "4 of 4 are out of place" in (doubt(wrong, ALL, JOINT) or "")
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, read_model, write_model
+from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
 from decoupler.data.resting import Resting
 from decoupler.export.c_header import c_header, compiled_forces
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
-from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tests.decoupler.test_export import CC, ROUNDING, deviation, in_roundings, needs_cc
 
@@ -23,7 +22,7 @@ DATA = replace(EXACT, resistance_ohm=measured(EXACT.resistance_ohm, 0.0, 12, RNG
 
 @pytest.fixture(scope="module")
 def model():
-    return train(DATA, "fz", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=response(SENSOR))[0]
+    return train(DATA, "fz", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=response(SENSOR))
 
 
 def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(model):

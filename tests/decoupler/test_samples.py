@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset import SampleError
+from decoupler import NetworkConfig, TrainingConfig, cross_validate, evaluate, fine_tune, train
 from decoupler.data.components import COMPONENTS, component_named, force_columns, pillar_columns
-from decoupler.data.errors import SampleError
 from decoupler.data.scaling import Scaling
-from decoupler.data.selection import distinct, load_numbers, over_loads, selected, without_stuck
+from decoupler.data.selection import distinct, load_numbers, over_loads, without_stuck
 from decoupler.inverse.forward_model import ForwardModel
+from decoupler.training.suited import suited_component
+from geometry.errors import ArgumentError, DesignError
 from geometry.layout import PILLARS
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -31,18 +34,18 @@ def noisy(axes="xyz", n=200, noise=0.0):
 def test_repeated_samples_are_dropped_and_the_first_of_each_stays_in_place():
     data = noisy(n=5)
     assert distinct(data, ALL) is data
-    again = distinct(selected(data, [3, 1, 3, 0, 1, 1]), ALL)
+    again = distinct(data[[3, 1, 3, 0, 1, 1]], ALL)
     assert np.array_equal(again.force_n, data.force_n[[3, 1, 0]])
     assert np.array_equal(again.resistance_ohm, data.resistance_ohm[[3, 1, 0]])
 
 
 def test_what_a_component_does_not_take_makes_no_difference():
     """Nor does what a dead pillar reads."""
-    data = selected(noisy(n=5), [0, 0, 1])
+    data = noisy(n=5)[[0, 0, 1]]
     data.resistance_ohm[1, ..., 1:] *= 1.01  # x and y
     assert len(distinct(data, ALL).force_n) == 3
     assert len(distinct(data, component_named("fz")).force_n) == 2
-    data = selected(noisy(n=5), [0, 0, 1])
+    data = noisy(n=5)[[0, 0, 1]]
     data.resistance_ohm[1, 2, 1, 0] *= 1.01
     dead = np.zeros((3, 3, 3), dtype=bool)
     dead[2, 1, 0] = True
@@ -118,3 +121,28 @@ def test_forces_that_no_sensor_gives_are_named():
 def test_a_range_too_small_to_be_divided_by_is_no_range():
     scaling = Scaling.fitted(np.array([[0.0, 0.0], [1e-310, 2.0]]))
     assert scaling.scale(np.array([[1.0, 1.0]])).tolist() == [[0.0, 0.0]]
+
+
+def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_cannot_take():
+    """``train(samples)`` alone trains; what is no argument is named with what to give."""
+    data, known = labelled(SENSOR, "xyz", 60, 0), response(SENSOR)
+    one = replace(data, force_n=data.force_n * (0.0, 0.0, 1.0))
+    assert suited_component(one) == "fz"
+    quick = TrainingConfig(max_iterations=1)
+    assert train(data, training=quick).component.name == "all"
+    model = train(data, training=quick, response=known)
+    assert model.network.feature == "inverse"
+    assert all(set(fold.errors) == {"fz"} for fold in cross_validate(one, training=quick, folds=2))
+    for wrong in (
+        lambda: train(42),
+        lambda: train(data, "all", quick),
+        lambda: train(data, training=NetworkConfig()),
+        lambda: evaluate(data, model),
+        lambda: evaluate(model, data.force_n),
+        lambda: fine_tune(data, model),
+        lambda: cross_validate("data.nc"),
+    ):
+        with pytest.raises(ArgumentError, match=r"^\w+ is of type \w+, expected \w+: [^\n]*\.$"):
+            wrong()
+    with pytest.raises(DesignError, match="component='fw' is unknown"):
+        train(data, "fw")

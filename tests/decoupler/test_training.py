@@ -16,10 +16,10 @@ from decoupler import (
     component_named,
     evaluate,
     pca_floor,
+    train,
 )
 from decoupler.data.components import force_columns, pillar_columns
 from decoupler.training import trainer
-from decoupler.training.trainer import train
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
@@ -33,37 +33,40 @@ FX = component_named("fx")
 def test_second_order_trainers_reach_the_goal(trainer, net):
     """Nodes enough for six forces: the goal is reached, and unseen samples beat least squares by far."""
     config = TrainingConfig(trainer=trainer, goal_mse=1e-7, held_out=0.0)
-    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
-    assert history.reason == "goal"
-    assert history.mse <= 1e-7
+    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
+    outcome = decoupler.made_from["outcome"]
+    assert outcome["reason"] == "goal"
+    assert outcome["mse"] <= 1e-7
     linear = component_errors(LeastSquares.fitted(TRAIN, FX).forces(TEST.resistance_ohm), TEST, FX)["fx"]
     assert evaluate(decoupler, TEST)["fx"].rel_err < linear.rel_err / 4
 
 
 def test_momentum_rule_learns():
     """It creeps, but ends well below the spread of the forces (scaled variance 1/3)."""
-    _, history = train(TRAIN, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer="momentum", max_iterations=400))
-    assert history.reason == "iterations"
-    assert history.mse < 0.02
+    config = TrainingConfig(trainer="momentum", max_iterations=400)
+    outcome = train(TRAIN, "fx", NetworkConfig(hidden=12), config).made_from["outcome"]
+    assert outcome["reason"] == "iterations"
+    assert outcome["mse"] < 0.02
 
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
 def test_reported_error_is_that_of_the_model(trainer):
     """Found again from forces in newtons; 1e-6 is for the rounding of the scaling."""
-    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5))
+    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5))
+    outcome = decoupler.made_from["outcome"]
     error_n = decoupler.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
     scaled = error_n.reshape(len(error_n), -1) / decoupler.output_scaling.half_range
-    assert np.mean(scaled**2) == pytest.approx(history.mse, rel=1e-6)
+    assert np.mean(scaled**2) == pytest.approx(outcome["mse"], rel=1e-6)
 
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm"])
 def test_narrow_plain_net_stops_at_the_pca_floor(trainer):
     """Six independent forces through three nodes: never below the floor, and within 2 % of it."""
     config = TrainingConfig(trainer=trainer, held_out=0.0)
-    _, history = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), config)
+    outcome = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), config).made_from["outcome"]
     floor = pca_floor(TRAIN.force_n, FX, 3).scaled_mse
-    assert history.reason == "stagnation"
-    assert floor < history.mse < 1.02 * floor
+    assert outcome["reason"] == "stagnation"
+    assert floor < outcome["mse"] < 1.02 * floor
 
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
@@ -75,20 +78,21 @@ def test_a_net_on_the_response_starts_from_its_inverse(trainer):
     network = NetworkConfig(hidden=4, feature="inverse")
     config = TrainingConfig(trainer=trainer, goal_mse=0.0, max_iterations=30)
     errors = []
-    decoupler, history = train(TRAIN, "fx", network, config, lambda _, mse: errors.append(mse), response(SENSOR))
+    decoupler = train(TRAIN, "fx", network, config, lambda _, mse: errors.append(mse), response(SENSOR))
+    outcome = decoupler.made_from["outcome"]
     columns = decoupler.columns(TRAIN.resistance_ohm)
     known = decoupler.inverse.forces(decoupler.calibration.modelled(columns))
     scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
     if trainer != "varpro":  # whose output layer is never at its start
         assert np.mean(scaled**2) / 1.1 <= errors[0] <= np.mean(scaled**2)
-    assert history.mse <= np.mean(scaled**2)
+    assert outcome["mse"] <= np.mean(scaled**2)
 
 
 def test_stops_after_the_iterations_it_was_given():
     calls = []
     config = TrainingConfig(goal_mse=0.0, max_iterations=4)
-    _, history = train(TRAIN, "fx", NetworkConfig(hidden=4), config, lambda *call: calls.append(call))
-    assert (history.iterations, history.reason) == (4, "iterations")
+    outcome = train(TRAIN, "fx", NetworkConfig(hidden=4), config, lambda *call: calls.append(call)).made_from["outcome"]
+    assert (outcome["iterations"], outcome["reason"]) == (4, "iterations")
     assert [iteration for iteration, _ in calls] == [0, 1, 2, 3, 4]
     errors = [mse for _, mse in calls]
     assert errors == sorted(errors, reverse=True)  # damped steps only ever go down
@@ -98,7 +102,7 @@ def test_stops_after_the_iterations_it_was_given():
 def test_a_seed_fixes_the_bits(trainer):
     def weights(seed):
         config = TrainingConfig(trainer=trainer, max_iterations=3, seed=seed)
-        return train(TRAIN, "fx", NetworkConfig(hidden=4), config)[0].hidden_weights
+        return train(TRAIN, "fx", NetworkConfig(hidden=4), config).hidden_weights
 
     np.testing.assert_array_equal(weights(1), weights(1))
     assert not np.array_equal(weights(1), weights(2))
@@ -114,7 +118,7 @@ def test_the_samples_that_judge_are_drawn_from_all(monkeypatch):
 
     monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
     for seed in (1, 1, 2):
-        decoupler, _ = train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
+        decoupler = train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
     last = decoupler.output_scaling.scale(force_columns(TRAIN.force_n, FX)[-30:])
     once, again, other = seen
     assert once.shape == last.shape
@@ -165,21 +169,22 @@ def test_awkward_columns_train_to_finite_weights(trainer):
     R[:, 0, 1, 1] = R[:, 0, 2, 1]
     R[:, 1, 0, 1] *= 1e6
     F[:, 1, 1, 0] = 3e-6
-    decoupler, history = train(
+    decoupler = train(
         replace(TRAIN, resistance_ohm=R, force_n=F),
         "fx",
         NetworkConfig(hidden=4),
         TrainingConfig(trainer=trainer, max_iterations=30),
     )
-    assert history.mse < 0.2
+    outcome = decoupler.made_from["outcome"]
+    assert outcome["mse"] < 0.2
     np.testing.assert_allclose(decoupler.forces(R)[:, 1, 1, 0], 3e-6, rtol=1e-15)
 
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm"])
 def test_fewer_samples_than_weights_still_train(trainer):
     few, _ = split(TRAIN, 5)
-    _, history = train(few, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer=trainer))
-    assert history.reason == "goal"
+    outcome = train(few, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer=trainer)).made_from["outcome"]
+    assert outcome["reason"] == "goal"
 
 
 def test_one_sample_is_too_few():
@@ -194,10 +199,11 @@ def test_a_momentum_rule_that_runs_away_says_so():
 
 
 def test_what_a_model_was_made_from_is_kept():
-    decoupler, history = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(seed=3, max_iterations=2))
+    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(seed=3, max_iterations=2))
+    outcome = decoupler.made_from["outcome"]
     assert decoupler.made_from["data_hash"] == TRAIN.content_hash
     assert decoupler.made_from["training"]["seed"] == 3
-    assert decoupler.made_from["outcome"]["iterations"] == history.iterations
+    assert decoupler.made_from["outcome"]["iterations"] == outcome["iterations"]
     assert decoupler.design == SENSOR
 
 
@@ -212,6 +218,6 @@ def test_only_a_response_that_explains_the_readings_is_asked_about_rest():
     for name, given in {"own": own, "other": other}.items():
         untrained = trainer._untrained(TRAIN, FX, network, columns, forces, given)
         asked[name] = trainer._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
-        decoupler, _ = train(TRAIN, "fx", network, config, response=given)
+        decoupler = train(TRAIN, "fx", network, config, response=given)
         assert decoupler.made_from["n_samples"] == len(TRAIN.force_n)
     assert asked == {"own": True, "other": False}

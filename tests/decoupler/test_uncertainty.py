@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig
-from decoupler.evaluation.crossval import selected
-from decoupler.training.trainer import train
+from decoupler import NetworkConfig, SampleError, TrainingConfig, train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -25,7 +23,7 @@ def noisy(noise):
 def test_coverage_of_unseen_samples(feature, noise):
     """5400 errors, those of a sample alike: 68 % within four points, 95 % within two."""
     training, test = noisy(noise)
-    model, _ = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
+    model = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
     missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.deviations(test.resistance_ohm)
     assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
@@ -38,7 +36,7 @@ def test_derivatives_are_those_of_the_forces(feature, net):
     """Differences over a millionth of the resistances, calibration included; 1e-6 of the largest is their own error."""
     training, _ = noisy(1e-3)
     config = NetworkConfig(hidden=6, feature=feature, net=net)
-    model, _ = train(training, "all", config, TrainingConfig(max_iterations=3), response=RESPONSE)
+    model = train(training, "all", config, TrainingConfig(max_iterations=3), response=RESPONSE)
     R = model.columns(training.resistance_ohm[:2])
     step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
     differences = (model.outputs(R + step) - model.outputs(R - step)) / 2
@@ -51,7 +49,7 @@ def test_a_dead_pillar_is_masked_and_its_unit_named():
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True
     hurt = replace(training, dead=dead)
-    model, _ = train(hurt, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    model = train(hurt, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
     R = test.resistance_ohm.copy()
     R[:, 1, 2, 0] = np.nan
     errors = np.sqrt(((model.forces(R) - test.force_n) ** 2).mean(axis=0))
@@ -91,8 +89,8 @@ def test_a_pillar_stuck_in_training_is_masked_and_its_unit_named(feature, noise,
     dead[1, 2, 0] = True
     stuck = with_stuck(training, [(1, 2, 0)], reading)
     config = NetworkConfig(hidden=6, feature=feature)
-    model, _ = train(stuck, "all", config, TrainingConfig(), response=RESPONSE)
-    stated, _ = train(replace(training, dead=dead), "all", config, TrainingConfig(), response=RESPONSE)
+    model = train(stuck, "all", config, TrainingConfig(), response=RESPONSE)
+    stated = train(replace(training, dead=dead), "all", config, TrainingConfig(), response=RESPONSE)
     assert np.array_equal(model.dead, dead)
     assert (1, 2, "fz") in model.untrusted()
     later = with_stuck(test, [(1, 2, 0)], reading).resistance_ohm
@@ -113,7 +111,7 @@ def test_samples_given_ten_times_are_known_no_better(feature, noise):
     training, test = noisy(noise)
     config = NetworkConfig(hidden=6, feature=feature)
     once, often = (
-        train(selected(training, which), "all", config, TrainingConfig(), response=RESPONSE)[0]
+        train(training[which], "all", config, TrainingConfig(), response=RESPONSE)
         for which in (np.arange(20), np.tile(np.arange(20), 10))
     )
     R = test.resistance_ohm
@@ -133,7 +131,7 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
     F, R = (np.repeat(a[:loads], 10, axis=0) for a in (EXACT.force_n, EXACT.resistance_ohm))
     R = R * (1 + noise * np.random.default_rng(2).standard_normal(R.shape))
     training = replace(EXACT, force_n=F, resistance_ohm=R, noise=noise)
-    model, _ = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
+    model = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
     missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.deviations(test.resistance_ohm)
     assert np.mean(missed <= one) > 0.6827 - 0.04
@@ -143,13 +141,13 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
 
 def test_a_healthy_sensor_is_trusted():
     training, _ = noisy(1e-3)
-    model, _ = train(training, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    model = train(training, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
     assert model.untrusted() == []
 
 
 def test_a_model_without_it_says_so():
     training, test = noisy(0.0)
-    model, _ = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
+    model = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
     with pytest.raises(SampleError, match="knows no uncertainty"):
         replace(model, uncertainty=None).deviations(test.resistance_ohm)
 
@@ -160,8 +158,8 @@ def test_a_model_without_it_says_so():
 def test_few_samples_are_not_called_sure(trainer, net, n):
     """With more weights than samples, or nearly: the size of errors is known to its order, and none is absurd."""
     training, test = noisy(0.0)
-    few = selected(training, slice(n))
-    model, _ = train(few, "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
+    few = training[:n]
+    model = train(few, "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
     missed = np.sqrt(np.mean((model.forces(test.resistance_ohm) - test.force_n) ** 2, axis=(0, 1, 2)))
     deviation = np.sqrt(np.mean(model.deviations(test.resistance_ohm)[0] ** 2, axis=(0, 1, 2)))
     assert (missed < 10 * deviation).all()

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.training.gauss_newton import Samples
+from decoupler.training.gauss_newton import TrainingSet
 from decoupler.training.network import Network
 from decoupler.training.varpro import Projected, projected, train_varpro
 
@@ -18,7 +18,7 @@ def problem(request):
     generator = torch.Generator().manual_seed(1)
     inputs = torch.rand(N_SAMPLES, N_IN, generator=generator, dtype=torch.float64) * 2 - 1
     targets = torch.rand(N_SAMPLES, N_OUT, generator=generator, dtype=torch.float64) * 2 - 1
-    samples = Samples(inputs, targets, request.param == "skip")
+    samples = TrainingSet(inputs, targets, request.param == "skip")
     network = Network(NetworkConfig(hidden=N_HIDDEN, net=request.param), N_IN, N_OUT, seed=2)
     point = projected(samples, network.hidden.detach(), RIDGE)
     return samples, point, kaufman(samples, point)
@@ -97,7 +97,9 @@ def test_hidden_layer_never_sees_what_is_held_out():
         other = targets.clone()
         other[70:] += changed
         errors = []
-        train_varpro(Samples(inputs, other, True), hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse))
+        train_varpro(
+            TrainingSet(inputs, other, True), hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse)
+        )
         paths.append(errors)
     assert paths[0] == paths[1]
 
@@ -107,7 +109,7 @@ def test_noise_leaves_a_linear_map():
     generator = np.random.default_rng(0)
     x = generator.uniform(-1, 1, (60, 3))
     noise = generator.standard_normal((60, 2))
-    samples = Samples(torch.from_numpy(x), torch.from_numpy(x[:, :2] + noise), skip=True)
+    samples = TrainingSet(torch.from_numpy(x), torch.from_numpy(x[:, :2] + noise), skip=True)
     hidden = Network(NetworkConfig(hidden=12), 3, 2, seed=0).hidden.detach()
     point, outcome = train_varpro(samples, hidden, 1e-9, 15, TrainingConfig(), lambda *_: None)
     assert outcome.reason == "validation"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig
-from decoupler.training.trainer import train
+from decoupler import NetworkConfig, TrainingConfig, train
 from geometry.errors import FileFormatError
 from hardware import Scanner, VirtualBoard
 from hardware.link.frames import Info, ScanMode
@@ -158,7 +157,7 @@ def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared):
     samples = labelled(design, "xyz", n_samples=400, seed=0)
     noisy = replace(samples, resistance_ohm=measured(samples.resistance_ohm, 1e-3, None, np.random.default_rng(0)))
     network = NetworkConfig(hidden=4, feature="inverse")
-    model, _ = train(replace(noisy, noise=1e-3), "all", network, TrainingConfig(), response=response(design))
+    model = train(replace(noisy, noise=1e-3), "all", network, TrainingConfig(), response=response(design))
     info = replace(INFO, bits=bits)
     counts = Electronics().crossbar(info).counts(model.rest_resistances()[None])
     reader = ForceReader(info, model)

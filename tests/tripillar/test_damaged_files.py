@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dataset import read_labelled, write_dataset
-from dataset.simulation import DatasetSettings, simulate
-from decoupler import NetworkConfig, TrainingConfig, read_model, write_model
-from decoupler.training.trainer import train
+from dataset import DatasetSettings, read_samples, simulate
+from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
 from fem.array import cell_file
 from fem.array.cell import CondensedCell
 from fem.array.port_modes import PortModes
@@ -59,14 +57,14 @@ def a_dataset(path: Path, samples: int = 4):
     settings = DatasetSettings(
         protocol="contact", samples=samples, seed=3, noise=0.001, bits=16, dead_pillars=((0, 1, "z"),)
     )
-    write_dataset(simulate(made_up_response(SMALL), settings), path)
-    return read_labelled
+    simulate(made_up_response(SMALL), settings).write(path)
+    return read_samples
 
 
 def a_model(path: Path):
     data = labelled(SMALL, "xyz", n_samples=40, seed=0)
     config = NetworkConfig(hidden=2, feature="inverse")
-    write_model(train(data, "all", config, TrainingConfig(max_iterations=1), response=response(SMALL))[0], path)
+    write_model(train(data, "all", config, TrainingConfig(max_iterations=1), response=response(SMALL)), path)
     return read_model
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dataset.measurement import measured
-from decoupler import NetworkConfig, TrainingConfig, fine_tune
-from decoupler.training.trainer import train
+from decoupler import NetworkConfig, TrainingConfig, fine_tune, train
 from fem.array.response import ArrayResponse
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tripillar.pipeline.comparison import TOUCHES_N, touches
@@ -22,7 +21,7 @@ def rows():
     """Of a net that knows the response, on that sensor and on one that gives 5 % less way and has gains of its own."""
     truth: ArrayResponse = replace(RESPONSE, influence_mm_per_n=0.95 * RESPONSE.influence_mm_per_n)
     data = labelled(SENSOR, "z", n_samples=200, seed=0)
-    model, _ = train(data, "fz", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    model = train(data, "fz", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
     pairs = labelled(SENSOR, "z", n_samples=10, seed=1)
     specimen_ohm = SPECIMEN.apply(pairs.resistance_ohm, np.random.default_rng(0))
     tuned = fine_tune(model, replace(pairs, resistance_ohm=specimen_ohm, noise=SPECIMEN.noise), RESPONSE)

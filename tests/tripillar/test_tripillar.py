@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from dataset.samples import read_labelled
+from dataset import read_samples
 from hardware import Info, recording_from_resistances, write_recording
 from tests.house import SMALL, House
 
@@ -73,7 +73,7 @@ def test_another_resistivity_solves_nothing(house):
     assert {s["name"]: s["reused"] for s in again["stages"]} == {
         "CAD": False, "response": True, "datasets": False,
     }  # fmt: skip
-    ours, theirs = (read_labelled(house.folder / out / "data/contact-fz-test.nc") for out in ("out", "ohms"))
+    ours, theirs = (read_samples(house.folder / out / "data/contact-fz-test.nc") for out in ("out", "ohms"))
     assert np.allclose(theirs.resistance_ohm, 2 * ours.resistance_ohm, rtol=1e-12)
 
 
@@ -152,7 +152,7 @@ def test_response_and_mesh_and_design_and_cad(house):
 
 def test_replay_gives_the_forces_behind_recorded_frames(house):
     """Frames made from a dataset's resistances: forces as the model gives them, but for the converter's steps."""
-    data = read_labelled(house.folder / "out/data/contact-fz-test.nc")
+    data = read_samples(house.folder / "out/data/contact-fz-test.nc")
     info = Info(rows=1, cols=2, bits=16)
     write_recording(recording_from_resistances(data.resistance_ohm, info), house.folder / "press.frames")
     model = "out/models/contact-fz-skip17-inverse.safetensors"
@@ -172,7 +172,7 @@ def test_a_dataset_of_a_real_specimen(house):
             "dataset", "--protocol", "contact-fz", "--samples", "10", "--out", f"specimen-{specimen}.nc", "--design",
             "small.toml", "--quiet", "--specimen", specimen, *flags, "--dead-pillar", "0,0,z",
         )  # fmt: skip
-    first, second = (read_labelled(house.folder / f"specimen-{specimen}.nc") for specimen in ("1", "2"))
+    first, second = (read_samples(house.folder / f"specimen-{specimen}.nc") for specimen in ("1", "2"))
     assert first.dead.tolist() == second.dead.tolist() == [[[True, True, False], [False, False, True]]]  # z, x, y
     assert np.array_equal(first.force_n, second.force_n)
     assert (first.resistance_ohm != second.resistance_ohm)[:, ~first.dead].all()

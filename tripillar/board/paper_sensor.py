@@ -1,7 +1,7 @@
 """The paper's sensor on an ATmega board, and a joint net for it: what benches and pictures show."""
 
+from dataset import DatasetSettings, measured_again, simulate
 from dataset.imperfections import Imperfections
-from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
@@ -20,9 +20,9 @@ def board_info(mode: ScanMode, rate_hz: int = 150) -> Info:
 
 def joint_net(response: ArrayResponse) -> Decoupler:
     """A net for all forces, trained on contact loads through a converter of as many bits."""
-    from decoupler.training.trainer import train
+    from decoupler import train
 
     loads = simulate(response, DatasetSettings(protocol="contact", samples=SAMPLES, seed=SEED))
     data = measured_again(loads, Imperfections(bits=CHIP_BITS), seed=SEED)
-    model, _ = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
+    model = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
     return model

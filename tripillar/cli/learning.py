@@ -3,6 +3,7 @@
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -101,9 +102,8 @@ def dataset(
 ) -> None:
     """Simulate labelled samples: forces on the pads, and the resistances they give."""
     require_other(out, design)
+    from dataset import DatasetSettings, simulate
     from dataset.imperfections import place_of
-    from dataset.samples import write_dataset
-    from dataset.simulation import DatasetSettings, simulate
     from tripillar.pipeline.run import respond
 
     settings = DatasetSettings(
@@ -143,7 +143,7 @@ def dataset(
         _, solved = respond(sensor, bars)
         advance = bars.begin("dataset", total=samples)
         data = simulate(solved, settings, lambda n: advance(n, ""), readout)
-    write_dataset(data, out)
+    data.write(out)
     redrawn = data.made_from["redrawn"]
     if json_:
         show_json({"file": str(out), "samples": samples, "redrawn": redrawn, "recipe": data.made_from["recipe"]})
@@ -170,7 +170,7 @@ def train(
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
     require_other(out, data, design)
-    from dataset.samples import read_labelled
+    from dataset import read_samples
     from decoupler.data.components import component_named
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
@@ -187,7 +187,7 @@ def train(
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled, parts = read_labelled(data), component_named(component)
+    labelled, parts = read_samples(data, labels_only=True), component_named(component)
     sensor = likely_design(labelled, design)
     forced = heed(data, nothing_to_learn(labelled, parts), force)
     with progress_bars(verbosity) as bars:
@@ -196,26 +196,29 @@ def train(
         forced |= heed(data, None if forced else doubt(labelled, parts, judge), force)
         say(note)
         mention(data, labelled, parts, judge)
-        from decoupler.training.trainer import train as train_network
+        from decoupler import train as train_network
 
         advance = bars.begin(f"train {component}", total=training.max_iterations)
-        model, history = train_network(
+        started = perf_counter()
+        model = train_network(
             labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved
         )
+        seconds, outcome = perf_counter() - started, model.made_from["outcome"]
     write_model(replace(model, made_from=model.made_from | forced), out)
     figures = {
         "feature": network.feature,
-        "iterations": history.iterations,
-        "mse": history.mse,
-        "reason": history.reason,
-        "seconds": history.seconds,
+        "iterations": outcome["iterations"],
+        "mse": outcome["mse"],
+        "reason": outcome["reason"],
+        "seconds": seconds,
         "training_errors": plain(errors_on(model, labelled)),
         "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
     }
     if json_:
         show_json({"file": str(out), **figures})
     else:
-        print(f"{history.iterations} iterations in {history.seconds:.1f} s to mse {history.mse:.2e} ({history.reason})")
+        iterations, mse, reason = (outcome[name] for name in ("iterations", "mse", "reason"))
+        print(f"{iterations} iterations in {seconds:.1f} s to mse {mse:.2e} ({reason})")
         say_untrusted(model)
     wrote([out])
 
@@ -232,12 +235,12 @@ def evaluate(
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
     stand beside.
     """
-    from dataset.samples import read_labelled
+    from dataset import read_samples
     from decoupler.evaluation.assessment import assess
     from decoupler.model.model_file import read_model, require_same_sensor
     from tripillar.pipeline.data_checks import known_response, warn_of_test
 
-    decoupler, labelled = read_model(model), read_labelled(data)
+    decoupler, labelled = read_model(model), read_samples(data, labels_only=True)
     require_same_sensor(decoupler, labelled, model, data)
     for file, stated in ((data, labelled.design), (model, decoupler.design)):
         if stated is None:
@@ -273,7 +276,7 @@ def crossval(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
-    from dataset.samples import read_labelled
+    from dataset import read_samples
     from decoupler.data.components import component_named
     from decoupler.evaluation.crossval import cross_validate, split_folds, summary
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
@@ -289,7 +292,7 @@ def crossval(
 
     training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled, parts = read_labelled(data), component_named(component)
+    labelled, parts = read_samples(data, labels_only=True), component_named(component)
     split_folds(len(labelled.force_n), folds, seed)
     sensor = likely_design(labelled, design)
     forced = heed(data, nothing_to_learn(labelled, parts), force)
@@ -324,8 +327,7 @@ def fine_tune(
     first, then the network's output layer.
     """
     require_other(out, model, data)
-    from dataset.samples import read_labelled
-    from decoupler.evaluation.crossval import selected
+    from dataset import read_samples
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.evaluation.plausibility import doubt
     from decoupler.model.model_file import read_model, require_same_sensor, write_model
@@ -334,11 +336,11 @@ def fine_tune(
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
-    decoupler, measured = read_model(model), read_labelled(data)
+    decoupler, measured = read_model(model), read_samples(data, labels_only=True)
     require_same_sensor(decoupler, measured, model, data)
     if pairs is not None and pairs > len(measured.force_n):
         raise DesignError(f"--pairs {pairs} must be at most {len(measured.force_n)}: {data} holds no more.")
-    measured = selected(measured, slice(pairs))
+    measured = measured[:pairs]
     with progress_bars(verbosity) as bars:
         known = measured.design or decoupler.design
         solved = None if decoupler.inverse is not None else known_response(known, bars)

@@ -11,9 +11,8 @@ from time import perf_counter
 
 import numpy as np
 
+from dataset import DatasetSettings, Samples, measured_again, simulate
 from dataset.resistance import pillar_resistances
-from dataset.samples import LabelledData
-from dataset.simulation import DatasetSettings, measured_again, simulate
 from decoupler.data.components import component_named, force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import model_inverse
@@ -88,13 +87,13 @@ def forces_back_from_resistances() -> float:
 
 def network_of_200_samples() -> float:
     """Relative error of eq. 17 on samples that the network never saw; the paper has 1.86 %."""
+    from decoupler import train
     from decoupler.evaluation.metrics import evaluate
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.training.trainer import train
 
     response = _paper_response()
     trained_on, tested_on = _samples("contact-fz", 200), _samples("contact-fz", 50, seed=1)
-    model, _ = train(
+    model = train(
         trained_on, "fz", NetworkConfig(feature="inverse"), TrainingConfig(max_iterations=20), response=response
     )
     error = evaluate(model, tested_on)["fz"].rel_err
@@ -161,6 +160,6 @@ def _paper_response() -> ArrayResponse:
     return solve_response(SensorDesign(), ResponseSettings(tolerance=TOLERANCE))
 
 
-def _samples(protocol: str, samples: int, seed: int = 0) -> LabelledData:
+def _samples(protocol: str, samples: int, seed: int = 0) -> Samples:
     settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed)
     return measured_again(simulate(_paper_response(), settings), settings, seed)

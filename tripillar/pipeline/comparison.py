@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dataset import Imperfections
-from dataset.samples import LabelledData
+from dataset import Imperfections, Samples
 from decoupler.data.components import COMPONENTS, Component
 from decoupler.evaluation.floor import pca_floor
 from decoupler.evaluation.light_touch import light_touch
@@ -72,8 +71,8 @@ class Comparison:
 
 def compare(
     protocol: str,
-    training: LabelledData,
-    test: LabelledData,
+    training: Samples,
+    test: Samples,
     models: dict[str, Decoupler],
     response: ArrayResponse,
     truth: ArrayResponse,

@@ -6,15 +6,15 @@ A mistake is refused in one line unless the user forces it; what only costs accu
 from pathlib import Path
 from typing import cast
 
-from dataset import LabelledData
+from dataset import SampleError, Samples
 from decoupler.data.components import COMPONENTS, Component, component_named
-from decoupler.data.errors import SampleError
-from decoupler.data.selection import distinct, selected
+from decoupler.data.selection import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import MIN_EXPLAINED, suited_feature
+from decoupler.inverse.model_inverse import MIN_EXPLAINED
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import Feature, Net, NetworkConfig
+from decoupler.training.suited import suited_feature
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
@@ -23,7 +23,7 @@ from tripillar.terminal.console import say
 from tripillar.terminal.progress import Bars
 
 
-def likely_design(data: LabelledData, path: Path | None) -> SensorDesign | None:
+def likely_design(data: Samples, path: Path | None) -> SensorDesign | None:
     """The design that the data state, else that of a file or the paper's if its array fits; None if it does not."""
     given = SensorDesign() if path is None else read_design(path)  # read in any case: a wrong file is refused
     design = data.design or given
@@ -36,7 +36,7 @@ def known_response(design: SensorDesign | None, bars: Bars) -> ArrayResponse | N
 
 
 def suited_network(
-    data: LabelledData, design: SensorDesign | None, component: str, hidden: int, net: Net, feature: str, bars: Bars
+    data: Samples, design: SensorDesign | None, component: str, hidden: int, net: Net, feature: str, bars: Bars
 ) -> tuple[NetworkConfig, ArrayResponse | None, str]:
     """The network for data, the response if its feature needs one, and a note on an unexpected choice.
 
@@ -54,7 +54,7 @@ def suited_network(
 
 
 def judging_response(
-    data: LabelledData,
+    data: Samples,
     path: Path | None,
     design: SensorDesign | None,
     network: NetworkConfig,
@@ -88,7 +88,7 @@ def heed(file: Path, doubted: str | None, force: bool) -> dict[str, str]:
     return {"forced": doubted}
 
 
-def mention(file: Path, data: LabelledData, component: Component, forward: ForwardModel | None) -> None:
+def mention(file: Path, data: Samples, component: Component, forward: ForwardModel | None) -> None:
     """Say which forces the component leaves out although they act, and how many samples are given twice."""
     left_out = disturbance(data, component, forward)
     if left_out is not None:
@@ -98,7 +98,7 @@ def mention(file: Path, data: LabelledData, component: Component, forward: Forwa
         say(f"{file}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
 
 
-def mention_another_sensor(file: Path, data: LabelledData, component: Component, forward: ForwardModel | None) -> None:
+def mention_another_sensor(file: Path, data: Samples, component: Component, forward: ForwardModel | None) -> None:
     """Say that pairs seem to come from another sensor than the model's, if its response explains too few of them."""
     share = None if forward is None else explained(data, component, forward)
     if share is not None and share < MIN_EXPLAINED:
@@ -108,12 +108,10 @@ def mention_another_sensor(file: Path, data: LabelledData, component: Component,
         )
 
 
-def warn_of_test(
-    model: Path, decoupler: Decoupler, file: Path, data: LabelledData, response: ArrayResponse | None
-) -> None:
+def warn_of_test(model: Path, decoupler: Decoupler, file: Path, data: Samples, response: ArrayResponse | None) -> None:
     """Say why errors on these samples may mislead: training samples, a forced model, doubtful data."""
     story, component = decoupler.made_from, decoupler.component
-    tuned_on = selected(data, slice(story.get("pairs", 0))).content_hash
+    tuned_on = data[: story.get("pairs", 0)].content_hash
     if data.content_hash == story.get("data_hash") or tuned_on == story.get("fine_tuned_on"):
         say(f"warning: {file}: {model} was trained on these samples: its errors on others are larger")
     if "forced" in story:

@@ -7,10 +7,8 @@ response is exact. Here geometry, rubber, readings and elements all differ.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from dataset import Imperfections, LabelledData
-from dataset.simulation import DatasetSettings, simulate
+from dataset import DatasetSettings, Imperfections, Samples, simulate
 from decoupler import Decoupler, fine_tune
-from decoupler.evaluation.crossval import selected
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings
@@ -49,14 +47,10 @@ def as_made(design: SensorDesign) -> SensorDesign:
     )
 
 
-def measured_on(truth: ArrayResponse, design: SensorDesign, protocol: str, samples: int, seed: int) -> LabelledData:
+def measured_on(truth: ArrayResponse, design: SensorDesign, protocol: str, samples: int, seed: int) -> Samples:
     """Samples of the sensor as made under the loads of a protocol; they state the design that was intended."""
     made = simulate(truth, DatasetSettings(protocol=protocol, samples=samples, seed=seed, **vars(SPECIMEN)))
-    noise, bits = SPECIMEN.noise, SPECIMEN.bits
-    data = LabelledData(
-        resistance_ohm=made.resistance_ohm, force_n=made.force_n, design=design, content_hash="", noise=noise, bits=bits
-    )
-    return selected(data, slice(None))  # with its hash
+    return replace(made.labels(), design=design, made_from={})
 
 
 def errors_as_made(

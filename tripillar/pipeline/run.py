@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dataset.samples import LabelledData, is_current, read_labelled, write_dataset
+from dataset.samples import Samples, is_current, read_samples
 from dataset.simulation import DatasetSettings, dataset_recipe, simulate
 from decoupler.data.components import component_named
 from decoupler.model.decoupler import Decoupler
@@ -103,7 +103,7 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
     stages.append(replace(stage, name="as made"))
     comparisons = []
     for protocol in STUDIED:
-        training, test = (read_labelled(_dataset_path(out, protocol, split)) for split in SPLITS)
+        training, test = (read_samples(_dataset_path(out, protocol, split), labels_only=True) for split in SPLITS)
         comparisons.append(compare(protocol, training, test, models[protocol], response, truth))
     result = PipelineResult(stages=stages, comparisons=comparisons)
     table = out / "table.json"
@@ -197,7 +197,7 @@ def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
             if is_current(path, dataset_recipe(response, settings)):
                 advance(samples, "reused")
             else:
-                write_dataset(simulate(response, settings, lambda n: advance(n, "")), path)
+                simulate(response, settings, lambda n: advance(n, "")).write(path)
                 reused, made = False, made + samples
             files.append(path)
     note = "" if reused else f"{made} samples"
@@ -211,7 +211,7 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
     files, all_reused = [], True
     advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
     for protocol, component in STUDIED.items():
-        data = read_labelled(_dataset_path(out, protocol, "train"))
+        data = read_samples(_dataset_path(out, protocol, "train"), labels_only=True)
         models[protocol] = {}
         for name, (network, training) in NETWORKS.items():
             path = out / "models" / f"{protocol}-{network.net}{network.hidden}-{network.feature}.safetensors"
@@ -226,7 +226,7 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
 
 
 def trained(
-    data: LabelledData,
+    data: Samples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -241,9 +241,9 @@ def trained(
             return model, True
     except FileFormatError:
         say_made_anew(path)
-    from decoupler.training.trainer import train  # loads torch, which takes seconds: only when something is trained
+    from decoupler import train  # loads torch, which takes seconds: only when something is trained
 
-    model, _ = train(data, component, network, training, response=response)
+    model = train(data, component, network, training, response=response)
     write_model(model, path)
     return model, False
 

@@ -5,7 +5,7 @@ Definitions with their equations are in docs/sweeps.md. Every force is judged by
 
 import numpy as np
 
-from dataset import LabelledData
+from dataset import Samples
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances
@@ -18,7 +18,6 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray, pillar_volumes
-from geometry.storage.files import digest
 
 OWN_AXIS = tuple(AXES.index(pillar) for pillar in PILLARS)  #: the force component that each pillar is named after
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
@@ -223,22 +222,21 @@ def training_errors(response: ArrayResponse, noise: float, bits: int | None, cap
     DesignError
         If the converter cannot tell the design's resistances.
     """
-    from decoupler.training.trainer import train  # loads torch: only where something is trained
+    from decoupler import train  # loads torch: only where something is trained
 
     samples = {}
     for split, (count, seed) in SPLITS.items():
         force_n, exact_ohm = labelled_at_cap(response, cap, count, seed)
         ohm = measured(exact_ohm, noise, bits, np.random.default_rng([seed, 1]))
-        samples[split] = LabelledData(
+        samples[split] = Samples(
             resistance_ohm=ohm,
             force_n=force_n,
             design=response.design,
-            content_hash=digest(force_n, ohm),
             noise=noise,
             bits=bits,
         )
     network = NetworkConfig(feature="inverse")
-    model, _ = train(samples["train"], "all", network, TrainingConfig(), response=response)
+    model = train(samples["train"], "all", network, TrainingConfig(), response=response)
     errors = evaluate(model, samples["test"])
     return {f"trained_{axis}_n": errors[f"f{axis}"].rmse_n for axis in AXES}
 

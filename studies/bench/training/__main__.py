@@ -7,8 +7,7 @@ from typing import Annotated, get_args
 
 import typer
 
-from dataset.samples import write_dataset
-from dataset.simulation import DatasetSettings, simulate
+from dataset import DatasetSettings, simulate
 from decoupler.model.settings import Net
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
@@ -72,7 +71,7 @@ def cases(
         for split, seed in SEEDS.items():
             n = samples if split == "train" else TEST_SAMPLES
             files[split] = folder / f"{protocol}-{split}.nc"
-            write_dataset(simulate(response, DatasetSettings(protocol=protocol, samples=n, seed=seed)), files[split])
+            simulate(response, DatasetSettings(protocol=protocol, samples=n, seed=seed)).write(files[split])
         for net in nets:
             made.append(
                 Case(

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from decoupler import train
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import Trainer, TrainingConfig
-from decoupler.training.trainer import train
 from studies.bench.training import peers
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
@@ -34,11 +34,11 @@ def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace],
         network = replace(problem.network, net="skip", feature="inverse") if known else problem.network
         asked, response = (problem.data, problem.component, network), problem.response
         try:
-            model, history = train(*asked, config, trace.record, response)
-            return model, history.reason
+            model = train(*asked, config, trace.record, response)
+            return model, model.made_from["outcome"]["reason"]
         except Ended as end:  # once more, off the clock, for the weights it had then
             again = replace(config, max_iterations=max(trace.points[-1][0], 1))
-            return train(*asked, again, response=response)[0], str(end)
+            return train(*asked, again, response=response), str(end)
 
     return run
 

@@ -6,7 +6,7 @@ from torch.func import functional_call, jacrev
 from torch.nn.utils import parameters_to_vector
 
 from decoupler.training.damping import FIRST_DAMPING
-from decoupler.training.gauss_newton import GaussNewton, Samples
+from decoupler.training.gauss_newton import GaussNewton, TrainingSet
 from decoupler.training.network import Network
 from geometry.layout import FloatArray
 from studies.bench.training.problem import Problem, Scaled
@@ -48,7 +48,7 @@ def step_difference(problem: Problem, samples: int = 50) -> float:
     blocks = jacrev(lambda given: functional_call(model, given, x))(weights)
     J = torch.cat([blocks[name].reshape(t.numel(), -1) for name in weights], dim=1)
     with torch.no_grad():
-        structured = GaussNewton(Samples(x, t, model.skip), model.hidden.detach(), model.output.detach())
+        structured = GaussNewton(TrainingSet(x, t, model.skip), model.hidden.detach(), model.output.detach())
         damping = FIRST_DAMPING * structured.largest_diagonal()
         step = structured.step(damping)
         assert step is not None  # the damping keeps the matrix from being singular

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dataset import LabelledData
+from dataset import Samples
 from decoupler.data.components import component_named, force_columns, pillar_columns
 from decoupler.data.scaling import Scaling
 from decoupler.model.decoupler import Decoupler
@@ -19,7 +19,7 @@ from fem.array.response import ArrayResponse
 class Problem:
     """A network to be trained on data."""
 
-    data: LabelledData
+    data: Samples
     component: str
     network: NetworkConfig
     seed: int = 0
@@ -27,9 +27,7 @@ class Problem:
 
     def first(self, samples: int) -> "Problem":
         """The same with the first samples only."""
-        data = self.data
-        fewer = replace(data, resistance_ohm=data.resistance_ohm[:samples], force_n=data.force_n[:samples])
-        return replace(self, data=fewer)
+        return replace(self, data=self.data[:samples])
 
 
 class Scaled:

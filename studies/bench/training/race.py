@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from dataset import read_labelled
+from dataset import read_samples
 from decoupler.evaluation.metrics import evaluate
 from decoupler.model.settings import Net, NetworkConfig
 from fem.array.solving import array_response
@@ -37,7 +37,7 @@ class Case:
     def problem(self) -> Problem:
         """The same with the samples read."""
         network = NetworkConfig(hidden=self.hidden, net=self.net, feature="root")
-        data = read_labelled(Path(self.train))
+        data = read_samples(Path(self.train), labels_only=True)
         response = None if data.design is None else array_response(data.design)[0]
         return Problem(data=data, component=self.component, network=network, response=response)
 
@@ -108,7 +108,7 @@ def measured(case: Case, one: Contender) -> Run:
     trace = Trace(case.goal_mse, case.patience_s)
     decoupler, reason = one.train(problem, trace)
     peak = peak_mib()
-    (errors,) = evaluate(decoupler, read_labelled(Path(case.test))).values()
+    (errors,) = evaluate(decoupler, read_samples(Path(case.test), labels_only=True)).values()
     return Run(
         contender=one.name,
         ours=one.ours,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset.simulation import DatasetSettings
+from dataset import DatasetSettings
 from decoupler.model.baseline import HOOKE, LINEAR
 from studies.paper import experiments
 from studies.paper.__main__ import results_for

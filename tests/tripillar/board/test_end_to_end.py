@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
+from dataset import DatasetSettings, measured_again, simulate
 from dataset.imperfections import Imperfections
-from dataset.simulation import DatasetSettings, measured_again, simulate
+from decoupler import train
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.training.trainer import train
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from hardware.boards.simavr_board import find_tools
@@ -37,7 +37,7 @@ def sensor():
     }
     data = measured_again(loads["train"], Imperfections(bits=INFO.bits), seed=1)
     network = NetworkConfig(net="skip", feature="inverse")
-    model, _ = train(data, "all", network, TrainingConfig(), response=response)
+    model = train(data, "all", network, TrainingConfig(), response=response)
     return loads["test"], model
 
 

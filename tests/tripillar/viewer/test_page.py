@@ -13,11 +13,11 @@ from urllib.parse import urlsplit
 import pytest
 from PIL import Image
 
+from dataset import DatasetSettings, measured_again, simulate
 from dataset.imperfections import Imperfections
-from dataset.simulation import DatasetSettings, measured_again, simulate
+from decoupler import train
 from decoupler.model.model_file import write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.training.trainer import train
 from fem.array.solving import array_response
 from geometry.design_file import read_design
 from hardware.boards.virtual_board import VirtualBoard
@@ -68,7 +68,7 @@ def motion(house):
         response, _, _ = array_response(read_design(house.folder / "small.toml"))
     loads = simulate(response, DatasetSettings(protocol="contact", samples=300, seed=1))
     data = measured_again(loads, Imperfections(bits=BITS), seed=1)
-    model, _ = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
+    model = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
     write_model(model, house.folder / MODEL)
     return press_and_slide(response, PressAndSlide(seconds=2.0))
 

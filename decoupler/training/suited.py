@@ -1,0 +1,66 @@
+"""The component, the network and the training that suit samples, where none are given. Loads no torch."""
+
+from typing import TYPE_CHECKING
+
+from dataset.samples import SampleError, Samples, require_samples
+from decoupler.data.components import Component, component_named, force_columns, pillar_columns, readable_columns
+from decoupler.data.selection import without_stuck
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.model_inverse import explaining
+from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
+from geometry.errors import require_type
+from geometry.layout import AXES
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+
+def suited_component(samples: Samples) -> str:
+    """The name of the component for the forces that act: fz, fx or fy if they are along one axis alone, else all.
+
+    >>> import numpy as np
+    >>> pressed = np.zeros((2, 1, 1, 3)) + [0.0, 0.0, 5.0]
+    >>> suited_component(Samples(force_n=pressed, resistance_ohm=1e4 + 0 * pressed))
+    'fz'
+    """
+    acting = [axis for number, axis in enumerate(AXES) if samples.force_n[..., number].any()]
+    return f"f{acting[0]}" if len(acting) == 1 else "all"
+
+
+def suited_feature(samples: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
+    """`inverse` for a skip net if the response explains the samples, else `root`."""
+    if net != "skip" or response is None:
+        return "root"
+    samples = without_stuck(samples, component, ForwardModel.of(response, component))
+    columns = pillar_columns(samples.resistance_ohm, component, samples.dead)
+    forces = force_columns(samples.force_n, component)
+    try:
+        explaining(response, component, columns, forces, readable_columns(component, samples.dead, columns.shape[1]))
+    except SampleError:
+        return "root"
+    return "inverse"
+
+
+def suited_training(
+    samples: Samples,
+    component: str | None,
+    network: NetworkConfig | None,
+    training: TrainingConfig | None,
+    response: "ArrayResponse | None",
+) -> tuple[Component, NetworkConfig, TrainingConfig]:
+    """What a training is asked for, with what suits the samples where None is given.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another type.
+    """
+    require_samples("samples", samples)
+    if network is not None:
+        require_type("network", network, NetworkConfig, "give its form, or None for one that suits the samples")
+    if training is not None:
+        require_type("training", training, TrainingConfig, "say how to train, or give None")
+    parts = component_named(suited_component(samples) if component is None else component)
+    if network is None:
+        network = NetworkConfig(feature=suited_feature(samples, parts, "skip", response))
+    return parts, network, TrainingConfig() if training is None else training
