@@ -28,7 +28,7 @@ class ArrayResponse:
     residual: float  #: largest relative residual of the solves
     unknowns: int  #: size of the largest linear system
     seconds: dict[str, float]  #: by step
-    method: str = "whole"  #: as `array_response.METHODS` names it
+    method: str = "cells"  #: a key of `solving.METHODS`, or what a benchmark calls its own
     error_estimate: float = np.nan  #: relative, of each pad's own block; NaN where the method gives none
     mesh_hash: str = ""  #: of the mesh's content, where there is one mesh
     recipe: str = ""  #: hash of the design and settings it was asked for

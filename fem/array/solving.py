@@ -3,40 +3,31 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Literal
 
 from fem.array.halfspace import halfspace_response
 from fem.array.layer import layer_response
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import response_by_cells
-from fem.array.whole_array import whole_response
-from fem.discretization.hexahedra import HexElement
+from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
-from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 from geometry.storage.seal import say_made_anew
 
 VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
-    "whole": "the whole array as one mesh of tetrahedra, as fine as the mesh settings say",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
     "halfspace": "closed form of Boussinesq and Cerruti: instant, and wrong by more than half on a thin slab",
 }
-TOLERANCES = (1e-3, 1e-2)  #: relative, where none is asked for: of one rubber, of pillars of another
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseSettings:
     """How a response is computed."""
 
-    method: Literal["cells", "whole", "layer", "halfspace"] = "cells"  #: see METHODS
+    method: Literal["cells", "layer", "halfspace"] = "cells"  #: see METHODS
     tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 with other pillars
-    element: HexElement = "Q2"  #: of homogeneous cells
-    far: bool = True  #: whether influence far below the tolerance is left out of large arrays
-    mesh: MeshSettings | None = None  #: of the whole array's tetrahedra
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -45,16 +36,8 @@ class ResponseSettings:
             raise DesignError(f"tolerance={self.tolerance:g} must be above 0 and below 1; write 1e-3.")
 
     def suited(self, design: SensorDesign) -> "ResponseSettings":
-        """The same with what was left open decided, and what the method does not heed forgotten."""
-        refined, whole = self.method == "cells", self.method == "whole"
-        usual = ResponseSettings(method=self.method)
-        return replace(
-            usual,
-            tolerance=(self.tolerance or TOLERANCES[not design.is_homogeneous]) if refined else None,
-            element=self.element if refined else usual.element,
-            far=self.far if refined else usual.far,
-            mesh=(self.mesh or suited_settings(design)) if whole else None,
-        )
+        """The same with the tolerance that the method will use: closed forms have none."""
+        return replace(self, tolerance=(self.tolerance or usual_tolerance(design)) if self.method == "cells" else None)
 
 
 def array_response(
@@ -107,16 +90,7 @@ def solve_response(
         return replace(layer_response(design), method="layer")
     if settings.method == "halfspace":
         return replace(halfspace_response(design), method="halfspace")
-    if settings.method == "whole":
-        progress("mesh")
-        start = perf_counter()
-        mesh, _, _ = sensor_mesh(design, settings.mesh or suited_settings(design))
-        meshed = perf_counter() - start
-        response = whole_response(design, mesh, progress)
-        return replace(response, seconds={"mesh": meshed} | response.seconds)
-    answer = response_by_cells(
-        design, settings.tolerance or TOLERANCES[0], settings.element, settings.far, progress, cached
-    )
+    answer = response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)
     return ArrayResponse(
         design=design,
         influence_mm_per_n=answer.influence_mm_per_n,

@@ -9,19 +9,20 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
+from skfem import MeshTet
 
 from fem.array.cell import CondensedCell, condense, condense_by_parity
 from fem.array.cell_file import RefinedCell, read_refined, write_refined
 from fem.array.coupled_cells import CoupledArray
 from fem.array.layer import layer_mean_compliance
 from fem.array.port_modes import PortModes
-from fem.array.whole_array import elastic_body
+from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.grid import Attractor, Grid, graded_lines
-from fem.discretization.hexahedra import GridBasis, HexElement, grid_stiffness
+from fem.discretization.hexahedra import GridBasis, grid_stiffness
 from fem.methods.richardson import error_after
 from geometry.design import SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
-from geometry.mesh import MeshSettings, sensor_mesh, suited_settings
+from geometry.mesh import MeshSettings, TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 
 VERSION = (
@@ -62,8 +63,6 @@ class CellAnswer:
 def response_by_cells(
     design: SensorDesign,
     tolerance: float,
-    element: HexElement = "Q2",
-    far: bool = True,
     progress: Callable[[str], None] = lambda step: None,
     cached: bool = False,
 ) -> CellAnswer:
@@ -74,11 +73,6 @@ def response_by_cells(
     design : SensorDesign
     tolerance : float
         Wanted error of each pad's own block, relative.
-    element : {"Q2", "S2"}
-        Hexahedron of a homogeneous cell.
-    far : bool
-        Whether a large array is put together from one of 2m + 1 units a side, m the range beyond which influence is
-        below `FAR` of the tolerance; a unit deeper inside than that cannot tell how deep.
     progress : function
         Called with the name of each step as it begins.
     cached : bool
@@ -88,16 +82,16 @@ def response_by_cells(
     ------
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
+
+    Notes
+    -----
+    A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
+    below `FAR` of the tolerance: units farther than m from every rim answer alike.
     """
-    reach = influence_range(design, FAR * tolerance) if far else max(design.array.rows, design.array.cols)
+    reach = influence_range(design, FAR * tolerance)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
-    path = cache_folder() / f"cell-{cell_recipe(design, tolerance, element)}.npz"
-    refined = read_refined(path) if cached else None
-    if refined is None:
-        refined = _refined_cell(design, tolerance, element, seconds, progress)
-        if cached:
-            keep(lambda path: write_refined(refined, path), path)
+    refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
     progress(f"coupling {rows} × {cols}")
     influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
@@ -113,29 +107,45 @@ def response_by_cells(
     )
 
 
-def cell_recipe(design: SensorDesign, tolerance: float, element: HexElement) -> str:
+def usual_tolerance(design: SensorDesign) -> float:
+    """Relative tolerance of a response where none is asked for: looser where pillars need a mesh of their own."""
+    return 1e-3 if design.is_homogeneous else 1e-2
+
+
+def cell_recipe(design: SensorDesign, tolerance: float) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `JUDGED`."""
     array = replace(design.array, rows=min(JUDGED, design.array.rows), cols=min(JUDGED, design.array.cols))
     bent = replace(design, array=array, resistivity_ohm_mm=1.0)
-    return digest("cell", VERSION, bent, tolerance, element)
+    return digest("cell", VERSION, bent, tolerance, "Q2")
 
 
-def _refined_cell(
+def refined_cell(
     design: SensorDesign,
     tolerance: float,
-    element: HexElement,
-    seconds: dict[str, float],
-    progress: Callable[[str], None],
+    cached: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
+    seconds: dict[str, float] | None = None,
 ) -> RefinedCell:
-    """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end."""
+    """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
+
+    Parameters and errors as of `response_by_cells`; seconds of meshing, condensing and coupling are added to `seconds`.
+    """
+    path = cache_folder() / f"cell-{cell_recipe(design, tolerance)}.npz"
+    refined = read_refined(path) if cached else None
+    if refined is not None:
+        return refined
+    seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
     steps = []
     for stage in _stages(design, tolerance):
         progress(f"cell, level {stage[1]:g}")
-        cell, estimate, step = _cell_of_stage(design, stage, element, seconds)
+        cell, estimate, step = _cell_of_stage(design, stage, seconds)
         steps.append(step)
         if estimate <= tolerance:
             break
-    return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
+    refined = RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
+    if cached:
+        keep(lambda path: write_refined(refined, path), path)
+    return refined
 
 
 def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
@@ -151,7 +161,7 @@ def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
 
 
 def _cell_of_stage(
-    design: SensorDesign, stage: tuple[float, float, int], element: HexElement, seconds: dict[str, float]
+    design: SensorDesign, stage: tuple[float, float, int], seconds: dict[str, float]
 ) -> tuple[CondensedCell, float, str]:
     """A cell condensed at two levels, the estimated error of arrays of it, and a line that says so.
 
@@ -164,7 +174,7 @@ def _cell_of_stage(
     alone = lone_unit(design)
     rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
     (one, meshed_one), (two, meshed_two) = (
-        condensed_cell(design, level, degree, element, rectangles) for level in (coarse, fine)
+        condensed_cell(design, level, degree, rectangles) for level in (coarse, fine)
     )
     condensed = perf_counter()
     rows, cols = min(JUDGED, design.array.rows), min(JUDGED, design.array.cols)
@@ -245,7 +255,7 @@ def _alike(index: int, count: int, small: int) -> int:
 
 
 def condensed_cell(
-    design: SensorDesign, level: float, degree: int, element: HexElement, rectangles: FloatArray
+    design: SensorDesign, level: float, degree: int, rectangles: FloatArray
 ) -> tuple[CondensedCell, float]:
     """A cell at a level of refinement, and the seconds that meshing it took.
 
@@ -254,13 +264,19 @@ def condensed_cell(
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     start = perf_counter()
     if design.is_homogeneous:
-        basis = GridBasis(cell_grid(design, int(level)), element)
+        basis = GridBasis(cell_grid(design, int(level)))
         meshed = perf_counter() - start
         return condense_by_parity(basis, grid_stiffness(basis, [design.matrix_material]), ports, rectangles), meshed
     alone = lone_unit(design)
     mesh, _, _ = sensor_mesh(alone, finer(suited_settings(design), level))
     meshed = perf_counter() - start
     return condense(elastic_body(alone, mesh), ports, rectangles), meshed
+
+
+def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
+    """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
+    skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
+    return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
 
 
 def lone_unit(design: SensorDesign) -> SensorDesign:

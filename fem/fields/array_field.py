@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.port_modes import PortModes
-from fem.array.substructured import cell_grid, finer, lone_unit, mirrored
-from fem.array.whole_array import elastic_body
+from fem.array.substructured import cell_grid, elastic_body, finer, lone_unit, mirrored
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
 from fem.fields.cell_field import CellInterior, cell_interior

@@ -42,7 +42,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     for coarse, fine, degree in mesh_stages(scene.tolerance):
         found, meshing, start = [], 0.0, perf_counter()
         for level in (coarse, fine):
-            cell, meshed = condensed_cell(design, level, degree, "Q2", rectangles)
+            cell, meshed = condensed_cell(design, level, degree, rectangles)
             meshing += meshed
             found.append(cell)
         seconds["mesh"] += meshing

@@ -12,7 +12,6 @@ from fem.array.halfspace import mean_compliance
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS, condensed_cell, lone_unit
 from fem.discretization.elasticity import displacement_form, taylor_hood
-from fem.discretization.hexahedra import HexElement
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Triple
@@ -281,10 +280,10 @@ def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
     )
 
 
-def array_of(pitch_mm: float, height_mm: float, element: HexElement) -> Outcome:
+def array_of(pitch_mm: float, height_mm: float) -> Outcome:
     """Columns of an array's response by cells against the slab as one scene, over the loaded unit's own block."""
     design = small_array(pitch_mm, height_mm)
-    found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE, element=element))
+    found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE))
     scenes = response_scenes(design)
     columns, slack = [], 0.0
     for axis in AXES:
@@ -306,7 +305,7 @@ def array_of(pitch_mm: float, height_mm: float, element: HexElement) -> Outcome:
 def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
     """Pads move each other alike (Betti), and no load does negative work."""
     design = small_array(pitch_mm, height_mm)
-    cell, _ = condensed_cell(design, 2, 4, "Q2", pad_squares(lone_unit(design)))
+    cell, _ = condensed_cell(design, 2, 4, pad_squares(lone_unit(design)))
     influence, misfit = CoupledArray(cell, 2, 2).influence(PADS, PADS)
     matrix = influence.reshape(12, 12)
     error = float(np.abs(matrix - matrix.T).max() / np.abs(matrix).max())
@@ -356,8 +355,7 @@ def scene_trials() -> list[Trial]:
     add("threads", "2, tetrahedra", threads, True)
     for pitch_mm in (12.0, 30.0):
         for height_mm in (2.0, 30.0):
-            add("array", f"2 × 2, pitch {pitch_mm:g}, height {height_mm:g}", array_of, pitch_mm, height_mm, "Q2")
-    add("array", "2 × 2, pitch 12, height 10, S2", array_of, 12.0, 10.0, "S2")
+            add("array", f"2 × 2, pitch {pitch_mm:g}, height {height_mm:g}", array_of, pitch_mm, height_mm)
     add("reciprocity", "2 × 2, pitch 12, height 2", reciprocity, 12.0, 2.0)
     add("reciprocity", "2 × 2, pitch 30, height 30", reciprocity, 30.0, 30.0)
     return trials

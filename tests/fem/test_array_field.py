@@ -127,7 +127,7 @@ def test_pillars_of_another_rubber_are_seen(tmp_path, monkeypatch):
     field = array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
     rectangles = np.vstack([pad_squares(design), electrode_squares(design)])
-    cell, _ = condensed_cell(design, 0.6, MESH_DEGREE, "Q2", rectangles)
+    cell, _ = condensed_cell(design, 0.6, MESH_DEGREE, rectangles)
     influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 9))
     expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(2, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):

@@ -67,7 +67,7 @@ solve idle.toml -> add a [[probe]]
 solve idle.toml --tolerance abc -> --tolerance abc must be a number
 solve idle.toml --vtu x.txt -> --vtu x.txt must be a file that ends in .vtu
 solve one.toml two.toml -> unexpected extra argument
-response --out r.nc --method magic -> --method magic must be one of cells, whole, layer, halfspace
+response --out r.nc --method magic -> --method magic must be one of cells, layer, halfspace
 response --out r.nc --design small.toml --tolerance 0 -> tolerance=0 must be above 0 and below 1
 response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be above 0 and below 1
 dataset -> Missing option '--protocol'. Choose from: independent-fz, independent-fx

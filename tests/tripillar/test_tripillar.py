@@ -49,7 +49,7 @@ def test_a_second_run_reuses_everything_and_says_so(house):
     assert [s["name"] for s in again["stages"] if not s["reused"]] == ["table"]
     assert again["comparisons"] == house.outcome["comparisons"]
     shown = house.tripillar("run", "--design", "small.toml", "--quiet")
-    assert shown.stdout.count("reused, nothing changed") == 5
+    assert shown.stdout.count("reused, nothing changed") == 6
 
 
 def test_a_dataset_changed_by_hand_is_made_again(house):
@@ -71,7 +71,7 @@ def test_another_resistivity_solves_nothing(house):
     (house.folder / "ohms.toml").write_text("resistivity_ohm_mm = 8000\n" + SMALL)
     again = house.result("run", "--design", "ohms.toml", "--out", "ohms", "--until", "dataset", "--quiet")
     assert {s["name"]: s["reused"] for s in again["stages"]} == {
-        "CAD": False, "response": True, "datasets": False,
+        "CAD": False, "response": True, "unit": True, "datasets": False,
     }  # fmt: skip
     ours, theirs = (read_samples(house.folder / out / "data/contact-fz-test.nc") for out in ("out", "ohms"))
     assert np.allclose(theirs.resistance_ohm, 2 * ours.resistance_ohm, rtol=1e-12)

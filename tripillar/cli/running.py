@@ -28,7 +28,7 @@ def run(
 ) -> None:
     """Run the whole pipeline, from a design to a table of errors.
 
-    The stages are design, CAD, mesh, response, data sets, networks and table. What did not change is not made again.
+    The stages are CAD, response, unit, data sets, networks and table. What did not change is not made again.
     """
     from tripillar.pipeline.run import run_pipeline
     from tripillar.terminal.tables import comparison_table, show, stage_table, touch_table

@@ -84,10 +84,8 @@ def response(
         float | None, typer.Option(help="Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.")
     ] = None,
     method: Annotated[
-        Literal["cells", "whole", "layer", "halfspace"],
-        typer.Option(
-            help="Method: copies of one condensed cell, one mesh of the array, or an approximate closed form."
-        ),
+        Literal["cells", "layer", "halfspace"],
+        typer.Option(help="Method: copies of one condensed cell, or an approximate closed form."),
     ] = "cells",
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,

@@ -1,7 +1,7 @@
 """The sensor as manufacturing would make it, which differs a little from the response that the networks hold.
 
 Test data of the response that a network starts from test only the arithmetic: without noise the inverse of that
-response is exact. Here geometry, rubber, readings and elements all differ.
+response is exact. Here geometry, rubber, readings and the solver's tolerance all differ.
 """
 
 from collections.abc import Mapping
@@ -14,8 +14,7 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign
 
-#: serendipity elements and another tolerance; designs are solved by Q2
-SETTINGS = ResponseSettings(tolerance=2e-3, element="S2")
+SETTINGS = ResponseSettings(tolerance=2e-3)  #: another tolerance than designs are solved to
 #: readings of the sensor as made: gains of 1 ± 0.1, offsets of 100 Ω, noise of 0.1 %, a converter of 12 bits
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
 READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: noise and converter alone, for the sensor as designed

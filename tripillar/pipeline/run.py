@@ -1,7 +1,8 @@
 """The stages from a design to a table of decoupling errors, from top to bottom.
 
-design -> CAD -> response -> datasets -> networks -> table. Every file holds the cache key of what made it; a stage is
-skipped, and says so, if its files hold the wanted key.
+design -> CAD -> response -> unit -> datasets -> networks -> table. `unit` compares the response's cell with one unit
+meshed by pytetwild and solved by scikit-fem. Every file holds the cache key of what made it; a stage is skipped, and
+says so, if its files hold the wanted key.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -19,9 +20,10 @@ from decoupler.model.model_file import model_recipe, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
+from fem.array.unit_check import check_unit
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
-from geometry.errors import FileFormatError
+from geometry.errors import FileFormatError, GeometryError
 from geometry.mesh import sensor_mesh, suited_settings
 from geometry.quality import quality
 from geometry.storage.files import digest
@@ -94,6 +96,7 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
     stages = [draw(design, out / "cad", bars)]
     stage, response = respond(design, bars)
     stages.append(stage)
+    stages.append(compare_unit(design, bars))
     stages.append(make_datasets(response, out, bars))
     if until_dataset:
         return PipelineResult(stages=stages, comparisons=[])
@@ -174,6 +177,24 @@ def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None 
     advance(1, "reused" if reused else note)
     kept = (path,) if path.exists() else ()
     return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=kept, note=note), response
+
+
+def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
+    """Mesh one unit by pytetwild, solve it by scikit-fem, and say how far the response's cell is from it."""
+    start = perf_counter()
+    advance = bars.begin("unit", total=1)
+    files: tuple[Path, ...] = ()
+    try:
+        unit = check_unit(design, lambda step: advance(0, step))
+        files, reused = unit.files, unit.reused
+        note = (
+            f"the response's cell is {100 * unit.difference:.2g} % from one unit by pytetwild and scikit-fem "
+            f"({unit.cells} tetrahedra, {unit.unknowns} unknowns)"
+        )
+    except GeometryError as error:  # grids of boxes solve what is too thin to be meshed
+        note, reused = f"not compared with tetrahedra: {error}", False
+    advance(1, note)
+    return Stage(name="unit", seconds=perf_counter() - start, reused=reused, files=files, note=note)
 
 
 def response_note(response: ArrayResponse) -> str:

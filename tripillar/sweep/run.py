@@ -84,7 +84,7 @@ def shared_stages(sample: Sample, judging: Judging) -> set[str]:
     settings = ResponseSettings(tolerance=judging.tolerance).suited(design)
     alone = lone_unit(design)
     stages = {
-        f"cell {cell_recipe(design, judging.tolerance, settings.element)}",
+        f"cell {cell_recipe(design, judging.tolerance)}",
         f"response {response_recipe(design, settings)}",
     }
     return stages if design.is_homogeneous else stages | {f"mesh {mesh_recipe(alone, suited_settings(alone))}"}
