@@ -1,7 +1,6 @@
 """The paper's figures 6 to 11, tables 1 and 2 and its claim on spacing from our own data, beside its numbers.
 
 In: an array's response. Out: one page with all of it, the same as Markdown, pictures, and every number as JSON. Open
-`report.py` first, for what the report holds; `experiments.py` for the trainings, `spacing.py` and `deformation.py` for
-the mechanics, `printed.py` for what the paper prints, `sections/` for what is said of both, `figures/` for pictures;
-`document.py` and `page.py` turn sections into Markdown and HTML.
+`report.md` first, the report as it is written by hand; `report.py` fills in its numbers. `experiments.py` trains the
+networks, `spacing.py` and `deformation.py` do the mechanics, the `..._charts.py` and `..._pictures.py` draw.
 """

@@ -1,31 +1,38 @@
 """``python -m studies.paper``: the paper's figures 6 to 11, tables 1 and 2 and its claim on spacing, from our data."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markdown import Markdown
 
-from fem.array.response import ArrayResponse
+import fem.pictures
 from geometry.design import SensorDesign
-from geometry.storage.files import replacing
+from geometry.storage.files import digest, replacing
+from studies.paper.decoupling_charts import draw_figure_9, draw_figure_10, draw_figure_11
 from studies.paper.deformation import deformation
-from studies.paper.document import Report, as_markdown, rich_table
-from studies.paper.drawing import draw_pictures
-from studies.paper.experiments import Experiments, recipe_of, run_experiments
-from studies.paper.page import as_html
-from studies.paper.report import Computed, report_of
-from studies.paper.results import Results, read_results, write_results
-from studies.paper.spacing import Asked, Spacing, read_spacing, spacing_recipe, study_spacing, write_spacing
+from studies.paper.deformation_pictures import draw_figure_6, draw_figure_7, draw_figure_8
+from studies.paper.drawing import drawn
+from studies.paper.experiments import Experiments, cache_key_of, run_experiments
+from studies.paper.report import Computed, as_html, as_markdown
+from studies.paper.results import Results
+from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
+from studies.paper.spacing_chart import draw_spacing
+from studies.paper.storage import kept
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.tables import show
 from tripillar.terminal.writing import write_text
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
+PICTURES = (*(f"figure-{number}.png" for number in range(6, 12)), "spacing.png")
+AGAIN = "reused, nothing changed"
+PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 
 
 def paper(
@@ -34,67 +41,61 @@ def paper(
     json: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
-    """Write the report; what was computed before under the same recipe is reused."""
+    """Write the report; what was computed before from the same settings is reused."""
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is refused now, not minutes later
     with progress_bars(verbosity) as bars:
         _, response = respond(SensorDesign(), bars)
-        computed = Computed(
-            response=response,
-            deformation=deformation(response),
-            spacing=spacing_for(response.design, Asked(), out / SPACING, bars),
-            results=results_for(response, Experiments(), out / RESULTS, bars),
-        )
-        report = report_of(computed)
+        design, asked, experiments = response.design, Asked(), Experiments()
+        advance = bars.begin("spacing", total=2 * len(asked.pitches_mm) + len(asked.wider_mm))
+        spacing, new = kept(
+            out / SPACING, spacing_cache_key(design, asked), Spacing,
+            lambda: study_spacing(design, asked, lambda step: advance(1, step)),
+        )  # fmt: skip
+        if not new:
+            advance(2 * len(asked.pitches_mm) + len(asked.wider_mm), AGAIN)
+        results, new = kept(
+            out / RESULTS, cache_key_of(response, experiments), Results,
+            lambda: run_experiments(response, experiments, bars),
+        )  # fmt: skip
+        if not new:
+            bars.begin("trainings", total=1)(1, AGAIN)
+        computed = Computed(response=response, deformation=deformation(response), spacing=spacing, results=results)
         draw_pictures(computed, out, bars)
-    files = write_report(report, out)
+    text = as_markdown(computed)
+    write_text(text, out / MARKDOWN)
+    write_text(as_html(text, out, PICTURES), out / PAGE)
+    files = [out / name for name in (*PICTURES, MARKDOWN, PAGE)]
     if docs is not None:
-        files += put_into(docs, report, out)
+        for name in (MARKDOWN, *PICTURES):
+            with replacing(docs / name) as temporary:
+                shutil.copyfile(out / name, temporary)
+            files.append(docs / name)
     if json:
         show_json({name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")})
     else:
-        for grid in (report.summary, *report.grids):
-            show(rich_table(grid))
+        console = Console()
+        (console if console.is_terminal else Console(width=PLAIN_COLUMNS)).print(Markdown(text))
     wrote([out / RESULTS, out / SPACING, *files])
 
 
-def results_for(response: ArrayResponse, asked: Experiments, stored: Path, bars: Bars) -> Results:
-    """The results in a file if they were made by the same recipe; otherwise they are made and written there."""
-    results = read_results(stored, recipe_of(response, asked))
-    if results is None:
-        results = run_experiments(response, asked, bars)
-        write_results(results, stored)
-    else:
-        bars.begin("trainings", total=1)(1, "reused, nothing changed")
-    return results
-
-
-def spacing_for(design: SensorDesign, asked: Asked, stored: Path, bars: Bars) -> Spacing:
-    """The same for the study of spacings."""
-    advance = bars.begin("spacing", total=2 * len(asked.pitches_mm) + len(asked.wider_mm))
-    found = read_spacing(stored, spacing_recipe(design, asked))
-    if found is None:
-        found = study_spacing(design, asked, lambda step: advance(1, step))
-        write_spacing(found, stored)
-    else:
-        advance(2 * len(asked.pitches_mm) + len(asked.wider_mm), "reused, nothing changed")
-    return found
-
-
-def write_report(report: Report, out: Path) -> list[Path]:
-    """Write the page and the Markdown beside the pictures; returns all files of the report."""
-    write_text(as_html(report, out), out / PAGE)
-    write_text(as_markdown(report), out / MARKDOWN)
-    return [*(out / picture.file for picture in report.pictures), out / MARKDOWN, out / PAGE]
-
-
-def put_into(docs: Path, report: Report, out: Path) -> list[Path]:
-    """Copy the Markdown and its pictures."""
-    copied = []
-    for name in (MARKDOWN, *(picture.file for picture in report.pictures)):
-        with replacing(docs / name) as temporary:
-            shutil.copyfile(out / name, temporary)
-        copied.append(docs / name)
-    return copied
+def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
+    """Draw every picture of the report whose data or code changed."""
+    response, sample, results = computed.response, computed.deformation.sample, computed.results
+    design = response.design
+    pen = Path(str(fem.pictures.__file__)).with_name("deformation.py").read_bytes()  # it draws figures 6 to 8
+    layer = (design.unit.height_mm, design.matrix_material)
+    wanted: tuple[tuple[str, Callable[..., None], tuple[Any, ...]], ...] = (
+        (digest(design, pen), draw_figure_6, (response,)),
+        (digest(design, pen), draw_figure_7, (design,)),
+        (digest(response.content_hash, sample, pen), draw_figure_8, (response, sample)),
+        (digest(results), draw_figure_9, (results,)),
+        (digest(results), draw_figure_10, (results,)),
+        (digest(results), draw_figure_11, (results,)),
+        (digest(computed.spacing), draw_spacing, (computed.spacing, *layer)),
+    )
+    advance = bars.begin("pictures", total=len(wanted))
+    for name, (data_hash, draw, arguments) in zip(PICTURES, wanted, strict=True):
+        advance(1, name if drawn(out / name, data_hash, draw, *arguments) else AGAIN)
 
 
 if __name__ == "__main__":

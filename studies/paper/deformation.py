@@ -1,4 +1,4 @@
-"""What stands behind figures 6 to 8: electrodes and pillars of the array under the paper's 1, 3 and 5 MPa."""
+"""The numbers of figures 6 to 8: electrodes and pillars of the array under the paper's 1, 3 and 5 MPa."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Deformation:
-    """All that is said of figures 6 to 8."""
+    """All numbers of figures 6 to 8."""
 
     pressed: list[Pressed]
     cap_mpa: dict[str, float]  #: pressure at which some pillar reaches CAP, by which pads are loaded

@@ -1,38 +1,46 @@
-"""Which picture is drawn from what."""
+"""Pictures that state what they were made of, so that they are drawn again only if that changed."""
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import fem.pictures
-from geometry.storage.files import digest
-from studies.paper.figures.decoupling import draw_figure_9, draw_figure_10, draw_figure_11
-from studies.paper.figures.deformation import draw_figure_6, draw_figure_7, draw_figure_8
-from studies.paper.figures.spacing import draw_spacing
-from studies.paper.pictures import drawn
-from studies.paper.report import Computed
-from studies.paper.sections import decoupling, deformation, spacing
-from tripillar.terminal.progress import Bars
+from PIL import Image  # of Matplotlib's own dependencies
+from PIL.PngImagePlugin import PngInfo
+
+from geometry.storage.files import digest, replacing
+
+STATED = "recipe"  #: name of the PNG's text that holds the cache key
+MAX_BYTES = 300_000  #: of a picture in all its colours; a larger one gets 256
 
 
-def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
-    """Draw every picture of the report whose data or code changed."""
-    response, sample, spaced, results = (
-        computed.response, computed.deformation.sample, computed.spacing, computed.results
-    )  # fmt: skip
-    design = response.design
-    layer = (design.unit.height_mm, design.matrix_material)
-    pen = Path(str(fem.pictures.__file__)).with_name("deformation.py").read_bytes()  # it draws figures 6 to 8
-    wanted: list[tuple[str, str, Callable[..., None], tuple[Any, ...]]] = [
-        (deformation.FIGURE_6, digest(design, pen), draw_figure_6, (response,)),
-        (deformation.FIGURE_7, digest(design, pen), draw_figure_7, (design,)),
-        (deformation.FIGURE_8, digest(response.content_hash, sample, pen), draw_figure_8, (response, sample)),
-        (spacing.SPACING, digest(spaced), draw_spacing, (spaced, *layer)),
-        (decoupling.PICTURES[9], digest(results), draw_figure_9, (results,)),
-        (decoupling.PICTURES[10], digest(results), draw_figure_10, (results,)),
-        (decoupling.PICTURES[11], digest(results), draw_figure_11, (results,)),
-    ]
-    advance = bars.begin("pictures", total=len(wanted))
-    for file, made_of, draw, arguments in wanted:
-        new = drawn(out / file, made_of, draw, *arguments)
-        advance(1, file if new else "reused, nothing changed")
+def drawn(path: Path, data_hash: str, draw: Callable[..., None], *arguments: Any) -> bool:
+    """Draw a PNG by `draw(*arguments, path)` unless the file there has the same data and code; whether it was drawn.
+
+    `data_hash` stands for all data that the picture depends on; a changed file of `draw` counts as other code.
+    """
+    cache_key = digest("picture", Path(inspect.getfile(draw)).read_bytes(), data_hash)
+    if cache_key_of(path) == cache_key:
+        return False
+    with replacing(path) as temporary:
+        draw(*arguments, temporary)
+        stated = PngInfo()
+        stated.add_text(STATED, cache_key)
+        with Image.open(temporary) as image:
+            whole = image.convert("RGB")
+        whole.save(temporary, "PNG", optimize=True, pnginfo=stated)
+        if temporary.stat().st_size > MAX_BYTES:
+            few = whole.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+            few.save(temporary, "PNG", optimize=True, pnginfo=stated)
+    return True
+
+
+def cache_key_of(path: Path) -> str | None:
+    """The cache key that a PNG states; None if there is no such file, or no whole one."""
+    try:
+        with Image.open(path) as image:
+            image.load()  # a cut-off file fails only here
+            stated: str | None = image.info.get(STATED)
+            return stated
+    except (OSError, SyntaxError):  # Pillow's own for a broken PNG
+        return None

@@ -1,8 +1,9 @@
-"""The paper's experiments of sections 3.2 and 3.3: which data, which networks, and all trainings in one go."""
+"""The paper's experiments of sections 3.2 and 3.3: samples, networks, and all trainings in one go."""
 
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from time import perf_counter
 
@@ -64,7 +65,7 @@ class Experiments:
 Kinds = dict[tuple[str, str, float], Samples]  #: by loads, component and cap
 
 
-def recipe_of(response: ArrayResponse, asked: Experiments) -> str:
+def cache_key_of(response: ArrayResponse, asked: Experiments) -> str:
     """Hash of all that the results depend on."""
     data = [dataset_recipe(response, asked.data_settings(*kind)) for kind in product(LOADS, COMPONENTS, CAPS)]
     networks = [part for pair in NETWORKS.values() for part in pair]
@@ -92,7 +93,6 @@ def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> 
     outcomes = in_parallel([job for _, job in planned] + [job for _, job in shown], ended)
     trained, forces = outcomes[: len(planned)], outcomes[len(planned) :]
     return Results(
-        recipe=recipe_of(response, asked),
         own_trainings=own_trainings,
         own_seconds=own_seconds,
         all_trainings=len(outcomes),
@@ -100,7 +100,10 @@ def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> 
         cores=os.cpu_count() or 1,
         data_sets=data_sets,
         results=[
-            *(_result(trial, one) for (trial, _), one in zip(planned, trained, strict=True)),
+            *(
+                _result(trial, one.errors[trial.component], one)
+                for (trial, _), one in zip(planned, trained, strict=True)
+            ),
             *floors(asked, kinds),
             *marks(asked, kinds),
         ],
@@ -112,7 +115,7 @@ def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> 
 
 
 def simulate_all(response: ArrayResponse, asked: Experiments) -> tuple[Kinds, list[DataSet]]:
-    """The samples of every kind, and what is worth knowing of them."""
+    """The samples of every kind, and their description."""
     kinds, described = {}, []
     for loads, component, cap in product(LOADS, COMPONENTS, CAPS):
         settings = asked.data_settings(loads, component, cap)
@@ -139,41 +142,28 @@ def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> 
     """The paper's network at every width, and ours at its one."""
     trained_on, tested_on = _split(asked)
     for (loads, component, cap), data in kinds.items():
+        trial_of = partial(
+            Trial, experiment=FIGURE_9, loads=loads, component=component, cap=cap,
+            samples=len(trained_on) + len(tested_on),
+        )  # fmt: skip
         for name, widths in ((PAPERS, asked.widths), (INFORMED, (NETWORKS[INFORMED][0].hidden,))):
             network, training = NETWORKS[name]
             for hidden in widths:
-                trial = Trial(
-                    experiment=FIGURE_9,
-                    loads=loads,
-                    component=component,
-                    cap=cap,
-                    samples=len(trained_on) + len(tested_on),
-                    network=name,
-                    hidden=hidden,
-                )
                 sized = replace(network, hidden=hidden)
-                yield trial, (fold, data, component, sized, training, response, trained_on, tested_on)
+                job = (fold, data, component, sized, training, response, trained_on, tested_on)
+                yield trial_of(network=name, hidden=hidden), job
 
 
 def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
     """Cross-validation of every network on the large and the small set."""
     for loads, component, size in product(LOADS, COMPONENTS, TABLE_2_SAMPLES):
         data = kinds[loads, component, CAPS[0]][:size]
+        trial_of = partial(Trial, experiment=TABLE_2, loads=loads, component=component, cap=CAPS[0], samples=size)
         for name, (usual, training) in NETWORKS.items():
             network = replace(usual, hidden=asked.table_nodes[component]) if name == PAPERS else usual
             jobs = jobs_of(data, component, network, training, asked.folds, response)
             for number, job in enumerate(jobs, start=1):
-                trial = Trial(
-                    experiment=TABLE_2,
-                    loads=loads,
-                    component=component,
-                    cap=CAPS[0],
-                    samples=size,
-                    network=name,
-                    hidden=network.hidden,
-                    fold=number,
-                )
-                yield trial, job
+                yield trial_of(network=name, hidden=network.hidden, fold=number), job
 
 
 def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Shown, Job]]:
@@ -187,12 +177,7 @@ def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) ->
         network = replace(network, hidden=asked.shown_nodes) if name == PAPERS else network
         actual_n = force_columns(data.force_n[some], fz).ravel().tolist()
         shown = Shown(
-            loads=loads,
-            network=name,
-            hidden=network.hidden,
-            samples=some.tolist(),
-            actual_n=actual_n,
-            decoupled_n=[],
+            loads=loads, network=name, hidden=network.hidden, samples=some.tolist(), actual_n=actual_n, decoupled_n=[]
         )
         yield shown, (decoupled_forces, data, fz.name, network, training, response, trained_on, some)
 
@@ -214,24 +199,16 @@ def decoupled_forces(
 
 
 def floors(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
-    """What the best projection leaves: of figure 9's test forces at every width, of table 2's sets at their nodes."""
+    """Error of the best projection: of figure 9's test forces at every width, of table 2's sets at their nodes."""
     tested_on = _split(asked)[1]
     for (loads, name, cap), data in kinds.items():
         wanted = [(FIGURE_9, data.force_n[tested_on], hidden) for hidden in asked.widths]
         if cap == CAPS[0]:
             wanted += [(TABLE_2, data.force_n[:size], asked.table_nodes[name]) for size in TABLE_2_SAMPLES]
+        trial_of = partial(Trial, loads=loads, component=name, cap=cap, network=FLOOR)
         for experiment, force_n, hidden in wanted:
-            trial = Trial(
-                experiment=experiment,
-                loads=loads,
-                component=name,
-                cap=cap,
-                samples=len(force_n),
-                network=FLOOR,
-                hidden=hidden,
-            )
             errors = pca_floor(force_n, component_named(name), hidden).projection[name]
-            yield Result(trial=trial, rel_err=_stated(errors), rmse_n=errors.rmse_n)
+            yield _result(trial_of(experiment=experiment, samples=len(force_n), hidden=hidden), errors)
 
 
 def marks(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
@@ -245,18 +222,9 @@ def marks(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
             others = np.setdiff1d(np.arange(size), part)
             fitted = LeastSquares.fitted(data[others], component)
             forces[LINEAR][part] = fitted.forces(data.resistance_ohm[part])
+        trial_of = partial(Trial, experiment=TABLE_2, loads=loads, component=name, cap=CAPS[0], samples=size)
         for network, found in forces.items():
-            trial = Trial(
-                experiment=TABLE_2,
-                loads=loads,
-                component=name,
-                cap=CAPS[0],
-                samples=size,
-                network=network,
-                hidden=0,
-            )
-            errors = component_errors(found, data, component)[name]
-            yield Result(trial=trial, rel_err=_stated(errors), rmse_n=errors.rmse_n)
+            yield _result(trial_of(network=network), component_errors(found, data, component)[name])
 
 
 def _split(asked: Experiments) -> tuple[np.ndarray, np.ndarray]:
@@ -269,18 +237,7 @@ def _is_papers_own(trial: Trial) -> bool:
     return trial.network == PAPERS and trial.loads == LOADS[0]
 
 
-def _result(trial: Trial, outcome: Fold) -> Result:
-    errors = outcome.errors[trial.component]
-    return Result(
-        trial=trial,
-        rel_err=_stated(errors),
-        rmse_n=errors.rmse_n,
-        iterations=outcome.iterations,
-        reason=outcome.reason,
-        seconds=outcome.seconds,
-    )
-
-
-def _stated(errors: ForceErrors) -> float:
+def _result(trial: Trial, errors: ForceErrors, trained: Fold | None = None) -> Result:
     assert errors.rel_err is not None, "no pad of these loads goes free, so eq. 17 has a meaning"
-    return errors.rel_err
+    how = {} if trained is None else {name: getattr(trained, name) for name in ("iterations", "reason", "seconds")}
+    return Result(trial=trial, rel_err=errors.rel_err, rmse_n=errors.rmse_n, **how)

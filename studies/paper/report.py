@@ -1,22 +1,39 @@
-"""The report from what was computed: sections in the order of the paper, and what all of it was made of."""
+"""The report: numbers filled into the tables of the hand-written `report.md`, and the same as one page of HTML.
 
+The template language is Jinja, which the documentation's generator needs anyway: its loops and filters keep the tables
+in the template, beside the words about them. Sentences there hold for any run; a verdict is a cell that compares.
+"""
+
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markdown import markdown
+
+from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
+from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
+from geometry.layout import rest_lengths
 from geometry.storage.files import digest
-from studies.paper.deformation import Deformation
-from studies.paper.document import Report
+from studies.paper import experiments
+from studies.paper.deformation import CAP, Deformation, middle_unit
 from studies.paper.results import Results
-from studies.paper.sections import decoupling, deformation, material, spacing
-from studies.paper.spacing import Spacing
+from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spacing
 from studies.surroundings import surroundings
+from tripillar.pipeline import printed
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
+ALIKE = 2.0  #: ratio up to which two errors count as of one size
+VISIBLE = 5.0  #: relative error [%] from where a star leaves its circle in figure 11
+QUIET = 0.05  #: share of its own reading by which an undisturbed unit may change under a neighbour's load
 
 
 @dataclass(frozen=True, kw_only=True)
 class Computed:
-    """All that the report is about."""
+    """All results that the report shows."""
 
     response: ArrayResponse
     deformation: Deformation
@@ -24,54 +41,75 @@ class Computed:
     results: Results
 
 
-def report_of(computed: Computed) -> Report:
-    """Sections, verdicts and provenance."""
-    design = computed.response.design
-    return Report(
-        title="The paper's figures and tables on our data",
-        lead=[
-            "Song, Wang and Zhang, *Micromachines* 2018, 9(5), 236, [doi 10.3390/mi9050236]"
-            "(https://doi.org/10.3390/mi9050236), simulate a 6 × 6 array of three-axis tactile units and decouple its "
-            "forces by a small network. Here are its figures 6 to 11, its tables 1 and 2 and its claim on spacing from "
-            "data of our own, its numbers beside ours: what reproduces, what is better, and what cannot be reproduced.",
-            "*Paper* is what the paper prints, for data that it does not publish. *Plain, LM* is its network on our "
-            "data: resistances in, no skip, Levenberg-Marquardt to a mean squared error of 1e-5. *Skip* and *skip + "
-            "response* are ours: √R past the hidden layer, and the inverse of the known array response as input. "
-            "*Contact* loads are a few broad indenters, *independent* ones a load of its own on every pad. Errors "
-            "are eq. 17; a number after a network's name is that of hidden nodes. Written by `make paper`.",
-        ],
-        sections=[
-            material.section(design),
-            deformation.electrodes(computed.deformation, design),
-            deformation.pressures(computed.deformation, design),
-            spacing.section(computed.spacing, design),
-            *decoupling.sections(computed.results),
-        ],
-        provenance=provenance(computed),
-    )
+def as_markdown(computed: Computed) -> str:
+    """The report as Markdown, with its pictures beside it."""
+    jinja = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    jinja.filters |= {"f": format, "percent": percent, "share": share, "listed": listed, "yes": yes}
+    results, design = computed.results, computed.response.design
+
+    def error(network: str, force: str, loads: str = "contact", **wanted: Any) -> float:
+        """Mean relative error [%] of a network."""
+        return results.percent(network=network, component=force, loads=loads, **wanted)
+
+    def best_width(force: str) -> int:
+        """Nodes of the paper's network with the least error on contact loads."""
+        wanted = {"experiment": experiments.FIGURE_9, "loads": "contact", "network": experiments.PAPERS, "cap": CAP}
+        found = results.chosen(component=force, **wanted)
+        return min(found, key=lambda one: one.rel_err).trial.hidden
+
+    names = {
+        name: getattr(experiments, name) for name in ("FIGURE_9", "TABLE_2", "PAPERS", "FLOOR", "SKIP", "INFORMED")
+    }
+    return jinja.get_template("report.md").render(
+        **names, **vars(computed), paper=printed, design=design, forces=experiments.COMPONENTS, kinds=experiments.LOADS,
+        networks=experiments.NETWORKS, HOOKE=HOOKE, LINEAR=LINEAR, loads=LOADS, rings=RINGS, pressed_n=PRESSED_N,
+        ALIKE=ALIKE, VISIBLE=VISIBLE, QUIET=QUIET, cap=CAP, normal_mpa=NORMAL_MPA, tangential_mpa=TANGENTIAL_MPA,
+        rest_mm=rest_lengths(design.unit), middle=middle_unit(design), design_hash=digest(design), error=error,
+        best_width=best_width, about=surroundings(PACKAGES), zip=zip, max=max, min=min, sum=sum, len=len, abs=abs,
+    )  # fmt: skip
 
 
-def provenance(computed: Computed) -> list[list[str]]:
-    """What the report was made of, by name."""
-    response, spaced, results = computed.response, computed.spacing, computed.results
-    return [
-        ["design", f"`{digest(response.design)}`"],
-        [
-            "response",
-            f"`{response.content_hash}`, method {response.method}, estimated error {response.error_estimate:.1e}, "
-            f"solved in {sum(response.seconds.values()):.1f} s",
-        ],
-        ["data sets", ", ".join(dict.fromkeys(f"`{one.content_hash}`" for one in results.data_sets))],
-        ["trainings", timing(results)],
-        ["spacing", f"{len(spaced.spaced)} arrays, touches at {len(spaced.touches)} pitches in {spaced.seconds:.0f} s"],
-        ["made on", ", ".join(f"{name} {value}" for name, value in surroundings(PACKAGES).items())],
-    ]
+def as_html(text: str, folder: Path, pictures: Sequence[str]) -> str:
+    """The report as a page that needs nothing else: pictures are read from a folder and put inside."""
+    body = markdown(text, extensions=["tables", "sane_lists"])
+    for name in pictures:
+        content = b64encode((folder / name).read_bytes()).decode("ascii")
+        body = body.replace(f'src="{name}"', f'src="data:image/png;base64,{content}"')
+    page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    return page.replace("{{ title }}", text.partition("\n")[0].lstrip("# ")).replace("{{ body }}", body)
 
 
-def timing(results: Results) -> str:
-    """How long the trainings took, in a line."""
-    return (
-        f"{results.own_trainings} of the paper's own (its network, contact loads) in {results.own_seconds:.0f} s, all "
-        f"{results.all_trainings} in {results.all_seconds:.0f} s, on {results.cores} cores, samples and start of the "
-        "processes included"
-    )
+def percent(value: float) -> str:
+    """A number in %, two decimals as the paper prints, more for what would else be next to nothing.
+
+    >>> percent(3.021), percent(0.0215)
+    ('3.02', '0.021')
+    """
+    return f"{value:.2f}" if value >= 0.0995 else f"{value:#.2g}"
+
+
+def share(fraction: float, decimals: int = 1) -> str:
+    """A fraction in %.
+
+    >>> share(-0.0408), share(0.3, 0)
+    ('−4.1 %', '30 %')
+    """
+    return f"{100 * fraction:.{decimals}f} %".replace("-", "−")
+
+
+def listed(values: Iterable[Any], spec: str = "") -> str:
+    """Values in a row.
+
+    >>> listed([1.0, 2.0, 3.0], ".1f")
+    '1.0, 2.0 and 3.0'
+    """
+    *first, last = (format(value, spec) for value in values)
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def yes(holds: bool) -> str:
+    """The verdict on a claim."""
+    return "yes" if holds else "**no**"

@@ -1,17 +1,15 @@
-"""The paper's claim on spacing, tested: what units do to each other, and where a touch is felt, by pitch.
+"""The paper's claim on spacing at every pitch: the disturbance of neighbours, and the lightest touch that is felt.
 
 The paper: for a load on about 1 cm² "the distance between the adjacent sensitive units should be around 1–2 cm;
-otherwise, it is very difficult for the sensitive units to feel or react to the touch" further off (section 3.1). Asked
-here of every pitch: how much a loaded pad moves its neighbours, what that costs the map from forces to lengths
-(finite elements of the whole array), and which touch is too light to be felt where units are farthest from it (closed
-form of an endless layer, since such a touch lies on no pad).
+otherwise, it is very difficult for the sensitive units to feel or react to the touch" further off (section 3.1).
+Finite elements of the whole array give how much a loaded pad moves its neighbours, and what that costs the map from
+forces to readings. The closed form of an endless layer gives the touch that is just felt wherever it falls, since such
+a touch lies on no pad.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +33,6 @@ from geometry.layout import (
     unit_centres,
 )
 from geometry.storage.files import digest
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
-from tripillar.terminal.writing import write_text
 
 VERSION = 1  #: raise when the same settings give other numbers
 LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored
@@ -48,7 +44,7 @@ AROUND = 2  #: units on either side that may feel it
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Which spacings are looked at, and how."""
+    """The spacings of the study and its settings."""
 
     pitches_mm: tuple[float, ...] = (10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 18.0, 20.0)  #: the paper's 1 to 2 cm
     wider_mm: tuple[float, ...] = (25.0, 30.0, 40.0)  #: beyond, for touches only
@@ -86,9 +82,8 @@ class Touch:
 
 @dataclass(frozen=True, kw_only=True)
 class Spacing:
-    """All that the study found."""
+    """The results of the study at every pitch."""
 
-    recipe: str
     asked: Asked
     smallest_mm: float  #: pitch below which the paper's units would merge
     decay_mm: float  #: e-fold length of an endless layer, far from the load
@@ -97,16 +92,13 @@ class Spacing:
     spaced: list[Spaced]
     touches: list[Touch]
 
-    def at(self, pitch_mm: float) -> Spaced:
-        """What was found at a pitch."""
-        return next(one for one in self.spaced if one.pitch_mm == pitch_mm)
-
-    def touch_at(self, pitch_mm: float) -> Touch:
-        """The lightest touches at a pitch."""
-        return next(one for one in self.touches if one.pitch_mm == pitch_mm)
+    @property
+    def fitting(self) -> list[Spaced]:
+        """Pitches at which the paper's unit fits."""
+        return [one for one in self.spaced if one.pitch_mm >= self.smallest_mm]
 
 
-def spacing_recipe(design: SensorDesign, asked: Asked) -> str:
+def spacing_cache_key(design: SensorDesign, asked: Asked) -> str:
     """Hash of all that the study depends on."""
     settings = ResponseSettings(tolerance=asked.tolerance)
     responses = [response_recipe(design_at(design, pitch), settings) for pitch in asked.pitches_mm]
@@ -114,7 +106,7 @@ def spacing_recipe(design: SensorDesign, asked: Asked) -> str:
 
 
 def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], None] = lambda step: None) -> Spacing:
-    """Look at every pitch; `progress` is called as each begins.
+    """Solve every pitch; `progress` is called as each begins.
 
     Raises
     ------
@@ -133,7 +125,6 @@ def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], 
         touches.append(lightest_touch(design_at(design, pitch_mm), asked))
     height_mm = design.unit.height_mm
     return Spacing(
-        recipe=spacing_recipe(design, asked),
         asked=asked,
         smallest_mm=design.unit.footprint_mm,
         decay_mm=decay_length_mm(height_mm, design.matrix_material.poisson),
@@ -155,7 +146,7 @@ def design_at(design: SensorDesign, pitch_mm: float) -> SensorDesign:
 
 
 def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
-    """What a response says of neighbours of a unit in the middle, and of the condition and noise of the whole map."""
+    """Influence on the neighbours of a unit in the middle, and condition and noise of the whole map."""
     design = response.design
     rows, cols = design.array.rows, design.array.cols
     forward = ForwardModel.of(response, component_named("all"))
@@ -260,28 +251,3 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
     readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, PILLAR_TOP])
     strongest: FloatArray = np.abs(readings).max(axis=(0, 1))
     return strongest
-
-
-def write_spacing(found: Spacing, path: Path) -> None:
-    """Write the JSON file with its hash, whole or not at all."""
-    write_text(sealed_json(asdict(found), 1) + "\n", path)
-
-
-def read_spacing(path: Path, recipe: str) -> Spacing | None:
-    """What a file holds if it has that recipe; None if not, or if there is no such file."""
-    try:
-        plain = opened_json(path.read_text(encoding="utf-8"))
-        if plain["recipe"] != recipe:
-            return None
-        asked: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in plain["asked"].items()
-        }
-        parts = {
-            "asked": Asked(**asked),
-            "spaced": [Spaced(**one) for one in plain["spaced"]],
-            "touches": [Touch(**one) for one in plain["touches"]],
-        }
-        return Spacing(**plain | parts)
-    except (OSError, ValueError, KeyError, TypeError):
-        say_made_anew(path)
-        return None

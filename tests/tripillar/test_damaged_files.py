@@ -17,7 +17,8 @@ from geometry import FileFormatError, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
 from geometry.storage.seal import MARK
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
-from studies.paper.results import Results, read_results, write_results
+from studies.paper.results import Results
+from studies.paper.storage import read_results, write_results
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tripillar.sweep.rows import Row, read_row, write_row
@@ -82,8 +83,8 @@ def a_row(path: Path):
 def results(path: Path):
     lists = {"data_sets": [], "results": [], "shown": []}
     numbers = {spec.name: 2 for spec in fields(Results) if spec.name not in lists}
-    write_results(Results(**numbers | lists | {"recipe": "r"}), path)
-    return lambda path: read_results(path, "r")
+    write_results(Results(**numbers | lists), "r", path)
+    return lambda path: read_results(path, "r", Results)
 
 
 KINDS = {

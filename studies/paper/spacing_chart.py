@@ -1,4 +1,4 @@
-"""How influence decays with distance, what it does to neighbours by pitch, and which touch is felt."""
+"""A chart of the decay of influence with distance, of neighbours' readings by pitch, and of the lightest felt touch."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def draw_spacing(found: Spacing, height_mm: float, material: Material, path: Pat
     figure = Figure(figsize=(13, 4.8), dpi=100, layout="constrained")
     decay, share, touch = figure.subplots(1, 3)
 
-    fitting = [one for one in found.spaced if one.pitch_mm >= found.smallest_mm]
+    fitting = found.fitting
     r, moved, on_rim = (
         np.concatenate([getattr(one, name) for one in fitting]) for name in ("distance_mm", "moved", "on_rim")
     )

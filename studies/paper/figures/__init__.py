@@ -1,1 +1,0 @@
-"""The report's pictures, a file for each of its parts; each function writes one PNG."""
