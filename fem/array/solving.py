@@ -87,9 +87,9 @@ def solve_response(
     """
     settings = (settings or ResponseSettings()).suited(design)
     if settings.method == "layer":
-        return replace(layer_response(design), method="layer")
+        return layer_response(design)
     if settings.method == "halfspace":
-        return replace(halfspace_response(design), method="halfspace")
+        return halfspace_response(design)
     answer = response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)
     return ArrayResponse(
         design=design,
