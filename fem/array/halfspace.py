@@ -145,7 +145,7 @@ def response_by_translation(
 def _edge_kernels(X: FloatArray, Y: FloatArray) -> tuple[FloatArray, ...]:
     """Fourth integrals H, ∂⁴H/∂X²∂Y², of x²/r³, y²/r³, x y/r³, x/r² and y/r², up to what the sum over edges cancels.
 
-    Logarithms are written asinh(Y/|X|) for ln(Y + r), which does not cancel at Y < 0; where one is infinite its factor is 0.
+    Logarithms are written asinh(Y/|X|) for ln(Y + r): no cancellation at Y < 0, and 0 where the factor before one is 0.
     """
     r = np.hypot(X, Y)
     log_y, log_x = _asinh_ratio(Y, np.abs(X)), _asinh_ratio(X, np.abs(Y))

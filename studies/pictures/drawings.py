@@ -1,18 +1,89 @@
-"""The drawings of the documentation that need no solver: ``python -m studies.pictures.drawings docs``."""
+"""The documentation's drawings that need no solver: ``python -m studies.pictures.drawings docs``.
+
+`build.png` is one unit with its electrodes and the wires that read it, `protocols.png` one load of each protocol.
+"""
 
 from pathlib import Path
 
-from geometry.design import SensorDesign
+import matplotlib
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from dataset.protocol_pictures import draw_protocols
+from geometry.design import SensorDesign, Unit
+from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_sections
+from geometry.storage.files import replacing
+from geometry.wiring import crossings, pillar_of_crossing
 from tripillar.terminal.entry import run_alone
+
+COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
+GREY = "#7f7f7f"
 
 
 def draw(folder: Path) -> None:
     """Draw the unit with its wiring, and one load of each protocol."""
-    from dataset.protocol_pictures import draw_protocols
-    from geometry.drawing import draw_build
-
     draw_build(SensorDesign(), folder / "build.png")
     draw_protocols(SensorDesign(), folder / "protocols.png")
+
+
+def draw_build(design: SensorDesign, path: Path) -> None:
+    """Draw one unit of a design and the wiring of a 2 × 2 array, and write a PNG."""
+    figure = plt.figure(figsize=(11, 4.6))
+    _unit(figure.add_subplot(1, 2, 1, projection="3d"), design.unit)
+    _wiring(figure.add_subplot(1, 2, 2), rows=2, cols=2)
+    figure.tight_layout()
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=130)
+    plt.close(figure)
+
+
+def _unit(axes: Axes3D, unit: Unit) -> None:
+    """The three pillars of a unit with the names of its electrodes."""
+    for name, ends, section in zip(PILLARS, pillar_ends(unit), pillar_sections(unit), strict=True):
+        axes.add_collection3d(Poly3DCollection(prism_faces(ends, section), color=COLOURS[name], alpha=0.75, lw=0))
+        axes.plot([], [], lw=6, color=COLOURS[name], label=f"{name} pillar, senses F{name}")
+    z_ends, x_ends, y_ends = pillar_ends(unit)
+    for place, name, up in ((z_ends[1], "U1", 1), (y_ends[1], "U2", 1), (z_ends[0], "L1", -1), (x_ends[0], "L2", -1)):
+        x, y, z = place
+        axes.text(x, y, z + 0.13 * up * unit.height_mm, name, ha="center", va="center")
+    half, s, h = unit.footprint_mm / 2, unit.span_mm / 2, unit.height_mm
+    axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(0, h), xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    axes.set(xticks=(-s, 0, s), yticks=(-s, 0, s), zticks=(0, h))
+    axes.set_box_aspect((2 * half, 2 * half, h))
+    axes.view_init(elev=22, azim=-35)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=3, fontsize=8, handlelength=1, frameon=False)
+
+
+def prism_faces(ends_mm: FloatArray, section_mm: FloatArray) -> list[FloatArray]:
+    """The six faces, (4, 3) each [mm], of a pillar between two ends (2, 3) with a horizontal section (2,)."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2 * section_mm
+    bottom, top = (np.column_stack([corners, np.zeros(4)]) + end for end in ends_mm)
+    sides = [np.array([bottom[k], bottom[k - 1], top[k - 1], top[k]]) for k in range(4)]
+    return [bottom, top, *sides]
+
+
+def _wiring(axes: Axes, rows: int, cols: int) -> None:
+    """Row and column wires, and at each crossing the pillar that it reads."""
+    for wire in range(2 * rows):
+        axes.axhline(wire, color=GREY, lw=1)
+        axes.text(-0.7, wire, f"row wire {wire}: U{wire % 2 + 1} of row {wire // 2}", ha="right", va="center")
+    for wire in range(2 * cols):
+        axes.axvline(wire, color=GREY, lw=1)
+        label = f"column wire {wire}:\nL{wire % 2 + 1} of column {wire // 2}"
+        axes.text(wire, -0.7, label, ha="center", va="top", rotation=90, linespacing=1.3)
+    pillars = pillar_of_crossing(rows, cols) % len(PILLARS)
+    for (row, column), pillar in zip(crossings(rows, cols), pillars, strict=True):
+        name = PILLARS[pillar]
+        axes.plot(column, row, "o", ms=17, color=COLOURS[name])
+        axes.text(column, row, name, color="white", ha="center", va="center", weight="bold")
+    axes.set(xlim=(-0.6, 2 * cols - 0.4), ylim=(-0.6, 2 * rows - 0.4), aspect="equal")
+    axes.axis("off")
+    axes.set_title(f"wiring of a {rows} × {cols} array", fontsize=10)
 
 
 if __name__ == "__main__":

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geometry.design import SensorDesign
-from geometry.drawing import prism_faces
+from fem.array.layer import layer_response
+from fem.fields.pad_loads import uniform_pressure
+from geometry.design import Array, SensorDesign
 from geometry.layout import pillar_ends, pillar_sections, pillar_volumes
+from studies.paper.deformation_pictures import draw_electrode_grid
 from studies.pictures.arrays import tour
-from studies.pictures.drawings import draw
+from studies.pictures.drawings import draw, prism_faces
 
 
 def volume_of(faces):
@@ -53,3 +55,12 @@ def test_the_tour_presses_drags_and_lifts():
     assert 4.0 < pressed.max() <= 5.0
     assert (shear <= 0.2 * pressed + 1e-12).all()  # within friction
     assert shear.max() > 0.7
+
+
+@pytest.mark.parametrize("pressure_mpa", [None, 1.0], ids=["figure 6", "figure 8"])
+def test_the_electrode_grid_is_drawn_before_and_after(pressure_mpa, tmp_path):
+    design = SensorDesign(array=Array(rows=1, cols=2))
+    traction = None if pressure_mpa is None else uniform_pressure(design, pressure_mpa)
+    draw_electrode_grid(layer_response(design), traction, tmp_path / "grid.png")
+    with Image.open(tmp_path / "grid.png") as picture:
+        assert np.asarray(picture.convert("RGB"), dtype=float).std() > 10
