@@ -56,7 +56,7 @@ simulator: firmware  ## the program that runs that firmware on a simulated chip
 	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware simulator
 
 hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
-	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/board
+	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/test_board_commands.py
 
 test: $(READY)  ## run the tests, on up to four cores
 	$(BIN)/python -m pytest $(WORKERS)

@@ -1,6 +1,6 @@
 """A board in Python, on a pseudo-terminal: frames at their pace, answers, and every fault a real board shows.
 
-For a host program to be tried without hardware. What it sends follows docs/frames.md, as the firmware does.
+A host program is tried with it without hardware. It follows docs/frames.md, as the firmware does.
 """
 
 import contextlib
@@ -12,19 +12,23 @@ import tty
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from enum import Enum, auto
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hardware.link.commands import Commands
+from geometry.layout import FloatArray
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
 from hardware.link.serial_ports import PortError
+from hardware.readout.calibration import Electronics
 
 Counts = Callable[[float], NDArray[Any]]
+Command = Literal["info", "errors"] | int  #: a question, or the rate that was asked for [Hz]; 65535 stands for more
 _RATES_HZ = range(1, 1001)  # that it can hold
+_MAX_HZ = 65535  # that a command can name
 
 
 class VirtualBoard:
@@ -136,7 +140,7 @@ class VirtualBoard:
         """
         self._do(lambda: self._become(info))
 
-    # what follows runs in the board's thread
+    # the methods below run in the board's thread
 
     def _run(self) -> None:
         try:
@@ -258,7 +262,7 @@ class VirtualBoard:
     def _stop(self) -> None:
         self._running = False
 
-    # and this in the thread that calls
+    # this one runs in the thread that calls
 
     def _do(self, action: Callable[[], None]) -> None:
         """Have the board's thread do something, and wait until it has."""
@@ -278,3 +282,94 @@ def _looped(counts: NDArray[Any], step_s: float) -> Counts:
     if not step_s > 0:
         raise FrameError(f"step_s={step_s:g} must be above 0: the seconds that the board stays at a row of counts.")
     return lambda time_s: counts[int(time_s / step_s) % len(counts)]
+
+
+class _State(Enum):
+    BETWEEN = auto()
+    NUMBER = auto()
+    MALFORMED = auto()
+
+
+class Commands:
+    """Finds the host's commands in a stream of bytes that comes in pieces of any size.
+
+    These are the states of firmware/commands.c; the tests run one table of cases through both.
+
+    >>> commands = Commands()
+    >>> commands.heard(b"R007"), commands.heard(bytes([10]) + b"?")
+    ([], [7, 'info'])
+    """
+
+    def __init__(self) -> None:
+        self._state = _State.BETWEEN
+        self._number: int | None = None  # None: no digit yet
+
+    def heard(self, received: bytes) -> list[Command]:
+        """The commands that these bytes complete."""
+        taken = map(self._take, received)
+        return [command for command in taken if command is not None]
+
+    def _take(self, byte: int) -> Command | None:
+        if byte in b"?!":  # always heard, even where a host went away in the middle of a command
+            self._state = _State.BETWEEN
+            return "info" if byte == ord("?") else "errors"
+        if byte == ord("\n"):
+            is_number = self._state is _State.NUMBER
+            self._state = _State.BETWEEN
+            return self._number if is_number else None
+        if self._state is _State.BETWEEN and byte == ord("R"):
+            self._state, self._number = _State.NUMBER, None
+        elif self._state is _State.NUMBER:
+            if ord("0") <= byte <= ord("9"):
+                self._number = min(10 * (self._number or 0) + byte - ord("0"), _MAX_HZ)
+            else:
+                self._state = _State.MALFORMED
+        return None
+
+
+def recording_from_resistances(
+    resistance_ohm: FloatArray,
+    info: Info,
+    first_sequence: int = 0,
+    first_us: int = 0,
+    electronics: Electronics | None = None,
+) -> bytes:
+    """The bytes that a board without noise would send of known resistances, crosstalk included.
+
+    Parameters
+    ----------
+    resistance_ohm : array, shape (n, rows, cols, 3)
+        Pillars z, x, y [Ω] of n scans, `info.rate_hz` a second.
+    info : Info
+        The board: its converter's bits and sense resistor set the counts.
+    first_sequence, first_us : int
+        Sequence number and device time [µs] of the first frame.
+    electronics : Electronics, optional
+        Switches, wires and amplifiers; default: the usual ones.
+
+    Returns
+    -------
+    bytes
+        An INFO frame and n data frames.
+
+    Examples
+    --------
+    >>> from hardware.recording import parse_recording
+    >>> info = Info(rows=1, cols=2, bits=12)
+    >>> parse_recording(recording_from_resistances(np.full((5, 1, 2, 3), 10e3), info)).counts.shape
+    (5, 6)
+    """
+    counts = (electronics or Electronics()).crossbar(info).counts(resistance_ohm)
+    saturated = (counts % (2**info.bits - 1) == 0).any(axis=1)  # 0 or full scale
+    frames = [
+        Frame(
+            sequence=(first_sequence + k) % 2**16,
+            device_us=(first_us + round(k * 1e6 / info.rate_hz)) % 2**32,
+            bits=info.bits,
+            counts=counts[k],
+            saturated=bool(saturated[k]),
+            scan_mode=info.scan_mode,
+        )
+        for k in range(len(counts))
+    ]
+    return encode(info) + b"".join(encode(frame) for frame in frames)

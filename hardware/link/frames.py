@@ -8,7 +8,7 @@ by a CRC, made free of zero bytes by COBS, and ended by one zero byte.
 import binascii
 import struct
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any
 
@@ -143,19 +143,16 @@ def encode(frame: Frame | Info | Errors) -> bytes:
 
 def pack(frame: Frame | Info | Errors) -> bytes:
     """A frame's fields and their CRC: what is on the wire, before COBS."""
-    if isinstance(frame, Info):
-        packed = _INFO.pack(
-            _INFO_TYPE, frame.protocol, frame.rows, frame.cols, frame.bits, frame.scan_mode,
-            bytes(frame.firmware), frame.rate_hz, frame.serial, frame.sense_ohm, frame.vref_mv,
-        )  # fmt: skip
-    elif isinstance(frame, Errors):
-        packed = _ERRORS.pack(_ERRORS_TYPE, frame.reset_cause, frame.bad_bytes, frame.losses)
-    else:
+    if isinstance(frame, Frame):
         header = _FRAME_HEADER.pack(
             _FRAME_TYPE, frame.flags, frame.sequence, frame.device_us,
             frame.counts.size, frame.bits, frame.overruns,
         )  # fmt: skip
         packed = header + frame.counts.astype("<u2").tobytes()
+    else:
+        values = [bytes(value) if isinstance(value, tuple) else value for value in vars(frame).values()]
+        is_info = isinstance(frame, Info)
+        packed = (_INFO if is_info else _ERRORS).pack(_INFO_TYPE if is_info else _ERRORS_TYPE, *values)
     return packed + _CRC.pack(_crc(packed))
 
 
@@ -179,14 +176,6 @@ def _crc(packed: bytes) -> int:
     return binascii.crc_hqx(packed, 0xFFFF)
 
 
-def _decode(chunk: bytes) -> Frame | Info | Errors | str:
-    """The frame between two delimiters, or the field of `Statistics` that says what is wrong with it."""
-    try:
-        return unpack(cobs.decode(chunk))
-    except cobs.DecodeError:
-        return "bad_cobs"
-
-
 def unpack(body: bytes) -> Frame | Info | Errors | str:
     """The frame that `pack` gave as `body`, or the field of `Statistics` that says what is wrong with it."""
     packed, received = body[: -_CRC.size], body[-_CRC.size :]
@@ -196,9 +185,11 @@ def unpack(body: bytes) -> Frame | Info | Errors | str:
         if packed[:1] == b"D":
             return _unpack_frame(packed)
         if packed[:1] == b"I":
-            return _unpack_info(packed)
+            _, *values = _INFO.unpack(packed)
+            named = dict(zip((each.name for each in fields(Info)), values, strict=True))
+            return Info(**named | {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])})
         if packed[:1] == b"E":
-            return _unpack_errors(packed)
+            return Errors(**dict(zip((each.name for each in fields(Errors)), _ERRORS.unpack(packed)[1:], strict=True)))
     except (struct.error, ValueError):  # a length or a value that no frame has
         pass
     return "bad_form"
@@ -217,29 +208,6 @@ def _unpack_frame(packed: bytes) -> Frame:
         scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
         overruns=overruns,
     )
-
-
-def _unpack_info(packed: bytes) -> Info:
-    (
-        _, protocol, rows, cols, bits, scan_mode, firmware, rate_hz, serial, sense_ohm, vref_mv,
-    ) = _INFO.unpack(packed)  # fmt: skip
-    return Info(
-        protocol=protocol,
-        rows=rows,
-        cols=cols,
-        bits=bits,
-        scan_mode=ScanMode(scan_mode),
-        firmware=tuple(firmware),
-        rate_hz=rate_hz,
-        serial=serial,
-        sense_ohm=sense_ohm,
-        vref_mv=vref_mv,
-    )
-
-
-def _unpack_errors(packed: bytes) -> Errors:
-    _, reset_cause, bad_bytes, losses = _ERRORS.unpack(packed)
-    return Errors(reset_cause=reset_cause, bad_bytes=bad_bytes, losses=losses)
 
 
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
@@ -333,24 +301,18 @@ class FrameDecoder:
         if chunk == self._previous_chunk:
             self._counted["repeated"] += 1
             return None
-        frame = _decode(chunk) if len(chunk) <= _MAX_CHUNK else "bad_form"
+        try:
+            frame = unpack(cobs.decode(chunk)) if len(chunk) <= _MAX_CHUNK else "bad_form"
+        except cobs.DecodeError:
+            frame = "bad_cobs"
         if isinstance(frame, str):
             self._counted[frame] += self._has_met_delimiter
             return None
         if isinstance(frame, Frame):
-            self._follow(frame)
-            self._previous_chunk = chunk
             self._counted["ok"] += 1
+            missing = missing_between(self._previous, frame) if self._previous else 0
+            self._counted["restarts" if missing is None else "lost"] += 1 if missing is None else missing
+            self._previous, self._previous_chunk = frame, chunk
         elif isinstance(frame, Info):
             self._counted["info"] += 1
         return frame
-
-    def _follow(self, frame: Frame) -> None:
-        """Count what is missing between the previous frame and this one."""
-        if self._previous:
-            missing = missing_between(self._previous, frame)
-            if missing is None:
-                self._counted["restarts"] += 1
-            else:
-                self._counted["lost"] += missing
-        self._previous = frame

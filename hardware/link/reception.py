@@ -1,14 +1,14 @@
-"""What the bytes from one board mean: scans with their times, and what of it comes from another board.
-
-No port and no thread: bytes and their time of arrival are given. `hardware.link.scanner` feeds it.
-"""
+"""Bytes from one board to scans with their times. No port and no thread: bytes and their time of arrival are given."""
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 
-from hardware.link.clock import DeviceClock
 from hardware.link.frames import MAX_DRIFT, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
+
+_TURN_US = 2**32  # the board's clock starts again from 0
+_BUCKET_S = 1.0  # the quickest frame of each second is kept
+_MIN_POINTS = 4  # for a drift: with fewer, one second without a quick frame would tilt the line
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -27,21 +27,25 @@ class Scan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReceptionStatistics(Statistics):
-    """What was met so far, over all connections.
+class LinkStatistics(Statistics):
+    """Counts of a link's events, over all connections.
 
     `lost` are frames missing within a run; `restarts` has those between two connections among them; `foreign` are data
     and INFO frames of another device, not delivered.
     """
 
     overruns: int = 0  #: scans that the board skipped
+    dropped: int = 0  #: scans that fell out of the scanner's queue, because nobody took them in time
+    stalls: int = 0  #: silences longer than the timeout
+    reconnects: int = 0  #: the port was lost and found again
 
 
-_OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # which has no clock to tell restarts by
+_IDENTITY = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
+_OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # the rest takes the host's clock or the INFO
 
 
 class Reception:
-    """Scans out of the bytes of one board, which is the one that first said what it is.
+    """Makes scans of the bytes of one board: the one that first said what it is.
 
     Scans are delivered once an INFO frame says what they mean: after each (re)connection, and again after
     another device was met.
@@ -76,13 +80,12 @@ class Reception:
         return self._foreign
 
     @property
-    def statistics(self) -> ReceptionStatistics:
-        met = self._counted + Counter(_counts(self._decoder.statistics))
-        return ReceptionStatistics(info=self.n_infos, **met)
+    def statistics(self) -> LinkStatistics:
+        return LinkStatistics(info=self.n_infos, **(self._counted + self._decoded()))
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
-        self._counted.update(_counts(self._decoder.statistics))
+        self._counted.update(self._decoded())
         self._decoder = FrameDecoder()
         self._has_frames = self._is_trusted = False  # no data and no INFO frame came since the connection
         self.doubt()
@@ -110,17 +113,19 @@ class Reception:
             self._follow(received, received_s)
             if self._is_trusted:
                 time_s = self._unix_s + self._clock.host_time(received.device_us)
-                restarts = self._counted["restarts"]
-                scans.append(
-                    Scan(frame=received, received_s=received_s, time_s=time_s, restarts=restarts, run=self._run)
-                )
+                restarts, run = self._counted["restarts"], self._run
+                scans.append(Scan(frame=received, received_s=received_s, restarts=restarts, run=run, time_s=time_s))
         return scans
+
+    def _decoded(self) -> Counter[str]:
+        """Counts of this connection's decoder, but for those that take a clock or another connection to tell."""
+        return Counter({name: getattr(self._decoder.statistics, name) for name in _OF_THE_DECODER})
 
     def _identify(self, info: Info) -> None:
         self.info = self.info or info
-        if _identity(info) != _identity(self.info):
+        if difference := _difference(info, self.info):
             self._counted["foreign"] += 1
-            self._foreign = f"another device answers, {_difference(info, self.info)}: connect the first one again."
+            self._foreign = f"another device answers, {difference}: connect the first one again."
             return
         self.info = info
         self.n_infos += 1
@@ -165,16 +170,118 @@ class Reception:
         return self._foreign is not None
 
 
-def _counts(statistics: Statistics) -> dict[str, int]:
-    return {name: getattr(statistics, name) for name in _OF_THE_DECODER}
-
-
-def _identity(info: Info) -> tuple[int, ...]:
-    """What does not change as long as a device stays the same."""
-    return info.rows, info.cols, info.bits, info.scan_mode, info.serial, info.sense_ohm
-
-
 def _difference(info: Info, expected: Info) -> str:
-    names = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")
-    pairs = [(name, getattr(info, name), getattr(expected, name)) for name in names]
+    """The first of two devices, where it differs from the second; empty if they are the same."""
+    pairs = [(name, getattr(info, name), getattr(expected, name)) for name in _IDENTITY]
     return ", ".join(f"{name} {value} instead of {wanted}" for name, value, wanted in pairs if value != wanted)
+
+
+class DeviceClock:
+    """Puts the board's clock on the host's time: host time = board's time + offset + drift · board's time.
+
+    A frame may arrive late by anything (buffers, other programs) but never early. So only the quickest frames of the
+    last seconds set the offset and the drift.
+
+    Parameters
+    ----------
+    window_s : float
+        How far back frames count [s].
+
+    Notes
+    -----
+    `host_time` is late by the link's least delay, which cannot be told from the clock's offset.
+
+    The line lies below all kept points and comes closest to them on average: it is the edge of their lower convex hull
+    over their mean time (Moon, Skelly & Towsley, "Estimation and removal of clock skew from network delay
+    measurements", INFOCOM 1999). It is fitted once a second; a frame in between only lowers it. In the first four
+    seconds the drift is taken as 0.
+
+    Examples
+    --------
+    >>> clock = DeviceClock()
+    >>> clock.add(2_000_000, 12.5)
+    >>> clock.host_time(2_100_000)
+    12.6
+    """
+
+    def __init__(self, window_s: float = 20.0) -> None:
+        self._quickest: deque[tuple[float, float]] = deque(maxlen=max(_MIN_POINTS, round(window_s / _BUCKET_S)))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all: the board has started anew."""
+        self._quickest.clear()  # of each second gone by: (board's time, delay), both [s], as below
+        self._current: tuple[float, float] | None = None  # of the second that runs
+        self._bucket_end_s = 0.0
+        self._last_us: int | None = None  # never wraps
+        self._drift = 0.0
+        self._offset_s = 0.0
+
+    @property
+    def drift(self) -> float:
+        """By how much the host's clock runs faster than the board's, as a fraction."""
+        return self._drift
+
+    def add(self, device_us: int, received_s: float) -> None:
+        """Take note that a frame of the board's time [µs, modulo 2³²] was received at `received_s` [s, host].
+
+        Frames come in their order, with no pause of 2³¹ µs (35.8 min) or more between two.
+        """
+        self._last_us = self._unwrapped(device_us)
+        board_s = self._last_us * 1e-6
+        delay_s = received_s - board_s
+        if self._current is None:
+            self._offset_s = delay_s
+        elif board_s >= self._bucket_end_s:
+            self._quickest.append(self._current)
+            self._fit()
+            self._current = None
+        if self._current is None:
+            self._current = (board_s, delay_s)
+            self._bucket_end_s = board_s + _BUCKET_S
+        elif delay_s < self._current[1] + self._drift * (board_s - self._current[0]):
+            self._current = (board_s, delay_s)
+        self._offset_s = min(self._offset_s, delay_s - self._drift * board_s)  # no frame arrives early
+
+    def host_time(self, device_us: int) -> float:
+        """When the board's clock stood at `device_us` [s, host]; for times near that of the last frame.
+
+        Raises
+        ------
+        ValueError
+            If no frame was added yet.
+        """
+        if self._last_us is None:
+            raise ValueError("no frame has set the clock yet: add() one first.")
+        board_s = self._unwrapped(device_us) * 1e-6
+        return board_s + self._offset_s + self._drift * board_s
+
+    def _unwrapped(self, device_us: int) -> int:
+        """The time nearest to the last one that is `device_us` modulo a turn."""
+        if self._last_us is None:
+            return device_us
+        step = (device_us - self._last_us + _TURN_US // 2) % _TURN_US - _TURN_US // 2
+        return self._last_us + step
+
+    def _fit(self) -> None:
+        points = list(self._quickest)
+        if len(points) >= _MIN_POINTS:
+            mean_s = sum(board_s for board_s, _ in points) / len(points)
+            hull = _lower_hull(points)
+            k = next(k for k in range(1, len(hull)) if hull[k][0] >= mean_s)
+            (start_s, start), (end_s, end) = hull[k - 1], hull[k]
+            self._drift = min(max((end - start) / (end_s - start_s), -MAX_DRIFT), MAX_DRIFT)
+        self._offset_s = min(delay_s - self._drift * board_s for board_s, delay_s in points)
+
+
+def _lower_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Corners of the lower convex hull of points sorted by x (Andrew's monotone chain)."""
+    hull: list[tuple[float, float]] = []
+    for x, y in points:
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                break
+            hull.pop()
+        hull.append((x, y))
+    return hull

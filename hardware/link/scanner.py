@@ -1,21 +1,16 @@
-"""The scanner: a port with a board on it, as a stream of scans that survives what cables and boards do::
-
-with Scanner("/dev/ttyUSB0") as scanner:
-    for scan in scanner:
-        print(scan.time_s, scan.frame.counts)
-"""
+"""The scanner reads a port with a board on it: a stream of scans that goes on after faults of cables and boards."""
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
 from geometry.errors import TriPillarError
 from hardware.link.frames import Errors, Info
-from hardware.link.reception import Reception, ReceptionStatistics, Scan
+from hardware.link.reception import LinkStatistics, Reception, Scan
 from hardware.link.serial_ports import BAUD, PortError, close, open_port, read_available, write
 
 _READ_TIMEOUT_S = 0.1  # bounds how long closing takes
@@ -30,17 +25,12 @@ class ScannerError(TriPillarError, RuntimeError):
     """A board that does not answer, or not as it should."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScannerStatistics(ReceptionStatistics):
-    """What a scanner has met so far."""
-
-    dropped: int = 0  #: scans that fell out of the queue, because nobody took them in time
-    stalls: int = 0  #: silences longer than the timeout
-    reconnects: int = 0  #: the port was lost and found again
-
-
 class Scanner:
-    """Scans from the board on a port, read by a thread of its own from entering to leaving the with block.
+    """Reads the scans of the board on a port, in a thread of its own, as long as the with block lasts::
+
+        with Scanner("/dev/ttyUSB0") as scanner:
+            for scan in scanner:
+                print(scan.time_s, scan.frame.counts)
 
     Parameters
     ----------
@@ -158,18 +148,18 @@ class Scanner:
 
     @property
     def info(self) -> Info:
-        """What the board says of itself."""
+        """INFO of the board: size, rate, circuit, firmware."""
         info = self._reception.info
         if info is None:
             raise ScannerError("the board was not asked yet: enter the scanner, with Scanner(...) as scanner.")
         return info
 
     @property
-    def stats(self) -> ScannerStatistics:
-        """What was met so far."""
+    def stats(self) -> LinkStatistics:
+        """Counts of all that happened so far."""
         with self._changed:
-            return ScannerStatistics(
-                **vars(self._reception.statistics),
+            return replace(
+                self._reception.statistics,
                 dropped=self._n_dropped,
                 stalls=self._n_stalls,
                 reconnects=self._n_reconnects,
@@ -242,7 +232,7 @@ class Scanner:
         return self.info
 
     def _wait_for(self, is_so: Callable[[], bool], timeout_s: float | None) -> bool:
-        """Wait until something is so, or the reading has ended; raises what ended it."""
+        """Wait until something is so, or the reading has ended; raise the error that ended it."""
         if self._thread.ident is None:
             raise ScannerError("the scanner reads nothing yet: enter it, with Scanner(...) as scanner.")
         with self._changed:
@@ -262,7 +252,7 @@ class Scanner:
         return self._url or "port"
 
     def _silence(self) -> str:
-        """What came instead of an INFO frame."""
+        """Say what came instead of an INFO frame."""
         statistics, n_bytes = self._reception.statistics, self._reception.n_bytes
         if not n_bytes:
             return f"nothing received within {self._timeout_s:g} s: is this the board's port, and the board powered?"
@@ -270,10 +260,10 @@ class Scanner:
             return f"{n_bytes} bytes but no valid frame: wrong baud rate? {self._baud} is set."
         return f"{statistics.ok} frames but no INFO in answer to '?': does the board's firmware follow the protocol?"
 
-    # what follows runs in the reading thread
-
     def _open(self) -> Any:
         return self._opener(self._url, baud=self._baud, timeout_s=_READ_TIMEOUT_S)
+
+    # the methods below run in the reading thread
 
     def _run(self) -> None:
         try:
@@ -318,7 +308,7 @@ class Scanner:
                 self._note_stall()
 
     def _question(self) -> bytes | None:
-        """What the board is to be told without anybody's request: to say who it is, or the rate that it forgot."""
+        """The command to send unasked: ``?`` while the board is unknown, or the rate that it forgot."""
         if self._reception.asks:
             return b"?"
         wanted_hz = self._wanted_hz

@@ -1,7 +1,7 @@
-"""What the crossbar does to its readings: every wire that waits is a way around the pillar that is read.
+"""The crossbar and its crosstalk: unselected wires form sneak paths around the pillar that is read.
 
-`Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `correction.py`
-inverts it. Wires and the order of crossings are those of `geometry.wiring`.
+`Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation. Wires and the order
+of crossings are those of `geometry.wiring`.
 """
 
 import math
@@ -18,8 +18,6 @@ from geometry.wiring import crossings, crossings_from_pillars, pillars_from_cros
 from hardware.link.frames import ScanMode
 
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
-MAX_LOST = 0.999  #: of a wire's voltage, in a first guess from readings that no array gives
-NEUMANN = 4.0  #: what the first guess errs by at most, over ε_row ε_column; 0.8 to 2.4 were found
 SUITED_SENSE_OHM = {
     ScanMode.DIVIDER: 2_200.0,
     ScanMode.GROUNDED: 1_000.0,
@@ -93,18 +91,6 @@ class Crossbar:
         return row_wire, 2 * self.rows + column_wire
 
     @cached_property
-    def _loss_by_wire(self) -> FloatArray:
-        """From y to the share of its voltage that each wire loses, (n_crossings, n_wires) [Ω].
-
-        That is its series resistance, and where idle rows are grounded the sense resistor that a column's sum passes.
-        """
-        wires = np.arange(2 * (self.rows + self.cols))
-        row, column = self.ends
-        is_on = (row[:, None] == wires) | (column[:, None] == wires)
-        sense_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
-        return is_on * (self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols]))
-
-    @cached_property
     def series_ohm(self) -> FloatArray:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
@@ -139,7 +125,7 @@ class Crossbar:
         return self._gain_ohm * y
 
     def counts(self, resistance_ohm: FloatArray, generator: np.random.Generator | None = None) -> NDArray[np.int64]:
-        """What the converter gives for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
+        """Counts of the converter for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
 
         Noise is drawn from `generator`; without one there is none.
         """
@@ -167,7 +153,7 @@ class Crossbar:
         return self.as_pillars(np.maximum(self.sense_ohm / readings - self.sense_ohm, MIN_OHM))
 
     def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
-        """What the converter's steps leave of corrected resistances: relative standard deviation, (rows, cols, 3).
+        """Relative standard deviation of corrected resistances by the converter's steps, (rows, cols, 3).
 
         Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, deviation 1/√12 of its width; the
         inverse of the Jacobian mixes and amplifies them.
@@ -187,8 +173,8 @@ class Crossbar:
         """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
         return pillars_from_crossings(values, self.rows, self.cols)
 
-    # What a crossing seems to conduct, y [S], is what readings and conductances of pillars g [S] meet in; each
-    # of shape (n, n_crossings). Where nothing but the pillar itself conducts, y = g.
+    # y [S] is the apparent conductance of a crossing, g [S] that of its pillar, each of shape (n, n_crossings). Where
+    # nothing but the pillar itself conducts, y = g.
 
     def apparent_conductances(self, readings: FloatArray) -> FloatArray:
         """y from readings."""
@@ -196,35 +182,6 @@ class Crossbar:
             around_ohm = self.sense_ohm / readings - self.sense_ohm - 2.0 * (self.switch_ohm + self.line_ohm)
             return 1.0 / np.clip(around_ohm, MIN_OHM, MAX_OHM)
         return np.maximum(readings / self._gain_ohm, 1.0 / MAX_OHM)
-
-    @property
-    def guesses_well(self) -> bool:
-        """Whether `first_guess` errs by less than pillars change from one scan to the next."""
-        return self.scan_mode == ScanMode.ZERO_POTENTIAL
-
-    def first_guess(self, apparent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """g from y in closed form, and a bound of its error as a share of each scan's largest g; infinite if unknown.
-
-        Notes
-        -----
-        With a wire's series resistance r and the sum G of its pillars, a = 1/(1 + r G), Neumann's series of N gives
-        y = a_row g a_column (1 + O(ε_row ε_column)), ε the largest r G. The guess takes a from sums of y in the place
-        of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
-        is that of equal pillars.
-        """
-        if self.scan_mode == ScanMode.DIVIDER:
-            alike = np.full((1, apparent.shape[1]), 1e-4)
-            return apparent * (alike / self.apparent_of(alike)), np.full(len(apparent), math.inf)
-        row, column = self.ends
-        lost = apparent @ self._loss_by_wire  # share of each wire's voltage across its resistance
-        np.minimum(lost, MAX_LOST, out=lost)
-        left = 1.0 - lost  # a, of every wire
-        guess = apparent / (left.take(row, axis=1) * left.take(column, axis=1))
-        if self.scan_mode == ScanMode.GROUNDED:
-            return guess, np.full(len(apparent), 0.0 if self.series_ohm[0] == 0.0 else math.inf)
-        n_rows = 2 * self.rows
-        by_row, by_column = lost[:, :n_rows].max(axis=1), lost[:, n_rows:].max(axis=1)
-        return guess, NEUMANN * (by_row / (1.0 - by_row)) * (by_column / (1.0 - by_column))
 
     def apparent_of(self, conductance: FloatArray) -> FloatArray:
         """y of pillars' conductances: the nodal analysis."""

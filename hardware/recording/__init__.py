@@ -1,17 +1,17 @@
-"""Recordings: raw counts as they came, kept by `Recorder`, read by `read_recording`, given other forms by `convert`.
+"""Recordings: raw counts as they came, with their times of arrival. Forces are computed from them.
 
-Resistances and forces are computed from them, by
-`hardware.readout.replaying`. `docs/recordings.md` has the format; `recorder.py`
-and `reader.py` are its two ends, `recorded.py` says what a recording is.
+`Recorder` keeps them in the format `.frames`, `read_recording` reads this and the others, `convert` makes NetCDF, MCAP
+and CSV, `PlaybackPort` plays them in place of a board. Open `recorded.py` for what a recording is, `frames_file.py` for
+the format.
 """
 
-from hardware.recording.byte_stream import recording_bytes, recording_from_resistances, write_recording
-from hardware.recording.convert import convert
-from hardware.recording.reader import parse_recording, read_recording
+from hardware.recording.formats import convert, read_recording
+from hardware.recording.frames_file import Recorder, RecordingError, parse_recording
+from hardware.recording.playback import PlaybackPort, recording_bytes
 from hardware.recording.recorded import Recording
-from hardware.recording.recorder import Recorder, RecordingError
 
 __all__ = [
+    "PlaybackPort",
     "Recorder",
     "Recording",
     "RecordingError",
@@ -19,6 +19,4 @@ __all__ = [
     "parse_recording",
     "read_recording",
     "recording_bytes",
-    "recording_from_resistances",
-    "write_recording",
 ]

@@ -1,4 +1,4 @@
-"""A recording in place of a board: a port that answers and sends as the board did."""
+"""A recording played in place of a board: a port that answers and sends as the board did."""
 
 import threading
 import time
@@ -15,8 +15,13 @@ from hardware.recording.recorded import Recording, frames_of, is_restart
 _CAPACITY = 4096  # bytes that wait at most, as in a serial driver; here the others wait behind them and are not lost
 
 
+def recording_bytes(recording: Recording) -> bytes:
+    """The recording as its board would have sent it: an INFO frame, then every data frame."""
+    return encode(recording.info) + b"".join(map(encode, frames_of(recording)))
+
+
 class PlaybackPort:
-    """What pyserial's ``Serial`` is to a board, for a recording; its clock starts with the first read.
+    """Stands in for pyserial's ``Serial``; its clock starts with the first read.
 
     Frames can be read once they are due and stay until they are: a slow reader loses none. As a board does, it
     sends its INFO frame when asked by ``?`` and not before.
@@ -39,9 +44,10 @@ class PlaybackPort:
 
     Examples
     --------
-    >>> from hardware.link.frames import FrameDecoder, Info
-    >>> from hardware.recording import parse_recording, recording_from_resistances
-    >>> stream = recording_from_resistances(np.full((5, 1, 2, 3), 10e3), Info(rows=1, cols=2))
+    >>> from hardware.link.frames import Frame, Info
+    >>> from hardware.recording import parse_recording
+    >>> frames = [Frame(sequence=k, device_us=0, bits=10, counts=np.full(6, 512)) for k in range(5)]
+    >>> stream = encode(Info(rows=1, cols=2)) + b"".join(map(encode, frames))
     >>> with PlaybackPort(parse_recording(stream), speed=np.inf) as port:
     ...     _ = port.write(b"?")
     ...     port.read(port.in_waiting) == stream, port.finished

@@ -1,7 +1,7 @@
-"""What a recording says, as arrays: the same, whichever kind of file held it."""
+"""The content of a recording, as arrays: the same, whichever kind of file held it."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,58 @@ from numpy.typing import NDArray
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
-from hardware.recording.header import Header
+
+FORMAT, VERSION = "tripillar recording", 2
+MADE_FROM = ("model_recipe", "design_hash")  #: hashes of the model and the design that a recording may state
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """States what holds for a whole recording; sessions with the same header may stand in one file."""
+
+    info: Info
+    calibration: str = ""  #: JSON text
+    made_from: Mapping[str, str] = field(default_factory=dict)  #: some of `MADE_FROM`
+
+    def __post_init__(self) -> None:
+        foreign = set(self.made_from) - set(MADE_FROM)
+        if foreign:
+            raise ValueError(f"made_from has {sorted(foreign)}, allowed are {list(MADE_FROM)}: leave out the rest.")
+
+    def plain(self) -> dict[str, int | str]:
+        """The header as numbers and text, entries that are empty included.
+
+        >>> plain = Header(info=Info(firmware=(1, 2, 3)), made_from={"design_hash": "a1"}).plain()
+        >>> plain["scan_mode"], plain["firmware"], plain["design_hash"], plain["model_recipe"]
+        ('DIVIDER', '1.2.3', 'a1', '')
+        """
+        info: dict[str, int | str] = asdict(self.info)
+        info |= {"scan_mode": self.info.scan_mode.name, "firmware": ".".join(map(str, self.info.firmware))}
+        made_from = {name: self.made_from.get(name, "") for name in MADE_FROM}
+        return {"format": FORMAT, "version": VERSION, **info, "calibration": self.calibration, **made_from}
+
+
+def read_header(plain: Mapping[str, Any], source: str) -> Header:
+    """Read back what `Header.plain` gave; other entries are passed over, anything else is a FileFormatError."""
+    if plain.get("format") != FORMAT:
+        raise FileFormatError(f"{source}: not a recording of TriPillar: give a file made by a recorder.")
+    try:
+        if int(plain["version"]) > VERSION:
+            raise FileFormatError(
+                f"{source}: a recording of version {plain['version']}, this program reads up to {VERSION}: update it."
+            )
+        values: dict[str, Any] = {each.name: plain[each.name] for each in fields(Info)}
+        mode, firmware = ScanMode[values.pop("scan_mode")], tuple(map(int, values.pop("firmware").split(".")))
+        numbers = {name: int(value) for name, value in values.items()}
+        made_from = {name: str(plain[name]) for name in MADE_FROM if plain.get(name)}
+        info = Info(**numbers, scan_mode=mode, firmware=firmware)  # type: ignore[arg-type]  # it checks their number
+        return Header(info=info, calibration=str(plain["calibration"]), made_from=made_from)
+    except FileFormatError:
+        raise
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise FileFormatError(
+            f"{source}: its header is damaged ({type(error).__name__}: {error}): give a file made by a recorder."
+        ) from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +83,23 @@ class Recording:
     received_s: FloatArray | None = None  #: (n,), host's Unix time of arrival [s]; a stream of bytes has none
     calibration: str = ""  #: JSON text, as given to the recorder
     made_from: Mapping[str, str] = field(default_factory=dict)  #: hashes of what the recorder worked with
+
+    @property
+    def header(self) -> Header:
+        return Header(info=self.info, calibration=self.calibration, made_from=self.made_from)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """What `assemble` takes, as it was received; unknown times of arrival are NaN."""
+        n = len(self.counts)
+        return {
+            "counts": self.counts,
+            "sequence": self.sequence,
+            "device_us": self.device_us,
+            "flags": self.flags,
+            "overruns": self.overrun_counts,
+            "received_s": np.full(n, np.nan) if self.received_s is None else self.received_s,
+            "run": self.run.astype(np.uint32),
+        }
 
 
 def assemble(

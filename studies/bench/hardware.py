@@ -17,19 +17,16 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from hardware.boards.virtual_board import VirtualBoard
+from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
+from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.correction import Corrector
 from hardware.readout.crossbar import Crossbar
-from hardware.readout.live import ForceReader
-from hardware.recording import recording_from_resistances
-from tripillar.board.link import milliseconds
-from tripillar.board.motion import STEP_S, Motion, PressAndSlide, press_and_slide
-from tripillar.board.paper_sensor import board_info, joint_net
-from tripillar.board.session import Session, scans
-from tripillar.board.simulated import CHIP_BITS
+from hardware.readout.forces import ForceReader
+from hardware.session import LiveSensor, milliseconds, scans_within
+from studies.paper_sensor import board_info, joint_net
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
@@ -137,9 +134,9 @@ def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds
     sender = context.Process(target=_send, args=(there, counts, info), daemon=True)
     sender.start()
     with Scanner(here.recv()) as scanner:
-        reading = Session(scanner, model, SensorCalibration.as_designed(info.rows, info.cols))
+        reading = LiveSensor(scanner, model, SensorCalibration.as_designed(info.rows, info.cols))
         done_at = {}
-        for scan in scans(scanner, seconds):
+        for scan in scans_within(scanner, seconds):
             if scan is not None:
                 reading.forces(scan)
                 done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s

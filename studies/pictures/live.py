@@ -7,15 +7,15 @@ from rich.console import Console
 
 from geometry.design import SensorDesign
 from geometry.storage.files import replacing
+from hardware.boards.simulated import PressAndSlide, press_and_slide
 from hardware.link.frames import ScanMode
-from hardware.link.scanner import ScannerStatistics
+from hardware.link.reception import LinkStatistics
 from hardware.readout.calibration import Electronics
-from hardware.readout.live import ForceReader
-from tripillar.board.motion import PressAndSlide, press_and_slide
-from tripillar.board.paper_sensor import board_info, joint_net
-from tripillar.board.view import live_view
+from hardware.readout.forces import ForceReader
+from studies.paper_sensor import board_info, joint_net
 from tripillar.pipeline.run import respond
 from tripillar.terminal.entry import run_alone
+from tripillar.terminal.force_view import live_view
 from tripillar.terminal.progress import Bars
 
 MODE = ScanMode.ZERO_POTENTIAL
@@ -30,10 +30,10 @@ def draw(out: Path) -> None:
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
     k = round(SHARE * len(counts))
     found = ForceReader(info, model).forces(counts[k : k + 1])
-    deviation_n, _ = model.deviations(found.resistance_ohm)
+    assert found.deviation_n is not None, "the joint net knows its uncertainty"
     view = live_view(
-        found.force_n[0], deviation_n[0], model.component.axes, float(found.force_n.max()), info.rate_hz,
-        ScannerStatistics(ok=k), [],
+        found.force_n[0], found.deviation_n[0], model.component.axes, float(found.force_n.max()), info.rate_hz,
+        LinkStatistics(ok=k), [],
     )  # fmt: skip
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
     console.print(view)

@@ -5,7 +5,7 @@ from collections import deque
 
 import numpy as np
 
-from hardware import Frame, Info, encode
+from hardware.link.frames import Frame, Info, encode
 
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]

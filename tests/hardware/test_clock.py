@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hardware.link.clock import DeviceClock
+from hardware.link.reception import DeviceClock
 
 RATE_HZ = 150
 MIN_DELAY_S = 3e-3  # of every frame; no receiver can tell it from an offset of the clock

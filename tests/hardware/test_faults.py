@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware import encode
 from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import encode
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError, open_port
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until

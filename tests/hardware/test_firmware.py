@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware.boards.simavr_board import FIRMWARE
-from hardware.link.commands import Commands
+from hardware.boards.virtual_board import Commands
 from hardware.link.frames import Errors, Frame, Info, encode
 from tests.hardware.test_decoder import errors, frames, infos
 from tests.hardware.test_frames import FRAME_VECTORS, INFO_VECTORS

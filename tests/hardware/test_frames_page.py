@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import serial
 
-from hardware import Crossbar, Frame, FrameDecoder, Info, VirtualBoard, encode
-from hardware.link.frames import Errors, ScanMode
+from hardware import Crossbar, Frame, FrameDecoder, Info
+from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import Errors, ScanMode, encode
 from tests.hardware.simulated import DISTINCT, INFO
 from tests.hardware.test_frames import VECTORS
 

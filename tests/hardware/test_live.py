@@ -8,10 +8,11 @@ import pytest
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, train
 from geometry.errors import FileFormatError
-from hardware import Scanner, VirtualBoard
+from hardware import Scanner
+from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
-from hardware.readout.live import ForceReader
+from hardware.readout.forces import ForceReader
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
@@ -127,12 +128,12 @@ def test_gains_are_not_taken_out_twice():
 def test_deviations_are_given_where_the_model_knows_them():
     model = Shares()
     counts = counts_of([0.0])
-    assert ForceReader(INFO, model).deviations(ForceReader(INFO, model).forces(counts)) is None
+    assert ForceReader(INFO, model).forces(counts).deviation_n is None
     model.knows_uncertainty, model.reading_noise = True, 0.1
     model.deviations = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
     reader = ForceReader(INFO, model)
     found = reader.forces(counts)
-    assert reader.deviations(found) == pytest.approx(0.1 * found.resistance_ohm)
+    assert found.deviation_n == pytest.approx(0.1 * found.resistance_ohm)
 
 
 def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
@@ -144,7 +145,7 @@ def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
     found = reader.forces(Electronics().crossbar(info).counts(REST_OHM[None]))
     steps = np.median(reader.crossbar.step_deviation(REST_OHM[None]))
     assert 1e-3 < steps < 1e-1
-    assert reader.deviations(found) == pytest.approx(steps * found.resistance_ohm)
+    assert found.deviation_n == pytest.approx(steps * found.resistance_ohm)
 
 
 @pytest.mark.parametrize(("bits", "tared"), [(16, False), (10, True)])
@@ -167,5 +168,5 @@ def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared):
         fresh = SensorCalibration.as_designed(2, 3)
         reader = ForceReader(info, model, fresh.tared(reader.measured(seen)[0][0]))
     found = reader.forces(seen)
-    assert (np.abs(found.force_n) <= 2 * reader.deviations(found)).all()
+    assert (np.abs(found.force_n) <= 2 * found.deviation_n).all()
     assert np.abs(found.force_n).max() < 0.02 * samples.force_n.max()

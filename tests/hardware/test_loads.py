@@ -3,7 +3,7 @@
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.readout.loads import read_loads, weight
+from hardware.readout.known_loads import read_loads, weight
 
 
 def table(tmp_path, *lines, header="load,row,col,fx_n,fy_n,fz_n,from_s,to_s"):

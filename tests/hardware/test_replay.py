@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
+from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
-from hardware.readout.live import ForceReader
-from hardware.readout.replaying import replay
-from hardware.recording import parse_recording, read_recording, recording_from_resistances, write_recording
+from hardware.readout.forces import ForceReader, replay
+from hardware.recording import parse_recording, read_recording
 
 INFO = Info(rows=2, cols=3, bits=10, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=2_900)
 
@@ -74,7 +74,7 @@ def test_from_resistances_to_forces_through_a_file(tmp_path, mode):
     info = replace(INFO, bits=16, scan_mode=mode)
     sent = resistances_of(50)
     path = tmp_path / "press.frames"
-    write_recording(recording_from_resistances(sent, info), path)
+    path.write_bytes(recording_from_resistances(sent, info))
     result = replay(read_recording(path), RootModel())
     assert result.force_n == pytest.approx(np.sqrt(sent), rel=3e-3)
     assert result.time_s == pytest.approx(np.arange(50) / 150, abs=1e-6)

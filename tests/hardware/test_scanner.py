@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import serial
 
-from hardware import FrameDecoder, ScanMode, encode
 from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import FrameDecoder, ScanMode, encode
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError
 from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, wait_until

@@ -4,10 +4,9 @@ import os
 
 import pytest
 
-from hardware.boards.simavr_board import SimavrBoard, find_tools
+from hardware.boards.simavr_board import SimavrBoard, UntrustedError, find_tools, require_own
+from hardware.boards.simulated import firmware_built, suited_kind
 from hardware.link.frames import Info
-from hardware.readout.trust import UntrustedError, require_own
-from tripillar.board.simulated import firmware_built, suited_kind
 
 NOBODY = 65534
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware import Frame, FrameDecoder, FrameError, Info
 from hardware.boards.virtual_board import VirtualBoard
+from hardware.link.frames import Frame, FrameDecoder, FrameError, Info
 from hardware.link.serial_ports import close, open_port, read_available, write
 from tests.hardware.boards import COUNTS, INFO, wait_until
 

@@ -11,7 +11,8 @@ import pytest
 import xarray as xr
 
 from dataset import read_samples
-from hardware import Info, recording_from_resistances, write_recording
+from hardware import Info
+from hardware.boards.virtual_board import recording_from_resistances
 from tests.house import SMALL, House
 
 POKE = ["dataset", "--protocol", "contact", "--samples", "9", "--out", "x.nc"]
@@ -154,7 +155,7 @@ def test_replay_gives_the_forces_behind_recorded_frames(house):
     """Frames made from a dataset's resistances: forces as the model gives them, but for the converter's steps."""
     data = read_samples(house.folder / "out/data/contact-fz-test.nc")
     info = Info(rows=1, cols=2, bits=16)
-    write_recording(recording_from_resistances(data.resistance_ohm, info), house.folder / "press.frames")
+    (house.folder / "press.frames").write_bytes(recording_from_resistances(data.resistance_ohm, info))
     model = "out/models/contact-fz-skip17-inverse.safetensors"
     replayed = house.result("replay", "press.frames", "--model", model)
     assert (replayed["frames"], replayed["saturated_frames"], replayed["axes"]) == (200, 0, ["z"])

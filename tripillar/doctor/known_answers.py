@@ -103,7 +103,8 @@ def network_of_200_samples() -> float:
 
 def scans_over_a_terminal() -> float:
     """Share of ten scans of a simulated board that do not arrive as they were sent."""
-    from hardware import Info, Scanner, VirtualBoard
+    from hardware import Info, Scanner
+    from hardware.boards.virtual_board import VirtualBoard
 
     counts = np.arange(108) + 400
     with VirtualBoard(counts, Info(rate_hz=200)) as board, Scanner(board.port) as scanner:

@@ -9,15 +9,9 @@ import pytest
 import xarray as xr
 
 from geometry.errors import FileFormatError
+from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, Statistics
-from hardware.recording import (
-    Recorder,
-    convert,
-    parse_recording,
-    read_recording,
-    recording_from_resistances,
-)
-from hardware.recording.netcdf import write_netcdf_recording
+from hardware.recording import Recorder, convert, parse_recording, read_recording
 from tests.hardware.recording.recorded_frames import (
     CALIBRATION,
     INFO,
@@ -181,6 +175,6 @@ def test_damaged_netcdf_is_refused_in_one_line(tmp_path, content):
 def test_flags_that_no_board_sends_are_refused(recording, tmp_path):
     flags = recording.flags.copy()
     flags[4] = 7
-    write_netcdf_recording(replace(recording, flags=flags), tmp_path / "press.nc")
+    convert(replace(recording, flags=flags), tmp_path / "press.nc")
     with pytest.raises(FileFormatError, match=r"data frame 4 has .* scan mode unknown"):
         read_recording(tmp_path / "press.nc")

@@ -1,16 +1,13 @@
 """Recordings as MCAP: what Foxglove and ROS tools find in them."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.readout.replaying import Replay
 from hardware.recording import Recorder, read_recording
-from hardware.recording.mcap_file import write_mcap
-from hardware.recording.mcap_schemas import FORCES, INFO, SCAN, SCHEMAS
+from hardware.recording.formats import FORCES, INFO, SCAN, SCHEMAS, write_mcap
 from tests.hardware.recording.recorded_frames import CALIBRATION, MADE_FROM, arrivals, frames
 from tests.hardware.recording.recorded_frames import INFO as BOARD
 
@@ -63,21 +60,13 @@ def recording(tmp_path):
     return read_recording(tmp_path / "press.frames")
 
 
-def replayed(recording, deviation_n=None):
-    n = len(recording.counts)
-    return Replay(
-        time_s=recording.time_s,
-        force_n=np.random.default_rng(9).normal(size=(n, 2, 3, 3)),
-        deviation_n=deviation_n,
-        calibration="",
-        saturated=np.zeros((n, 2, 3, 3), dtype=bool),
-        statistics=recording.statistics,
-    )
+def forces_of(recording):
+    return np.random.default_rng(9).normal(size=(len(recording.counts), 2, 3, 3))
 
 
 def test_any_mcap_reader_finds_info_scans_and_forces(recording, path):
-    forces = replayed(recording, np.full((40, 2, 3, 3), 0.1))
-    write_mcap(recording, path, forces, AXES)
+    forces = forces_of(recording)
+    write_mcap(recording, path, forces, np.full((40, 2, 3, 3), 0.1), AXES)
     found = messages(path)
     assert list(found) == [INFO, SCAN, FORCES]
     [(message, info)] = found[INFO]
@@ -92,7 +81,7 @@ def test_any_mcap_reader_finds_info_scans_and_forces(recording, path):
         assert message.log_time / 10**9 == content["time"] == recording.received_s[k]
         assert (content["rows"], content["cols"], content["axes"]) == (2, 3, list(AXES))
         assert [(unit["row"], unit["col"]) for unit in content["units"]] == list(np.ndindex(2, 3))
-        assert np.abs(by_unit(content, "force_n") - forces.force_n[k]).max() <= 0.5e-6  # six decimals
+        assert np.abs(by_unit(content, "force_n") - forces[k]).max() <= 0.5e-6  # six decimals
         assert (by_unit(content, "deviation_n") == 0.1).all()
 
 
@@ -107,11 +96,11 @@ def test_it_has_an_index_so_that_viewers_need_not_read_it_all(recording, path):
 def test_what_fails_leaves_the_old_file(recording, path):
     write_mcap(recording, path)
     before = path.read_bytes()
-    wrong = replace(replayed(recording), force_n=np.full((40, 2, 3, 3), np.nan))
+    forces = forces_of(recording)
     with pytest.raises(ValueError, match="not JSON compliant"):
-        write_mcap(recording, path, wrong, AXES)
-    with pytest.raises(ValueError, match="a name for each of its axes"):
-        write_mcap(recording, path, replayed(recording))
+        write_mcap(recording, path, forces * np.nan, None, AXES)
+    with pytest.raises(ValueError, match="a name for each of their axes"):
+        write_mcap(recording, path, forces)
     assert path.read_bytes() == before
     assert len(list(path.parent.iterdir())) == 2
 
@@ -152,12 +141,10 @@ def test_files_that_are_no_recording_are_refused_in_one_line(path, make, message
     [b"[]", b"{}", b'{"counts": [1, 2, 3]}', b'{"counts": [70000]}', b'{"counts": ["a"]}', b'{"counts": null}'],
 )
 def test_scans_that_are_none_are_refused_in_one_line(recording, path, scan, monkeypatch):
-    monkeypatch.setattr("hardware.recording.mcap_file._scan", lambda recording, k: {"device_us": 0, "sequence": 0})
-    dumps = json.dumps
-    found = scan.decode()
+    dumps, found = json.dumps, scan.decode()
     monkeypatch.setattr(
-        "hardware.recording.mcap_file.json.dumps",
-        lambda content, **options: found if content == {"device_us": 0, "sequence": 0} else dumps(content, **options),
+        "hardware.recording.formats.json.dumps",
+        lambda content, **options: found if "counts" in content else dumps(content, **options),
     )
     write_mcap(recording, path)
     with pytest.raises(FileFormatError, match="a scan is damaged") as refusal:

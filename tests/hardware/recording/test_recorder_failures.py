@@ -70,7 +70,7 @@ def test_ctrl_c_waits_for_the_frame_to_be_written(path, monkeypatch):
         signal.raise_signal(signal.SIGINT)
         return write(file, data[:100])  # the rest is yet to be written
 
-    monkeypatch.setattr("hardware.recording.recorder.os.write", interrupted)
+    monkeypatch.setattr("hardware.recording.frames_file.os.write", interrupted)
     with pytest.raises(KeyboardInterrupt):
         recorder.append(frames(1), 1.8e9)
     monkeypatch.undo()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
+from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Frame, Info, ScanMode, encode
-from hardware.recording import parse_recording, read_recording, recording_from_resistances, write_recording
+from hardware.recording import parse_recording, read_recording
 
 INFO = Info(rows=2, cols=3, bits=12, rate_hz=200)
 SIZE = 12 + 2 * 18 + 2 + 1 + 1  # bytes of one of its data frames on the wire
@@ -28,7 +29,7 @@ def a_frame(k, n=18, **changes):
 
 def test_what_was_written_is_read(tmp_path):
     path = tmp_path / "press.frames"
-    write_recording(a_recording(5), path)
+    path.write_bytes(a_recording(5))
     recording = read_recording(path)
     assert recording.info == INFO
     assert recording.counts.shape == (5, 18)

@@ -20,12 +20,11 @@ from decoupler.model.model_file import write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.solving import array_response
 from geometry.design_file import read_design
-from hardware.boards.virtual_board import VirtualBoard
+from hardware.boards.simulated import STEP_S, PressAndSlide, press_and_slide
+from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics
-from hardware.recording import recording_from_resistances
 from tests.house import House
-from tripillar.board.motion import STEP_S, PressAndSlide, press_and_slide
 
 CHROMIUM = "/usr/bin/chromium"
 MODEL = "model.safetensors"

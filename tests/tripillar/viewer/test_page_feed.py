@@ -9,8 +9,8 @@ from decoupler.data.components import component_named
 from decoupler.data.scaling import Scaling
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
+from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, ScanMode
-from hardware.recording import recording_from_resistances
 from tripillar.viewer.page.feed import SensorFeed
 
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=50)

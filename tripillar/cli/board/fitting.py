@@ -52,13 +52,13 @@ def tare(
     """Zero a sensor: take what it shows now, with nothing on it, as its rest."""
     import numpy as np
 
+    from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import write_calibration
-    from tripillar.board.session import averaged, board_on, counts_within
-    from tripillar.board.stillness import require_still
+    from hardware.session import connect, counts_within
 
     require_positive(seconds=seconds, timeout=timeout)
     require_unused(out, calibration)
-    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+    with connect(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
         electronics = electronics_of(known.electronics, switch_ohm, line_ohm)
         crossbar, counts = electronics.crossbar(scanner.info), counts_within(scanner, seconds)
         if not force:
@@ -107,7 +107,8 @@ def calibrate(
     One of the loads should be none at all. The fit is by least squares.
     """
     from hardware.readout.calibration import read_calibration, write_calibration
-    from tripillar.board.calibrating import calibrated, measured_in_recording, measured_live
+    from hardware.readout.known_loads import calibrated
+    from tripillar.cli.board.measured_loads import measured_in_recording, measured_live
     from tripillar.pipeline.run import respond
 
     require_positive(seconds=seconds, timeout=timeout)

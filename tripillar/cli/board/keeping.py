@@ -34,6 +34,7 @@ from tripillar.terminal.console import (
 )
 
 if TYPE_CHECKING:
+    from hardware.link.reception import LinkStatistics
     from hardware.recording import Recording
 
 commands = typer.Typer()
@@ -64,28 +65,40 @@ def record(
     'replay' makes forces of a recording, 'convert' NetCDF, MCAP or CSV.
     """
     from decoupler.model.model_file import read_model
-    from tripillar.board.keep import QUEUE, met_beside, record_scans
-    from tripillar.board.session import Session, board_on, hashes_of
+    from hardware.session import RECORDING_QUEUE, LiveSensor, connect, hashes_of, record_scans
 
     require_positive(seconds=seconds, timeout=timeout)
     if out.suffix in (".nc", ".mcap", ".csv"):
         raise DesignError(f"{out}: record to {out.with_suffix('.frames')}, then 'tripillar convert' makes {out} of it.")
     require_suffix("--out", out, ".frames")
     decoupler = None if model is None else read_model(model)
-    with board_on(port, calibration, baud=baud, timeout=timeout, queue=QUEUE) as (scanner, known):
+    with connect(port, calibration, baud=baud, timeout=timeout, queue=RECORDING_QUEUE) as (scanner, known):
         if decoupler is not None:
-            Session(scanner, decoupler, known)  # refuses a model of another sensor
+            LiveSensor(scanner, decoupler, known)  # refuses a model of another sensor
         hashes = {} if decoupler is None else hashes_of(decoupler)
         advance = None if verbosity is False else progress
-        recorded = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
+        n, met = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
     if json_:
-        show_json({"file": str(out), "scans": recorded.scans, "statistics": asdict(recorded.statistics)})
+        show_json({"file": str(out), "scans": n, "statistics": asdict(met)})
     else:
-        met = recorded.statistics
-        print(", ".join([f"{recorded.scans} scans, {met.lost} lost, {met.overruns} overruns", *met_beside(met)]))
+        print(", ".join([f"{n} scans, {met.lost} lost, {met.overruns} overruns", *other_counts(met)]))
     wrote([out])
+
+
+def other_counts(met: "LinkStatistics") -> list[str]:
+    """What else happened on the link, in words; nothing of what did not."""
+    damaged = met.bad_cobs + met.bad_crc + met.bad_form
+    named = {
+        "damaged": damaged,
+        "repeated": met.repeated,
+        "of another board": met.foreign,
+        "restarts": met.restarts,
+        "reconnects": met.reconnects,
+        "of the lost because this computer was too slow": met.dropped,
+    }
+    return [f"{n} {what}" for what, n in named.items() if n]
 
 
 @commands.command(rich_help_panel=BOARD)
@@ -97,14 +110,14 @@ def convert(
     json_: JsonOption = False,
 ) -> None:
     """Turn a recording into NetCDF, MCAP or CSV, whole or not at all."""
-    from hardware.recording import convert as converted
-    from hardware.recording import read_recording
+    from hardware import convert as write_converted
+    from hardware import read_recording
 
     require_suffix("--out", out, ".nc", ".mcap", ".csv")
     require_other(out, recording)
     recorded = read_recording(recording)
     say(damage(recording, recorded))
-    converted(recorded, out)
+    write_converted(recorded, out)
     if json_:
         show_json({"file": str(out), "frames": len(recorded.run), "statistics": asdict(recorded.statistics)})
     else:
@@ -153,7 +166,8 @@ def replay(
     from decoupler.model.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames
-    from tripillar.board.session import Session, board_on, hashes_of
+    from hardware.session import hashes_of
+    from hardware.session import live as live_forces
 
     require_suffix("--out", out, ".nc", ".mcap")
     require_other(out, recording, model, calibration)
@@ -163,11 +177,11 @@ def replay(
             raise DesignError(f"--speed {speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
         if out is not None or not crosstalk:
             raise DesignError("--speed only shows forces: leave --out and --no-crosstalk out, or leave out --speed.")
-        from tripillar.board.follow import print_lines, show_forces
+        from tripillar.terminal.force_view import print_lines, show_forces
 
         read_recording(recording)  # refuses what is none before it is taken for a port
-        with board_on(str(recording), calibration, speed) as (scanner, known):
-            (print_lines if json_ else show_forces)(Session(scanner, decoupler, known), math.inf)
+        with live_forces(str(recording), decoupler, calibration, speed) as sensor:
+            (print_lines if json_ else show_forces)(sensor, math.inf)
         return
     recorded = read_recording(recording)
     say(damage(recording, recorded))
@@ -178,10 +192,10 @@ def replay(
     replayed = replay_frames(recorded, decoupler, own, crosstalk, uncertainty=out is not None)
     frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
     if out is not None and out.suffix == ".mcap":
-        from hardware.recording.mcap_file import write_mcap
+        from hardware.recording.formats import write_mcap
 
         used = replace(recorded, calibration=replayed.calibration, made_from=hashes)
-        write_mcap(used, out, replayed, decoupler.component.axes)
+        write_mcap(used, out, replayed.force_n, replayed.deviation_n, decoupler.component.axes)
     elif out is not None:
         write_forces(replayed, decoupler.component.axes, out, hashes)
     if json_:

@@ -76,11 +76,18 @@ def simulate(
     Where simavr is installed, the very firmware runs on a simulated chip. The port is a pseudo-terminal.
     """
     from dataset.imperfections import Imperfections
+    from hardware.boards.simulated import (
+        PressAndSlide,
+        counts_over_time,
+        press_and_slide,
+        run_board,
+        scene_motion,
+        suited_kind,
+        write_truth,
+    )
     from hardware.link.frames import Info
     from hardware.readout.crossbar import SUITED_SENSE_OHM, scan_mode_named
-    from tripillar.board.motion import PressAndSlide, press_and_slide, scene_motion, write_truth
-    from tripillar.board.session import ended_by_signal
-    from tripillar.board.simulated import counts_over_time, simulated, suited_kind
+    from hardware.session import ended_by_signal
 
     require_positive(seconds=seconds)
     if not 0.1 <= period <= 600:
@@ -112,7 +119,7 @@ def simulate(
     counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), sensor)
     if truth is not None:
         write_truth(motion, truth)
-    with simulated(kind, told, counts, link) as running, ended_by_signal() as is_ended:
+    with run_board(kind, told, counts, link) as running, ended_by_signal() as is_ended:
         named = str(link or running.port)
         if json_:
             print(json.dumps({"port": named, "board": kind}), flush=True)

@@ -44,10 +44,10 @@ def info(
     port: PortArgument, baud: BaudOption = BAUD, timeout: TimeoutOption = TIMEOUT_S, json_: JsonOption = False
 ) -> None:
     """Ask a board what it is: size, rate, circuit, firmware."""
-    from tripillar.board.session import board_on
+    from hardware.session import connect
 
     require_positive(timeout=timeout)
-    with board_on(port, baud=baud, timeout=timeout) as (scanner, _):
+    with connect(port, baud=baud, timeout=timeout) as (scanner, _):
         told, errors = scanner.info, scanner.errors()
     plain = (
         asdict(told)
@@ -78,19 +78,16 @@ def live(
 
     With --json every scan is a line; its deviations are at most 0.1 s old.
     """
-    from decoupler.model.model_file import read_model
-    from tripillar.board.follow import print_lines, show_forces
-    from tripillar.board.session import Session, board_on
+    from hardware.session import live as live_forces
+    from tripillar.terminal.force_view import print_lines, show_forces
 
     if rate is not None and Path(port).is_file():
         raise DesignError("a recording has the rate that it was made at: leave --rate out.")
     require_positive(seconds=seconds, timeout=timeout)
-    decoupler = read_model(model)
-    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
-        reading = Session(scanner, decoupler, known)
+    with live_forces(port, model, calibration, baud=baud, timeout=timeout) as sensor:
         if rate is not None:
-            scanner.set_rate(rate)
-        (print_lines if json_ else show_forces)(reading, seconds)
+            sensor.scanner.set_rate(rate)
+        (print_lines if json_ else show_forces)(sensor, seconds)
 
 
 @commands.command(rich_help_panel=BOARD)
@@ -108,14 +105,13 @@ def bench(
     Latency is the time from the last byte of a scan to its forces.
     """
     from decoupler.model.model_file import read_model
-    from tripillar.board.link import measured_link
-    from tripillar.board.session import Session, board_on
+    from hardware.session import LiveSensor, connect, measure_link
 
     require_positive(seconds=seconds, timeout=timeout)
     decoupler = None if model is None else read_model(model)
-    with board_on(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
-        reading = None if decoupler is None else Session(scanner, decoupler, known)
-        found = measured_link(scanner, reading, seconds)
+    with connect(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        sensor = None if decoupler is None else LiveSensor(scanner, decoupler, known)
+        found = measure_link(scanner, sensor, seconds)
     if json_:
         show_json(asdict(found))
     else:

@@ -12,9 +12,7 @@ from typing import Any, Self
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from hardware.link.scanner import Scanner
-from hardware.readout.live import Forces
-from tripillar.board.session import Session, board_on
+from hardware.session import LiveSensor, live
 from tripillar.viewer.page.sensing import with_all_axes
 
 POLL_S = 0.05  #: between two looks at a sensor
@@ -32,7 +30,7 @@ class SensorScan:
 class SensorFeed:
     """The board on a port or the frames of a recording, from entering to leaving the with block.
 
-    Parameters and errors are those of `tripillar.board.session.board_on` and `Session`.
+    Parameters and errors are those of `hardware.session.live`.
     """
 
     def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
@@ -44,9 +42,9 @@ class SensorFeed:
         self._saturated = 0  # pillars at an end of the converter's range in the newest scan
 
     def __enter__(self) -> Self:
-        scanner, known = self._open.enter_context(board_on(self.port, self._calibration, **self._settings))
-        self._scanner: Scanner = scanner
-        self._session = Session(scanner, self.model, known)
+        sensor = live(self.port, self.model, self._calibration, **self._settings)
+        self._sensor: LiveSensor = self._open.enter_context(sensor)
+        self._scanner = self._sensor.scanner
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -60,10 +58,10 @@ class SensorFeed:
             self._times.append(scan.received_s)
         if scan is None:
             return None
-        found: Forces = self._session.forces(scan)
+        found = self._sensor.forces(scan)
         self._saturated = int(found.saturated.sum())
-        force_n = with_all_axes(found.force_n[0], self.model.component.axes)
-        return SensorScan(resistance_ohm=found.resistance_ohm[0], force_n=force_n)
+        force_n = with_all_axes(found.force_n, self.model.component.axes)
+        return SensorScan(resistance_ohm=found.resistance_ohm, force_n=force_n)
 
     @property
     def ended(self) -> bool:

@@ -5,10 +5,10 @@ import pytest
 
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
+from hardware.boards.simulated import PressAndSlide
 from hardware.link.frames import ScanMode
+from hardware.readout.averaging import min_scans, movement, require_still
 from hardware.readout.crossbar import Crossbar
-from tripillar.board.motion import PressAndSlide
-from tripillar.board.stillness import least_scans, movement, require_still
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (6, 6, 1))
 RATE_HZ, N = 150, 300  # of the 2 s that a tare takes
@@ -75,7 +75,7 @@ def test_noise_that_scans_share_is_no_motion():
 
 @pytest.mark.parametrize("rate_hz", [1, 10, 150, 1000])
 def test_so_many_scans_are_enough_and_fewer_are_refused(rate_hz):
-    n, crossbar = least_scans(rate_hz), Crossbar()
+    n, crossbar = min_scans(rate_hz), Crossbar()
     ohms = REST_OHM * np.linspace(1.0, 0.9, n)[:, None, None, None]
     counts = crossbar.counts(ohms)
     assert movement(counts, crossbar, rate_hz)

@@ -5,9 +5,9 @@ import pytest
 
 from geometry.errors import FileFormatError
 from hardware.link.frames import ScanMode
+from hardware.readout.averaging import averaged
 from hardware.readout.correction import Corrector
 from hardware.readout.crossbar import Crossbar
-from tripillar.board.session import averaged
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (6, 6, 1))
 

@@ -8,12 +8,11 @@ from decoupler.data.components import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from geometry import Array, SensorDesign
 from geometry.errors import FileFormatError
+from hardware.readout.averaging import averaged
 from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import Crossbar
-from hardware.readout.loads import weight
+from hardware.readout.known_loads import MeasuredLoads, calibrated, weight
 from tests.dataset.conftest import made_up_response
-from tripillar.board.calibrating import MeasuredLoads, calibrated
-from tripillar.board.session import averaged
 
 RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
 NOTHING, KILOS = "0 0 0", "0 1 5000"

@@ -5,9 +5,9 @@ from dataset.imperfections import Imperfections
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
+from hardware.boards.simulated import CHIP_BITS
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.crossbar import SUITED_SENSE_OHM
-from tripillar.board.simulated import CHIP_BITS
 
 SAMPLES = 2000
 SEED = 1

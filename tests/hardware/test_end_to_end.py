@@ -12,12 +12,11 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from hardware.boards.simavr_board import find_tools
+from hardware.boards.simulated import STEP_S, Motion, counts_over_time, run_board
 from hardware.link.frames import Info, ScanMode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics
-from hardware.readout.live import ForceReader
-from tripillar.board.motion import STEP_S, Motion
-from tripillar.board.simulated import counts_over_time, simulated
+from hardware.readout.forces import ForceReader
 
 missing = find_tools()
 pytestmark = pytest.mark.skipif(missing is not None, reason=str(missing))
@@ -58,7 +57,7 @@ def test_known_forces_come_back_through_the_firmware(sensor, mcu, capsys):
     counts = counts_over_time(motion, Electronics().crossbar(INFO), Imperfections())
     hold_us = 1e6 * HOLD_STEPS * STEP_S
     found = np.full((N_LOADS, 6, 6, 3), np.nan)
-    with simulated(mcu, INFO, counts, fast=True) as board, Scanner(board.port, queue=10_000) as scanner:
+    with run_board(mcu, INFO, counts, fast=True) as board, Scanner(board.port, queue=10_000) as scanner:
         reader = ForceReader(scanner.info, model)
         deadline = time.monotonic() + 60
         for scan in scanner:

@@ -9,9 +9,9 @@ from dataset.resistance import rest_resistances
 from fem.scene.scene_file import read_scene
 from geometry.design import Array, SensorDesign
 from geometry.errors import DesignError
-from tripillar.board.motion import STEP_S, PressAndSlide, scene_motion, write_truth
+from hardware.boards.simulated import STEP_S, PressAndSlide, scene_motion, write_truth
 
-SCENES = Path(__file__).parents[3] / "scenes"
+SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def test_the_script_presses_slides_and_lifts():

@@ -1,4 +1,4 @@
-"""Whether a sensor stood still while its readings were averaged."""
+"""Means over many scans: the resistances, their noise, and whether the sensor stood still meanwhile."""
 
 import math
 from typing import Any
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from geometry.errors import FileFormatError
-from geometry.layout import PILLARS
+from geometry.layout import PILLARS, FloatArray
 from hardware.readout.correction import Corrector
 from hardware.readout.crossbar import Crossbar
 
@@ -17,9 +17,41 @@ MIN_DRIFT = 1e-3  #: relative change of a resistance; less is the rubber's creep
 BIN_S = 0.01  #: scans this close together may share their noise
 MAX_GROUPS = 17  #: into which the time is divided; a prime, so that few motions repeat with it
 MIN_GROUPS, MIN_BINS = 4, 4  #: groups, and bins in each of them, that can tell motion from noise
+MAX_FOR_NOISE = 200  #: scans that tell how much a resistance varies
 
 
-def least_scans(rate_hz: float) -> int:
+def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:
+    """Mean resistances of counts (n, n_crossings), and how far to trust them.
+
+    Returns
+    -------
+    resistance_ohm : array, shape (rows, cols, 3)
+        As the crossbar gives them [Ω]; NaN where a count is 0, open.
+    noise : float
+        Relative standard deviation of these: the median over pillars of scatter and converter's steps together.
+
+    Raises
+    ------
+    FileFormatError
+        If a pillar reads full scale: it lies below what the converter can tell.
+    """
+    readings, is_bound = crossbar.fractions(counts)
+    is_open = crossbar.as_pillars(np.any(counts == 0, axis=0, keepdims=True))[0]
+    is_short = crossbar.as_pillars(np.any(is_bound, axis=0, keepdims=True))[0] & ~is_open
+    if is_short.any():
+        row, col, pillar = np.argwhere(is_short)[0]
+        raise FileFormatError(
+            f"pillar {PILLARS[pillar]} of row {row}, col {col} reads full scale, so its resistance is unknown: "
+            f"choose a smaller sense resistor than {crossbar.sense_ohm:g} Ω, or mend a short."
+        )
+    mean_ohm = Corrector(crossbar).correct(readings.mean(axis=0, keepdims=True))
+    some = Corrector(crossbar).correct(readings[-MAX_FOR_NOISE:])
+    scatter = some.std(axis=0) / mean_ohm[0] / math.sqrt(len(some))
+    noise = np.hypot(scatter, crossbar.step_deviation(mean_ohm))
+    return np.where(is_open, np.nan, mean_ohm[0]), float(np.median(noise[~is_open]))
+
+
+def min_scans(rate_hz: float) -> int:
     """Scans that can tell motion from noise."""
     return MIN_GROUPS * MIN_BINS * _scans_a_bin(rate_hz)
 
@@ -32,10 +64,10 @@ def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seco
     FileFormatError
         If `movement` finds one, or scans are too few for it.
     """
-    if len(counts) < least_scans(rate_hz):
+    if len(counts) < min_scans(rate_hz):
         raise FileFormatError(
             f"{len(counts)} scans within {seconds:g} s are too few to tell a sensor at rest from one that moves: give "
-            f"--seconds {math.ceil(1.2 * least_scans(rate_hz) / rate_hz * 10) / 10:g} or more."
+            f"--seconds {math.ceil(1.2 * min_scans(rate_hz) / rate_hz * 10) / 10:g} or more."
         )
     if moved := movement(counts, crossbar, rate_hz):
         raise FileFormatError(
@@ -45,7 +77,7 @@ def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seco
 
 
 def movement(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float) -> str | None:
-    """Which pillar moved most and by how much, or None where noise explains all changes, or scans are too few to tell.
+    """Name the pillar that moved most and by how much; None where noise explains all, or scans are too few to tell.
 
     Parameters
     ----------
@@ -60,8 +92,8 @@ def movement(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float) -> str | 
     -----
     An analysis of variance of each crossing: means over up to `MAX_GROUPS` stretches of time must not scatter more
     than the scatter within them explains, at a level of `FALSE_ALARMS` over the number of crossings (Bonferroni), which
-    holds however their noise hangs together. A pillar must also have changed by more than one count and `MIN_DRIFT`:
-    less is not known of a mean in any case.
+    holds for noise that is correlated between crossings, too. A pillar must also have changed by more than one count
+    and `MIN_DRIFT`, since a mean is not known better.
     """
     per_bin = _scans_a_bin(rate_hz)
     n_bins = len(counts) // per_bin

@@ -1,0 +1,197 @@
+"""Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.errors import FileFormatError
+from geometry.layout import PILLARS, FloatArray
+from geometry.storage.netcdf import write_netcdf
+from hardware.link.frames import Info, Statistics
+from hardware.readout.calibration import SensorCalibration
+from hardware.readout.correction import Corrector
+from hardware.recording import Recording
+
+if TYPE_CHECKING:
+    from decoupler.model.decoupler import Decoupler
+
+CHUNK = 2048  #: frames worked on together
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Forces:
+    """Forces of n scans; k components, as the model gives them."""
+
+    force_n: FloatArray  #: (n, rows, cols, k)
+    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y as the model saw them
+    saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
+    model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+
+    @cached_property
+    def deviation_n(self) -> FloatArray | None:
+        """Half-widths that hold 68 % of the forces' errors, of their shape [N]; None if the model knows none.
+
+        Computed when first asked for, which takes ten times as long as the forces.
+        """
+        return None if self.model is None else self.model.deviations(self.resistance_ohm)[0]
+
+
+class ForceReader:
+    """Turns counts of one board into the forces on its sensor.
+
+    A model mixes the pillars of all units, so one that is saturated makes the forces of its whole scan an
+    extrapolation. They are given all the same, finite, and `Forces.saturated` says so. Not for several threads at once.
+
+    Parameters
+    ----------
+    info : Info
+        Of the board.
+    model : Decoupler
+        Trained for this array; its design says what the sensor shows at rest.
+    calibration : SensorCalibration, optional
+        Of this very sensor; without one it is taken to be as designed.
+    crosstalk : bool
+        True takes the crossbar's crosstalk out. False takes each crossing as read alone.
+
+    Raises
+    ------
+    FileFormatError
+        If model or calibration are of another array or design, if both know gains, or if there is a state at rest and
+        the model states no design.
+    """
+
+    def __init__(
+        self, info: Info, model: "Decoupler", calibration: SensorCalibration | None = None, crosstalk: bool = True
+    ) -> None:
+        if (model.rows, model.cols) != (info.rows, info.cols):
+            raise FileFormatError(
+                f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
+                f"take a model trained for {info.rows} × {info.cols} units."
+            )
+        self.model = model
+        self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols)
+        self.calibration.require_for(info)
+        self.crossbar = self.calibration.electronics.crossbar(info)
+        self._invert = Corrector(self.crossbar).correct if crosstalk else self.crossbar.uncorrected
+        self._require_fit()
+        rest_ohm = model.rest_resistances()
+        if self.calibration.rest_ohm is not None and rest_ohm is None:
+            raise FileFormatError(
+                "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
+                "or train on data that state their design."
+            )
+        self._rest_ohm = np.ones(3) if rest_ohm is None else rest_ohm
+        self._uncertain = model if model.knows_uncertainty else None
+        if rest_ohm is not None and self._uncertain:
+            steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
+            if steps > model.reading_noise:  # a plain divider amplifies its converter's steps
+                self._uncertain = model.read_by(steps)
+
+    def _require_fit(self) -> None:
+        calibration, model = self.calibration, self.model
+        made_for = calibration.made_from.get("design_hash")
+        if made_for and model.design_hash and made_for != model.design_hash:
+            raise FileFormatError(
+                f"the calibration is for a sensor of design {made_for}, the model for one of {model.design_hash}: "
+                "take a model of that design, or calibrate by the model's."
+            )
+        if model.is_fine_tuned and not calibration.is_tare_only:
+            raise FileFormatError(
+                "the model is fine-tuned to its sensor's pillars, and the calibration knows their gains too: give a "
+                "calibration that only holds a tare, or the model before fine-tuning."
+            )
+
+    def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Resistances (n, rows, cols, 3) [Ω] that counts (n, rows·cols·3) stand for, and which are saturated."""
+        readings, saturated = self.crossbar.fractions(counts)
+        return self._invert(readings), self.crossbar.as_pillars(saturated)
+
+    def forces(self, counts: NDArray[Any]) -> Forces:
+        """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
+        measured_ohm, saturated = self.measured(counts)
+        resistance_ohm = self.calibration.modelled(measured_ohm, self._rest_ohm)
+        force_n = self.model.forces(resistance_ohm)
+        return Forces(force_n=force_n, resistance_ohm=resistance_ohm, saturated=saturated, model=self._uncertain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """Forces of a recording over time; n frames, k components as the model gives them."""
+
+    time_s: FloatArray  #: (n,), the board's clock
+    force_n: FloatArray  #: (n, rows, cols, k)
+    deviation_n: FloatArray | None  #: of the same shape: half-widths that hold 68 % of errors; None if not asked for
+    saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): pillars z, x, y beyond the converter's range
+    statistics: Statistics
+    calibration: str  #: JSON text of the one used; empty if there was none
+
+
+def replay(
+    recording: Recording,
+    model: "Decoupler",
+    calibration: SensorCalibration | None = None,
+    crosstalk: bool = True,
+    uncertainty: bool = False,
+) -> Replay:
+    """Forces of every frame of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    model : Decoupler
+        Trained for this array.
+    calibration : SensorCalibration, optional
+        Used instead of the one that the recording holds.
+    crosstalk : bool
+        True takes the crossbar's crosstalk out.
+    uncertainty : bool
+        True computes deviations, if the model knows them; it takes ten times as long.
+
+    Raises
+    ------
+    FileFormatError
+        As `ForceReader` does, and if the recording's calibration makes no sense.
+    """
+    if calibration is None and recording.calibration:
+        calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
+    reader = ForceReader(recording.info, model, calibration, crosstalk)
+    parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
+    deviations = [part.deviation_n for part in parts if uncertainty and part.deviation_n is not None]
+    return Replay(
+        time_s=recording.time_s,
+        force_n=np.concatenate([part.force_n for part in parts]),
+        deviation_n=np.concatenate(deviations) if deviations else None,
+        saturated=np.concatenate([part.saturated for part in parts]),
+        statistics=recording.statistics,
+        calibration="" if calibration is None else calibration.to_json(),
+    )
+
+
+def write_forces(
+    replayed: Replay, axes: tuple[str, ...], path: Path, made_from: Mapping[str, str] | None = None
+) -> None:
+    """Write the forces of a replay as NetCDF, whole or not at all.
+
+    `axes` names the model's components, `made_from` hashes of the model and its design.
+    """
+    import xarray as xr
+
+    over_units = ("frame", "row", "col", "axis")
+    variables = {
+        "force_n": (over_units, replayed.force_n, {"units": "N"}),
+        "saturated": (("frame", "row", "col", "pillar"), replayed.saturated.astype(np.int8)),
+    }
+    if replayed.deviation_n is not None:
+        meaning = {"units": "N", "meaning": "half-width that holds 68 % of errors"}
+        variables["deviation_n"] = (over_units, replayed.deviation_n, meaning)
+    data = xr.Dataset(
+        variables,
+        coords={"time_s": ("frame", replayed.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},
+        attrs=asdict(replayed.statistics) | {"calibration": replayed.calibration} | dict(made_from or {}),
+    )
+    write_netcdf(data, path)

@@ -1,0 +1,353 @@
+"""The other formats of recordings: NetCDF, MCAP and CSV are written, NetCDF and MCAP are read.
+
+`convert` writes them, whole or not at all; `read_recording` reads every kind of recording, told by its content.
+`docs/recordings.md` describes them. MCAP needs the package ``mcap``.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.errors import FileFormatError, TriPillarError
+from geometry.layout import FloatArray
+from geometry.storage.files import replacing
+from geometry.storage.netcdf import read_netcdf, write_netcdf
+from geometry.storage.text_file import why_unreadable
+from hardware.link.frames import Statistics
+from hardware.recording.frames_file import read_frames
+from hardware.recording.recorded import Recording, assemble, read_header
+
+_NETCDF, _MCAP = (b"CDF", b"\x89HDF\r\n\x1a\n"), b"\x89MCAP0\r\n"  # such files begin with these
+_COUNTED = [each.name for each in fields(Statistics) if each.name not in ("ok", "info", "lost")]
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording, whatever its name: a recorder's, the bytes that a board sent, or what was converted of these.
+
+    Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
+    recorder that was killed.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, no recording, or holds no frame or those of two boards.
+    MissingMcapError
+        If it is an MCAP file and the package is not installed.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(8)
+            file.seek(0)
+            if not start.startswith((*_NETCDF, _MCAP)):
+                return read_frames(file, str(path))
+    except OSError as error:
+        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a recording.") from error
+    return _read_mcap(Path(path)) if start.startswith(_MCAP) else _read_netcdf(Path(path))
+
+
+def convert(recording: Recording, path: Path) -> None:
+    """Write a recording in the format that the suffix of `path` names, whole or not at all.
+
+    NetCDF (.nc), MCAP (.mcap) and CSV (.csv) as `docs/recordings.md` has them.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".nc":
+        _write_netcdf(recording, path)
+    elif suffix == ".mcap":
+        write_mcap(recording, path)
+    elif suffix == ".csv":
+        with replacing(path) as temporary:
+            temporary.write_text(csv_text(recording))
+    else:
+        raise FileFormatError(f"{path}: no form of a recording: end the name in .nc or .mcap or .csv.")
+
+
+def csv_text(recording: Recording) -> str:
+    """A line a frame: Unix time of arrival (empty if unknown), board's clock, counters, then the counts.
+
+    >>> from hardware.link.frames import Frame, Info, encode
+    >>> from hardware.recording.frames_file import parse_recording
+    >>> frame = Frame(sequence=0, device_us=0, bits=10, counts=np.array([510, 510, 510]))
+    >>> print(csv_text(parse_recording(encode(Info(rows=1, cols=1)) + encode(frame))))
+    received_s,time_s,sequence,run,overruns,flags,count_0,count_1,count_2
+    ,0.0,0,0,0,0,510,510,510
+    <BLANKLINE>
+    """
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    names = "received_s", "time_s", "sequence", "run", "overruns", "flags"
+    lines.writerow([*names, *(f"count_{k}" for k in range(recording.info.n_crossings))])
+    received_s = [""] * len(recording.run) if recording.received_s is None else recording.received_s.tolist()
+    columns = recording.time_s, recording.sequence, recording.run, recording.overrun_counts, recording.flags
+    rows = zip(received_s, *(each.tolist() for each in columns), recording.counts.tolist(), strict=True)
+    lines.writerows([*values, *counts] for *values, counts in rows)
+    return text.getvalue()
+
+
+_COLUMNS = {  # variable: its attributes; on the dimension frame
+    "counts": {"long_name": "counts in the order of the wires"},
+    "sequence": {"long_name": "frames sent since the board's start, modulo 2**16"},
+    "device_us": {"long_name": "board's clock at the start of the scan in us, modulo 2**32"},
+    "flags": {"long_name": "bit 0: saturation; bits 1 and 2: scan mode"},
+    "overruns": {"long_name": "scans skipped since the board's start, 255 stands for more"},
+    "received_s": {"long_name": "arrival at the host", "units": "seconds since 1970-01-01 00:00:00"},
+    "run": {"long_name": "counts up where the board or the recorder began anew; nothing is lost from one to the next"},
+}
+
+
+def _write_netcdf(recording: Recording, path: Path) -> None:
+    import xarray as xr
+
+    columns = recording.columns()
+    variables = {name: (_dimensions(name), columns[name], attributes) for name, attributes in _COLUMNS.items()}
+    write_netcdf(xr.Dataset(variables, attrs=recording.header.plain() | asdict(recording.statistics)), path)
+
+
+def _dimensions(name: str) -> tuple[str, ...]:
+    return ("frame", "crossing") if name == "counts" else ("frame",)
+
+
+def _read_netcdf(path: Path) -> Recording:
+    """Read what `_write_netcdf` wrote, what another program made of it, or a recording of version 1."""
+    made_by = "tripillar convert"
+    attributes = read_netcdf(path, {}, made_by).attrs
+    header = read_header(attributes, str(path))
+    has_runs = int(attributes["version"]) > 1
+    names = [name for name in _COLUMNS if name != "run" or has_runs]
+    data = read_netcdf(path, {name: _dimensions(name) for name in names}, made_by)
+    counted = {name: max(0, int(attributes.get(name, 0))) for name in _COUNTED}
+    columns = {name: data[name].values for name in names}
+    if "first_record_at" in attributes:  # of version 1: NetCDF reads zeros behind the end of one that was cut short
+        record_bytes = -(-2 * header.info.n_crossings // 4) * 4 + 4 * 4 + 8  # every variable is padded to four bytes
+        there = (path.stat().st_size - int(attributes["first_record_at"])) // record_bytes
+        columns = {name: values[:there] for name, values in columns.items()}
+    if not has_runs:
+        columns["run"] = np.zeros(len(columns["sequence"]), dtype=np.uint32)
+        counted["restarts"] = 0  # found in the sequence
+    for name, values in columns.items():
+        if values.dtype.kind not in ("f" if name == "received_s" else "ui"):
+            raise FileFormatError(f"{path}: '{name}' is of type {values.dtype}: give a file made by '{made_by}'.")
+    return assemble(header, columns, str(path), counted)
+
+
+INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics of MCAP
+_STATISTICS = "tripillar statistics"  # name of the metadata at the end
+
+
+def _whole(description: str, largest: int) -> dict[str, Any]:
+    return {"type": "integer", "minimum": 0, "maximum": largest, "description": description}
+
+
+def _text(description: str) -> dict[str, Any]:
+    return {"type": "string", "description": description}
+
+
+def _list(items: dict[str, Any], description: str) -> dict[str, Any]:
+    return {"type": "array", "items": items, "description": description}
+
+
+_BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF
+
+#: JSON schemas of the topics. Foxglove refuses a schema with arrays of arrays, so units are a list of objects.
+SCHEMAS: dict[str, dict[str, Any]] = {
+    INFO: {
+        "title": "tripillar.Info",
+        "type": "object",
+        "properties": {
+            "format": _text("tripillar recording"),
+            "version": _whole("of the format", _SHORT),
+            "protocol": _whole("of the frames between board and host", _BYTE),
+            "rows": _whole("units along y", _BYTE),
+            "cols": _whole("units along x", _BYTE),
+            "bits": _whole("of the converter", 16),
+            "scan_mode": _text("DIVIDER, GROUNDED or ZERO_POTENTIAL"),
+            "firmware": _text("major.minor.patch"),
+            "rate_hz": _whole("nominal scans a second", _SHORT),
+            "serial": _whole("the board's own number, 0 if it has none", _WORD),
+            "sense_ohm": _whole("sense resistor [ohm]", _WORD),
+            "vref_mv": _whole("the converter's reference [mV]", _SHORT),
+            "calibration": _text("JSON text, may be empty"),
+            "model_recipe": _text("hash of the model in use, may be empty"),
+            "design_hash": _text("hash of the sensor's design, may be empty"),
+        },
+    },
+    SCAN: {
+        "title": "tripillar.Scan",
+        "type": "object",
+        "properties": {
+            "sequence": _whole("frames sent since the board's start, modulo 2^16", _SHORT),
+            "device_us": _whole("board's clock at the start of the scan [us], modulo 2^32", _WORD),
+            "flags": _whole("bit 0: saturation; bits 1 and 2: scan mode", 5),
+            "overruns": _whole("scans skipped since the board's start, 255 stands for more", _BYTE),
+            "run": _whole("counts up where the board or the recorder began anew", _WORD),
+            "counts": _list({"type": "integer"}, "in the order of the wires, docs/frames.md"),
+        },
+    },
+    FORCES: {
+        "title": "tripillar.Forces",
+        "type": "object",
+        "properties": {
+            "time": {"type": "number", "description": "Unix time of arrival of the scan [s]"},
+            "rows": _whole("units along y", _BYTE),
+            "cols": _whole("units along x", _BYTE),
+            "axes": _list({"type": "string"}, "components of each force"),
+            "units": _list(
+                {
+                    "type": "object",
+                    "properties": {
+                        "row": _whole("of the unit, along y", _BYTE),
+                        "col": _whole("of the unit, along x", _BYTE),
+                        "force_n": _list({"type": "number"}, "one an axis [N], to six decimals"),
+                        "deviation_n": _list(
+                            {"type": "number"}, "what holds 68 % of their errors [N], empty if unknown"
+                        ),
+                    },
+                },
+                "row by row",
+            ),
+        },
+    },
+}
+
+
+class MissingMcapError(TriPillarError, ImportError):
+    """The optional package ``mcap`` is not installed."""
+
+    def __init__(self, error: ImportError) -> None:
+        super().__init__(f"MCAP needs a package that is not installed ({error}): pip install 'tripillar[mcap]'.")
+
+
+def write_mcap(
+    recording: Recording,
+    path: Path,
+    force_n: FloatArray | None = None,
+    deviation_n: FloatArray | None = None,
+    axes: Sequence[str] = (),
+) -> None:
+    """Write a recording as MCAP, whole or not at all.
+
+    Messages bear the Unix time of arrival as their log time and the board's clock as their publish time. Without times
+    of arrival both are the board's clock.
+
+    Parameters
+    ----------
+    recording : Recording
+    path : Path
+        File to write; replaced if it exists.
+    force_n, deviation_n : array, shape (n, rows, cols, k), optional
+        Forces of the frames and half-widths of their errors [N]; kept to six decimals, since the counts beside them
+        hold the rest.
+    axes : k names
+        The components of the forces.
+
+    Raises
+    ------
+    MissingMcapError
+        If the package is not installed.
+    """
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise MissingMcapError(error) from None
+    n = len(recording.counts)
+    if force_n is not None and force_n.shape[::3] != (n, len(axes)):
+        raise ValueError(
+            f"force_n has shape {force_n.shape}, expected ({n}, rows, cols, {len(axes)}): "
+            "give the forces of this recording and a name for each of their axes."
+        )
+    times_s = (recording.time_s if recording.received_s is None else recording.received_s).tolist()
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        writer = Writer(file, enable_data_crcs=True)
+        writer.start(library="tripillar")
+        channels: dict[str, int] = {}
+        for topic in (INFO, SCAN) if force_n is None else (INFO, SCAN, FORCES):
+            schema = SCHEMAS[topic]
+            schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+            channels[topic] = writer.register_channel(topic, "json", schema_id)
+
+        def add(topic: str, log_ns: int, publish_ns: int, content: dict[str, Any], sequence: int = 0) -> None:
+            data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+            writer.add_message(channels[topic], log_ns, data, publish_ns, sequence)
+
+        first_ns = _nanoseconds(times_s[0])  # viewers draw their time axis from the first message on
+        add(INFO, first_ns, first_ns, recording.header.plain())
+        columns = {name: values.tolist() for name, values in recording.columns().items() if name != "received_s"}
+        for k, time_s in enumerate(times_s):
+            log_ns, scan = _nanoseconds(time_s), {name: columns[name][k] for name in SCHEMAS[SCAN]["properties"]}
+            add(SCAN, log_ns, scan["device_us"] * 1000, scan, scan["sequence"])
+            if force_n is not None:
+                deviations = None if deviation_n is None else deviation_n[k]
+                add(FORCES, log_ns, log_ns, {"time": time_s} | _forces(force_n[k], deviations, axes))
+        writer.add_metadata(_STATISTICS, {name: str(value) for name, value in asdict(recording.statistics).items()})
+        writer.finish()
+
+
+def _forces(force_n: FloatArray, deviation_n: FloatArray | None, axes: Sequence[str]) -> dict[str, Any]:
+    rows, cols = force_n.shape[:2]
+    deviations = np.empty((rows, cols, 0)) if deviation_n is None else deviation_n.round(6)
+    units = [
+        {"row": i, "col": j, "force_n": force_n[i, j].round(6).tolist(), "deviation_n": deviations[i, j].tolist()}
+        for i, j in np.ndindex(rows, cols)
+    ]
+    return {"rows": rows, "cols": cols, "axes": list(axes), "units": units}
+
+
+def _read_mcap(path: Path) -> Recording:
+    """Read what `write_mcap` or a recorder of version 1 wrote; of one that was cut short, what is whole."""
+    try:
+        from mcap.exceptions import EndOfFile
+        from mcap.records import Channel, Message, Metadata
+        from mcap.stream_reader import StreamReader
+    except ImportError as error:
+        raise MissingMcapError(error) from None
+    plain: dict[str, Any] = {}
+    scans: list[dict[str, Any]] = []
+    received_s: list[float] = []
+    counted: dict[str, int] = {}
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file, validate_crcs=True).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and topics.get(record.channel_id) == INFO:
+                    plain = plain or _json(record.data)
+                elif isinstance(record, Message) and topics.get(record.channel_id) == SCAN:
+                    scans.append({"run": 0} | _json(record.data))
+                    received_s.append(record.log_time / 10**9)
+                elif isinstance(record, Metadata) and record.name == _STATISTICS:
+                    counted = {name: int(record.metadata.get(name, 0)) for name in _COUNTED}
+        except EndOfFile:
+            pass  # a recorder of version 1 was killed
+        except Exception as error:  # each of the decompressors has an error of its own
+            raise FileFormatError(f"{path}: damaged ({error}): convert the recording again.") from None
+    header = read_header(plain, str(path))
+    names = SCHEMAS[SCAN]["properties"]
+    try:
+        columns = {name: np.array([scan[name] for scan in scans], dtype=np.uint32) for name in names}
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise FileFormatError(f"{path}: a scan is damaged ({error}): convert the recording again.") from None
+    if not columns["run"].any():
+        counted["restarts"] = 0  # found in the sequence
+    return assemble(header, columns | {"received_s": np.array(received_s)}, str(path), counted)
+
+
+def _json(data: bytes) -> dict[str, Any]:
+    plain = json.loads(data)
+    return plain if isinstance(plain, dict) else {}
+
+
+def _nanoseconds(time_s: float) -> int:
+    """Nanoseconds that, divided by 10⁹, give `time_s` to the last bit; a product of floats would be 100 ns off.
+
+    >>> _nanoseconds(1.8e9 + 0.1) / 10**9 == 1.8e9 + 0.1
+    True
+    """
+    seconds = int(time_s)
+    return seconds * 10**9 + round((time_s - seconds) * 1e9)

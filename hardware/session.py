@@ -1,0 +1,339 @@
+"""A connected board and what is done with it: watch its forces, average it, record it, measure its link.
+
+`connect` opens a port or plays a recording; `live` adds a model, and gives the forces of each scan.
+"""
+
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from geometry.layout import FloatArray
+from hardware.link.frames import Statistics
+from hardware.link.reception import LinkStatistics, Scan
+from hardware.link.scanner import Scanner, ScannerError
+from hardware.readout.calibration import SensorCalibration, read_calibration
+from hardware.readout.forces import ForceReader, Forces
+from hardware.recording import PlaybackPort, Recorder, read_recording
+
+if TYPE_CHECKING:
+    from decoupler.model.decoupler import Decoupler
+
+BATCH_S = 0.1  #: longest wait for a scan, so that what else there is to do is done
+TOLD_S = 1.0  #: between two reports of a recording's progress
+RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the recorder up; 109 s at 150 Hz
+
+
+@contextmanager
+def connect(
+    port: str, calibration: Path | str | None = None, speed: float = 1.0, **settings: Any
+) -> Iterator[tuple[Scanner, SensorCalibration]]:
+    """Scan a board, or a recording that is played, as long as the with block lasts.
+
+    Parameters
+    ----------
+    port : str
+        What `open_port` opens, or the path of a recording.
+    calibration : Path, optional
+        Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
+    speed : float
+        Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
+    **settings
+        As of `Scanner`.
+
+    Yields
+    ------
+    Scanner, SensorCalibration
+
+    Raises
+    ------
+    FileFormatError
+        If the calibration is of another board.
+    PortError, ScannerError
+        As `Scanner` does.
+    """
+    source: Any = port
+    known = None if calibration is None else read_calibration(Path(calibration))
+    if Path(port).is_file():
+        recording = read_recording(Path(port))
+        source = PlaybackPort(recording, speed=speed)
+        settings = settings | {"queue": len(recording.counts)}  # a recording waits for its reader
+        if known is None and recording.calibration:
+            known = SensorCalibration.from_json(recording.calibration, f"the calibration in {port}")
+    # one scan's matrices are too small for two BLAS threads to share
+    with threadpool_limits(1, "blas"), Scanner(source, **settings) as scanner:
+        info = scanner.info
+        known = known or SensorCalibration.as_designed(info.rows, info.cols)
+        known.require_for(info, str(calibration or port))
+        yield scanner, known
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanForces:
+    """Forces of one scan; k components, as the model gives them."""
+
+    time_s: float  #: start of the scan, Unix time [s]
+    force_n: FloatArray  #: (rows, cols, k)
+    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y as the model saw them
+    saturated: NDArray[np.bool_]  #: (rows, cols, 3): counts at 0 or full scale, which only bound a resistance
+    source: Forces = field(repr=False)  #: the same, with n = 1
+
+    @property
+    def deviation_n(self) -> FloatArray | None:
+        """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
+        return None if self.source.deviation_n is None else self.source.deviation_n[0]
+
+
+class LiveSensor:
+    """A sensor whose scans become forces; iterate over it for those of one scan after another.
+
+    Parameters
+    ----------
+    scanner : Scanner
+        Entered.
+    model : Decoupler
+        Trained for this array.
+    calibration : SensorCalibration
+        Of this sensor.
+
+    Raises
+    ------
+    FileFormatError
+        If board, model and calibration do not belong together.
+    """
+
+    def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
+        self.scanner, self.model = scanner, model
+        self._reader = ForceReader(scanner.info, model, calibration)
+
+    def __iter__(self) -> Iterator[ScanForces]:
+        """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
+        return map(self.forces, self.scanner)
+
+    def forces(self, scan: Scan) -> ScanForces:
+        """Forces of one scan."""
+        found = self._reader.forces(scan.frame.counts[None])
+        return ScanForces(
+            time_s=scan.time_s,
+            force_n=found.force_n[0],
+            resistance_ohm=found.resistance_ohm[0],
+            saturated=found.saturated[0],
+            source=found,
+        )
+
+
+@contextmanager
+def live(
+    port: str,
+    model: "Decoupler | Path | str",
+    calibration: Path | str | None = None,
+    speed: float = 1.0,
+    **settings: Any,
+) -> Iterator[LiveSensor]:
+    """Read forces from a board, or from a recording that is played, as long as the with block lasts.
+
+    Parameters
+    ----------
+    port : str
+        Serial port (/dev/ttyACM0, COM3), ``socket://host:port``, or the path of a recording.
+    model : Decoupler or Path
+        A trained model or its file.
+    calibration, speed, **settings
+        As of `connect`.
+
+    Yields
+    ------
+    LiveSensor
+        Iterate over it for a `ScanForces` a scan. Its `scanner` has the board's `info`, `stats` and `trouble`.
+
+    Raises
+    ------
+    FileFormatError
+        If board, model and calibration do not belong together.
+    PortError, ScannerError
+        If the port cannot be opened, or no board answers.
+
+    Examples
+    --------
+    ::
+
+        with live("/dev/ttyACM0", "model.safetensors") as scans:
+            for scan in scans:
+                print(scan.time_s, scan.force_n[2, 3], scan.deviation_n[2, 3])
+    """
+    if isinstance(model, Path | str):
+        from decoupler.model.model_file import read_model
+
+        model = read_model(Path(model))
+    with connect(port, calibration, speed, **settings) as (scanner, known):
+        yield LiveSensor(scanner, model, known)
+
+
+def scans_within(scanner: Scanner, seconds: float = math.inf) -> Iterator[Scan | None]:
+    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
+    end_s = time.monotonic() + seconds
+    with ended_by_signal() as is_ended:
+        while not is_ended() and time.monotonic() < end_s:
+            scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
+            if scan is None and scanner.ended:
+                return
+            yield scan
+
+
+@contextmanager
+def ended_by_signal() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or a termination has come, so that what is at hand can be finished; a second one interrupts."""
+    came: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        if came:
+            raise KeyboardInterrupt
+        came.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
+    """Counts of the scans of some seconds from now, (n, n_crossings).
+
+    Raises
+    ------
+    ScannerError
+        If no scan comes, or the board is lost meanwhile.
+    """
+    while scanner.get(timeout=0.0):  # what was scanned before now
+        pass
+    taken, end_s = [], time.monotonic() + seconds
+    while (left_s := end_s - time.monotonic()) > 0.0 and not scanner.ended:
+        scan = scanner.get(timeout=min(BATCH_S, left_s))
+        if scan is not None:
+            taken.append(scan.frame.counts)
+    if not taken or scanner.trouble:
+        came = f"{len(taken)} scans" if taken else "no scan"
+        raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
+    return np.array(taken)
+
+
+def hashes_of(model: "Decoupler") -> dict[str, str]:
+    """Hashes of the model and its design, which a recording keeps."""
+    found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
+    return {name: str(value) for name, value in found.items() if value}
+
+
+def record_scans(
+    scanner: Scanner,
+    path: Path,
+    seconds: float = math.inf,
+    calibration: SensorCalibration | None = None,
+    made_from: Mapping[str, str] | None = None,
+    append: bool = False,
+    advance: Callable[[float, int, str | None], None] | None = None,
+) -> tuple[int, LinkStatistics]:
+    """Record for some seconds, or until Ctrl-C or the end of what is played.
+
+    Parameters
+    ----------
+    calibration : SensorCalibration, optional
+        Kept with the counts.
+    made_from : mapping, optional
+        Hashes of the model that the recording is meant for.
+    append : bool
+        Continue a recording of the same board, model and calibration.
+    advance : callable, optional
+        Called every second with the seconds, the scans so far and the scanner's trouble.
+
+    Returns
+    -------
+    int, LinkStatistics
+        Scans recorded; `lost` and `restarts` are those of the file, from its first scan to its last.
+
+    Raises
+    ------
+    FileFormatError, RecordingError
+        As `Recorder` does.
+    """
+    unix_s = time.time() - time.perf_counter()
+    start = told = time.monotonic()
+    last = None
+    text = "" if calibration is None else calibration.to_json()
+    with Recorder(path, scanner.info, text, made_from, append) as recorder:
+        for scan in scans_within(scanner, seconds):
+            if scan is not None:
+                if last is not None and scan.run > last.run:
+                    recorder.begin_run("restart" if scan.restarts > last.restarts else "reconnect")
+                last = scan
+                recorder.append(scan.frame, unix_s + scan.received_s)
+            now = time.monotonic()
+            if advance and now - told > TOLD_S:
+                told = now
+                advance(now - start, recorder.frames, scanner.trouble)
+        statistics = replace(scanner.stats, lost=recorder.lost, restarts=recorder.restarts)
+        recorder.close(Statistics(**{each.name: getattr(statistics, each.name) for each in fields(Statistics)}))
+    return recorder.frames, statistics
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkQuality:
+    """Measured quality of a board's link."""
+
+    seconds: float
+    scans: int
+    rate_hz: float  #: of scans received, by the host's clock
+    device_rate_hz: float  #: of scans made, by the board's
+    jitter_us: float  #: standard deviation of arrivals about the board's clock
+    latency_ms: dict[str, float] | None  #: last byte read -> forces: median, p99, worst
+    statistics: dict[str, Any]
+
+
+def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) -> LinkQuality:
+    """Read a board for some seconds, with the forces of every scan if there is a sensor.
+
+    Raises
+    ------
+    ScannerError
+        If fewer than three scans come.
+    """
+    arrivals, device_us, latencies = [], [], []
+    for scan in scans_within(scanner, seconds):
+        if scan is None:
+            continue
+        if sensor is not None:
+            sensor.forces(scan)
+            latencies.append(time.perf_counter() - scan.received_s)
+        arrivals.append(scan.received_s)
+        device_us.append(scan.frame.device_us)
+    if len(arrivals) < 3:
+        raise ScannerError(
+            f"{len(arrivals)} scans within {seconds:g} s are too few: {scanner.trouble or 'wait longer'}."
+        )
+    ticks_us = np.array(device_us, dtype=np.uint32)
+    steps_s = 1e-6 * (ticks_us[1:] - ticks_us[:-1])  # u32 differences wrap as the board's clock does
+    waits_s = np.diff(arrivals)
+    return LinkQuality(
+        seconds=arrivals[-1] - arrivals[0],
+        scans=len(arrivals),
+        rate_hz=float(1.0 / waits_s.mean()),
+        device_rate_hz=float(1.0 / steps_s.mean()) if steps_s.any() else 0.0,
+        jitter_us=float(1e6 * (waits_s - steps_s).std() / np.sqrt(2.0)),
+        latency_ms=None if sensor is None else milliseconds(np.array(latencies)),
+        statistics=asdict(scanner.stats),
+    )
+
+
+def milliseconds(latency_s: FloatArray) -> dict[str, float]:
+    """Median, 99th percentile and worst of some latencies [s], in ms."""
+    median, p99, worst = 1e3 * np.quantile(latency_s, [0.5, 0.99, 1.0])
+    return {"median": float(median), "p99": float(p99), "worst": float(worst)}

@@ -1,0 +1,113 @@
+"""A connected board: its forces live, and the summary of a recording against what was sent and what the file says."""
+
+import time
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
+from hardware.link.frames import ScanMode, encode
+from hardware.link.scanner import Scanner
+from hardware.link.serial_ports import PortError
+from hardware.readout.calibration import Electronics
+from hardware.recording import read_recording
+from hardware.session import live, record_scans
+from tests.hardware.boards import INFO, ScriptedPort, a_wire
+from tripillar.cli.board.keeping import other_counts
+
+HEAD = encode(INFO)
+
+
+def recorded(path, *pieces, **options):
+    """Record what ports give, one after the other; the summary, and what the file says."""
+    ports = [ScriptedPort(HEAD, *each) for each in pieces]
+    scanner = Scanner("scripted", opener=lambda url, **options: ports.pop(0), **options)
+    with scanner:
+        n, met = record_scans(scanner, path, 60.0, append=path.exists())
+    return n, met, read_recording(path)
+
+
+def wires(*numbers):
+    return [a_wire(number) for number in numbers]
+
+
+def test_what_was_lost_repeated_and_damaged_is_said_and_read_alike(tmp_path):
+    """Scans 65530 to 65540, of which 65533 and 65537 never came, 65535 came twice and 65534 damaged."""
+    damaged = bytearray(a_wire(65534))
+    damaged[50] ^= 1
+    first, second = wires(65530, 65531, 65532), wires(65535, 65535, 65536, 65538, 65539, 65540)
+    n, met, recording = recorded(tmp_path / "a.frames", [*first, bytes(damaged), *second])
+    assert (n, met.lost, met.repeated) == (8, 3, 1)
+    assert other_counts(met) == ["1 damaged", "1 repeated"]
+    assert recording.sequence.tolist() == [65530, 65531, 65532, 65535, 0, 2, 3, 4]
+    assert (recording.statistics.lost, recording.statistics.restarts) == (3, 0)
+    assert (recording.statistics.repeated, recording.statistics.bad_crc + recording.statistics.bad_cobs) == (1, 1)
+
+
+def test_frames_of_another_board_are_in_the_summary(tmp_path):
+    other = a_wire(5, info=replace(INFO, rows=2))
+    n, met, recording = recorded(tmp_path / "a.frames", [*wires(0, 1), other, HEAD, *wires(2, 3)])
+    assert met.foreign == recording.statistics.foreign == 1
+    assert (n, met.lost, recording.statistics.lost) == (4, 0, 0)
+    assert "1 of another board" in other_counts(met)
+
+
+def test_restarts_and_new_connections_are_no_losses(tmp_path):
+    """Unplugged after scan 101, back at 150; then reset."""
+    n, met, recording = recorded(
+        tmp_path / "a.frames", [*wires(100, 101), PortError("gone")], [*wires(150, 151), *wires(0, 1, 3)]
+    )
+    assert (n, met.lost, met.restarts, met.reconnects) == (7, 1, 1, 1)
+    assert (recording.statistics.lost, recording.statistics.restarts) == (1, 1)
+    assert recording.run.tolist() == [0, 0, 1, 1, 2, 2, 2]
+
+
+def test_frames_between_two_sessions_are_not_lost(tmp_path):
+    path = tmp_path / "a.frames"
+    recorded(path, wires(0, 1))
+    n, met, recording = recorded(path, wires(500, 501, 503))
+    assert (n, met.lost) == (3, 1)
+    assert (recording.statistics.ok, recording.statistics.lost, recording.statistics.restarts) == (5, 1, 0)
+
+
+@pytest.mark.parametrize("queue", [1, 4])
+def test_scans_that_were_not_taken_in_time_are_lost_and_said(tmp_path, queue):
+    n, met, recording = recorded(tmp_path / "a.frames", [b"".join(wires(*range(50)))], queue=queue)
+    assert n + met.dropped == 50
+    assert recording.statistics.lost == met.lost  # those before the first scan taken nobody can miss
+    assert any("too slow" in said for said in other_counts(met))
+
+
+class FirstPillar:
+    """A model whose force is the resistance of each unit's z pillar, in kΩ."""
+
+    rows = cols = 6
+    design_hash, is_fine_tuned, knows_uncertainty = None, False, False
+
+    def rest_resistances(self):
+        return None
+
+    def forces(self, resistance_ohm):
+        return 1e-3 * resistance_ohm[..., :1]
+
+
+def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
+    """A program of four lines; a recording ends, a board goes on."""
+    info = replace(INFO, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700)
+    ohms = np.broadcast_to([8e3, 11e3, 12e3], (5, 6, 6, 3))
+    path = tmp_path / "press.frames"
+    path.write_bytes(recording_from_resistances(ohms, info))
+    with live(str(path), FirstPillar(), speed=np.inf) as scans:
+        played = list(scans)
+    counts = Electronics().crossbar(info).counts(ohms)
+    with VirtualBoard(counts, info) as board, live(board.port, FirstPillar()) as scans:
+        read = list(islice(scans, 5))
+        assert scans.scanner.info == info
+    for found in [played, read]:
+        assert len(found) == 5
+        for scan in found:
+            assert scan.force_n == pytest.approx(np.full((6, 6, 1), 8.0), rel=5e-3)  # a step of 10 bits
+            assert scan.deviation_n is None
+    assert abs(read[-1].time_s - time.time()) < 60

@@ -1,0 +1,98 @@
+"""Forces in the terminal: units as they lie, shear as arrows, colours by force; or a line for a pipe each."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hardware.link.frames import Frame
+from hardware.link.reception import LinkStatistics, Scan
+from tripillar.terminal import force_view
+from tripillar.terminal.force_view import force_table, live_view
+
+
+def drawn(renderable):
+    console = Console(width=120, color_system=None, record=True)
+    with console.capture() as capture:
+        console.print(renderable)
+    return capture.get()
+
+
+def test_rows_go_up_and_columns_to_the_right():
+    """Row 0 has the least y: it is drawn last."""
+    force_n = np.arange(6.0).reshape(2, 3, 1)
+    lines = drawn(force_table(force_n, ("z",), 10.0)).splitlines()
+    assert [line.split() for line in lines] == [["3.0", "4.0", "5.0"], ["0.0", "1.0", "2.0"]]
+
+
+def test_arrows_point_along_the_shear():
+    for (fx, fy), arrow in {(1, 0): "→", (0, 1): "↑", (-1, 0): "←", (0, -1): "↓", (1, 1): "↗", (-1, -1): "↙"}.items():
+        assert arrow in drawn(force_table(np.array([[[fx, fy, 5.0]]]), ("x", "y", "z"), 10.0))
+    assert not set("→↗↑↖←↙↓↘") & set(drawn(force_table(np.array([[[0.1, 0.0, 5.0]]]), ("x", "y", "z"), 10.0)))
+
+
+def test_a_model_of_shear_alone_shows_its_size():
+    assert "3.0 ←" in drawn(force_table(np.array([[[-3.0]]]), ("x",), 10.0))
+
+
+def test_the_view_says_what_is_wrong():
+    force_n = np.ones((1, 2, 3))
+    text = drawn(
+        live_view(force_n, force_n, ("x", "y", "z"), 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"])
+    )
+    for said in ("150.0 frames/s", "7 ok", "2 lost", "no frames for 2 s", "ΣFz      2.0 N", "± 1.0 N"):
+        assert said in text
+
+
+RATE_HZ = 150
+
+
+class Sensor:
+    """What `print_lines` needs of a `LiveSensor`."""
+
+    scanner = SimpleNamespace(trouble=None, dropped=3)
+    model = SimpleNamespace(component=SimpleNamespace(axes=("z",)))
+
+    def __init__(self, knows_uncertainty):
+        self.knows_uncertainty, self.calculated = knows_uncertainty, 0
+
+    def forces(self, scan):
+        sensor = self
+
+        class Found:
+            time_s = scan.time_s
+            force_n = np.full((1, 2, 1), scan.frame.sequence + 1 / 3)
+            saturated = np.zeros((1, 2, 3), bool)
+
+            @property
+            def deviation_n(self):
+                sensor.calculated += 1
+                return self.force_n / 100 if sensor.knows_uncertainty else None
+
+        return Found()
+
+
+@pytest.mark.parametrize("knows_uncertainty", [True, False])
+def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(
+    knows_uncertainty, monkeypatch, capsys
+):
+    frames = [Frame(sequence=k, device_us=0, bits=10, counts=np.ones(6, int)) for k in range(RATE_HZ)]
+    scans = [
+        Scan(frame=frame, received_s=100 + k / RATE_HZ, time_s=k / RATE_HZ, restarts=0, run=0)
+        for k, frame in enumerate(frames)
+    ]
+    monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: scans)
+    sensor = Sensor(knows_uncertainty)
+    force_view.print_lines(sensor, 1.0)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["sequence"] for line in lines] == list(range(RATE_HZ))
+    assert [line["force_n"] for line in lines] == [[[[round(k + 1 / 3, 4)]] * 2] for k in range(RATE_HZ)]
+    assert {line["dropped"] for line in lines} == {3}
+    assert sensor.calculated <= 11
+    if knows_uncertainty:
+        ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]
+        assert max(ages) / RATE_HZ < 0.1 + 0.01
+    else:
+        assert {line["deviation_n"] for line in lines} == {None}
