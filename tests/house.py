@@ -1,10 +1,16 @@
-"""The command line in a folder of its own: real processes, a small sensor."""
+"""The command line in a folder of its own, with a small sensor."""
 
 import json
 import os
 import subprocess
 import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
+from unittest.mock import patch
+
+from tripillar.cli.app import app
+from tripillar.terminal.entry import run
 
 SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
 
@@ -18,19 +24,36 @@ class House:
         self.environment = os.environ | {"TRIPILLAR_CACHE": str(folder / "cache"), "COLUMNS": "200"}
 
     def tripillar(self, *words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "tripillar", *words]
+        """Run a command in this process, which has most libraries loaded."""
+        code, out, err = 0, StringIO(), StringIO()
+        with (
+            chdir(self.folder), patch.dict(os.environ, self.environment), patch.object(sys, "argv", ["tripillar", *words]),
+            redirect_stdout(out), redirect_stderr(err),
+        ):  # fmt: skip
+            try:
+                run(app)
+            except SystemExit as end:
+                code = int(end.code or 0)
+        return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+    def command(self, *words: str) -> list[str]:
+        """The same as a process of its own, to be started with `environment`."""
+        return [sys.executable, "-m", "tripillar", *words]
+
+    def process(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run a command as a person does, in a process of its own."""
         return subprocess.run(
-            command, capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False
+            self.command(*words), capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False
         )
 
     def result(self, *words: str) -> dict:
-        """What a command that must succeed prints as JSON."""
+        """Run a command that must succeed; its JSON."""
         done = self.tripillar(*words, "--json")
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)
 
     def refusal(self, *words: str) -> str:
-        """The one line of a command that must refuse, and leave nothing behind."""
+        """Run a command that must refuse and leave nothing behind; its one line."""
         before = sorted(self.folder.rglob("*"))
         done = self.tripillar(*words)
         assert done.returncode == 2, done.stdout + done.stderr

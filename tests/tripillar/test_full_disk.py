@@ -10,7 +10,7 @@ import pytest
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import sensor
 from tests.house import SMALL
-from tests.tripillar.test_damaged_files import a_dataset, a_model
+from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.cli.app import main
 from tripillar.pipeline import run as pipeline
 
