@@ -16,20 +16,25 @@ SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
 
 
 class House:
-    """A folder with a small sensor's design in which commands run."""
+    """A folder with a small sensor's design in which commands run; unless told, the cache is that of all tests."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, cache: Path | None = None) -> None:
         self.folder = folder
+        cache = cache or Path(os.environ["TRIPILLAR_TESTS"]) / "cache"
         (folder / "small.toml").write_text(SMALL)
-        self.environment = os.environ | {"TRIPILLAR_CACHE": str(folder / "cache"), "COLUMNS": "200"}
+        self.environment = os.environ | {"TRIPILLAR_CACHE": str(cache), "COLUMNS": "200"}
 
     def tripillar(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Run a command in this process, which has most libraries loaded."""
         code, out, err = 0, StringIO(), StringIO()
+        typed = patch.object(sys, "argv", ["tripillar", *words])
         with (
-            chdir(self.folder), patch.dict(os.environ, self.environment), patch.object(sys, "argv", ["tripillar", *words]),
-            redirect_stdout(out), redirect_stderr(err),
-        ):  # fmt: skip
+            chdir(self.folder),
+            patch.dict(os.environ, self.environment),
+            typed,
+            redirect_stdout(out),
+            redirect_stderr(err),
+        ):
             try:
                 run(app)
             except SystemExit as end:

@@ -1,4 +1,4 @@
-"""What every command has in common, and what a shell asks of the whole."""
+"""Options and help that all commands share, completion in a shell, Ctrl-C."""
 
 import os
 import re
@@ -27,53 +27,53 @@ def options(command):
 
 
 def printed_help(words, width):
-    """What --help prints in a terminal of so many columns."""
+    """Print --help in a terminal of so many columns."""
     with redirect_stdout(StringIO()) as said, patch.dict(os.environ, COLUMNS=str(width)):
         app([*words, "--help"], standalone_mode=False)
     return said.getvalue()
 
 
 def unhyphenated(text):
-    """Words of a text however its lines are broken; a line may end at a word's own hyphen."""
+    """Drop all blanks of a text: a line may end at a word's own hyphen."""
     return "".join(text.split())
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_flags_are_the_same_everywhere(name):
+def test_flags_are_the_same_everywhere():
     """Numbers come as JSON too; -o is --out; who can be asked to be quiet can be asked to talk."""
-    given = options(COMMANDS[name])
-    assert "--json" in given
-    assert ("-o" in given) == ("--out" in given)
-    assert ("-q" in given) == ("-v" in given) == ("--quiet" in given) == ("--verbose" in given)
-    for spelling, option in given.items():
-        assert spelling == spelling.lower()
-        if spelling not in ("--help", "--json"):
-            assert option.help or option.param_type_name == "argument", f"{name} {spelling} has no help"
+    for name, command in COMMANDS.items():
+        given = options(command)
+        assert "--json" in given, name
+        assert ("-o" in given) == ("--out" in given), name
+        assert ("-q" in given) == ("-v" in given) == ("--quiet" in given) == ("--verbose" in given), name
+        for spelling, option in given.items():
+            assert spelling == spelling.lower(), name
+            if spelling not in ("--help", "--json"):
+                assert option.help or option.param_type_name == "argument", f"{name} {spelling} has no help"
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_stands_under_a_heading_and_says_what_it_does(name):
-    command = COMMANDS[name]
-    assert command.rich_help_panel
-    assert command.help[0].isupper()
-    assert command.help.rstrip().endswith(".")
-    summary = command.help.partition("\n")[0]
-    assert summary.endswith(".")
-    assert re.search(rf"^  {name} +{re.escape(summary)}$", printed_help([], 120), re.MULTILINE)
+def test_every_command_stands_under_a_heading_and_says_what_it_does():
+    overview = printed_help([], 120)
+    for name, command in COMMANDS.items():
+        assert command.rich_help_panel, name
+        assert command.help[0].isupper(), name
+        assert command.help.rstrip().endswith("."), name
+        summary = command.help.partition("\n")[0]
+        assert summary.endswith("."), name
+        assert re.search(rf"^  {name} +{re.escape(summary)}$", overview, re.MULTILINE), name
 
 
 @pytest.mark.parametrize("width", [80, 120])
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_prints_every_word_as_written(name, width):
+def test_help_prints_every_word_as_written(width):
     """A unit in brackets, such as [s], is no markup; an option's help begins with a noun or a verb, not with "Of"."""
-    text = printed_help([name], width)
-    assert all(len(line) <= width for line in text.splitlines() if "|" not in line)  # a list of choices is not broken
-    shown = unhyphenated(text)
-    for option in COMMANDS[name].params:
-        if option.help:
-            assert unhyphenated(option.help) in shown
-            assert option.help[0].isupper() or option.help.startswith("--")
-            assert option.help.split()[0] not in ("Of", "In", "For", "Its")
+    for name, command in COMMANDS.items():
+        text = printed_help([name], width)
+        lines = [line for line in text.splitlines() if "|" not in line]  # a list of choices is not broken
+        assert all(len(line) <= width for line in lines), name
+        shown = unhyphenated(text)
+        for option in (option for option in command.params if option.help):
+            assert unhyphenated(option.help) in shown, name
+            assert option.help[0].isupper() or option.help.startswith("--"), name
+            assert option.help.split()[0] not in ("Of", "In", "For", "Its"), name
 
 
 def test_the_design_option_goes_with_every_command_that_needs_one():
@@ -89,27 +89,31 @@ def test_a_design_of_another_size_is_written_whole():
 
 
 def test_version(tmp_path):
-    assert House(tmp_path).tripillar("--version").stdout.startswith("tripillar 0.")
+    assert House(tmp_path).process("--version").stdout.startswith("tripillar 0.")
 
 
-@pytest.mark.parametrize(
-    ("typed", "offered"),
-    [
-        ("tripillar doc", ["doctor"]),
-        ("tripillar train --net ", ["plain", "skip"]),
-        ("tripillar solve --exp", ["--explain"]),
-    ],
-)
-def test_the_shell_completes(tmp_path, typed, offered):
-    """The console script asks itself, as bash does after --install-completion."""
-    code = "import sys; sys.argv = ['tripillar']; from tripillar.cli.app import main; main()"
-    environment = os.environ | {
-        "_TRIPILLAR_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split(" ")) - 1),
+def test_the_shell_completes(tmp_path):
+    """The program asks itself, as bash does after --install-completion."""
+    asked = {
+        "tripillar doc": ["doctor"], "tripillar train --net ": ["plain", "skip"], "tripillar solve --exp": ["--explain"]
     }  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment, check=True
+    code = (
+        "import os, sys; sys.argv = ['tripillar']; from tripillar.cli.app import main\n"
+        f"for typed in {list(asked)}:\n"
+        "    os.environ |= {'COMP_WORDS': typed, 'COMP_CWORD': str(len(typed.split(' ')) - 1)}\n"
+        "    try: main()\n"
+        "    except SystemExit: print(end=';')\n"
     )
-    assert done.stdout.split() == offered
+    environment = os.environ | {"_TRIPILLAR_COMPLETE": "complete_bash"}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=True)
+    assert [offered.split() for offered in done.stdout.split(";")[:-1]] == list(asked.values())
+
+
+def test_a_bare_command_prints_its_help(tmp_path):
+    done = House(tmp_path).tripillar()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage" in done.stdout
 
 
 def test_talk_and_silence(tmp_path):
@@ -125,29 +129,32 @@ def test_talk_and_silence(tmp_path):
     assert any("response: cell" in step and " s  " in step for step in steps)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["replay", "x.nc", "--model", "m", "--out", "forces.csv"], "must be a file that ends in .nc or .mcap"),
-        (["simulate", "--truth", "truth.csv"], "must be a file that ends in .nc"),
-    ],
-)
-def test_a_file_of_another_kind_is_refused(tmp_path, words, said):
-    assert said in House(tmp_path).refusal(*words)
+def test_nobody_reads_any_more(tmp_path):
+    """As after `| head`: no traceback and no word."""
+    house = House(tmp_path)
+    with subprocess.Popen(
+        house.command("design"), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait(60)) == ("", 1)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is sent to a process group, which is POSIX")
 def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
     """As a terminal sends it: to the command and to the processes that it started, while their libraries load."""
     house = House(tmp_path)
-    made = ("dataset", "--protocol", "contact-fz", "--samples", "200", "--design", "small.toml")
-    assert house.tripillar(*made, "-o", "d.nc", "-q").returncode == 0
-    command = [sys.executable, "-m", "tripillar", "crossval", "--data", "d.nc", "--component", "fz", "-q"]
+    made = ("dataset", "--protocol", "contact-fz", "--samples", "200", "--design", "small.toml", "-o", "d.nc", "-q")
+    assert house.tripillar(*made).returncode == 0
     with subprocess.Popen(
-        command, cwd=tmp_path, env=house.environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+        house.command("crossval", "--data", "d.nc", "--component", "fz", "-q"),
+        cwd=tmp_path,
+        env=house.environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     ) as process:
         while len(processes_of_group(process.pid)) < 3 and process.poll() is None:
-            time.sleep(0.01)
+            time.sleep(0.1)
         os.killpg(process.pid, signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "tripillar: interrupted.\n")
@@ -158,7 +165,7 @@ def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
 
 
 def processes_of_group(number):
-    """Processes of a group that still run."""
+    """List the processes of a group that still run."""
     found = []
     for process in psutil.process_iter():
         try:

@@ -13,17 +13,6 @@ from geometry.storage.files import keep, replacing, require_folder, scratch, wri
 from geometry.storage.unfinished import MARK, remove_leftovers
 from tests.house import House
 
-WRITERS = {
-    "design": ["design"],
-    "response": ["response"],
-    "dataset": ["dataset", "--protocol", "contact", "--samples", "2"],
-    "train": ["train", "--data", "none.nc", "--component", "fz"],
-    "fine-tune": ["fine-tune", "--model", "none.safetensors", "--data", "none.nc"],
-    "export": ["export", "--model", "none.safetensors"],
-    "tare": ["tare", "none"],
-    "record": ["record", "none"],
-}
-
 
 @pytest.fixture
 def pipe(tmp_path):
@@ -51,18 +40,6 @@ def test_a_device_is_refused_and_left_alone(tmp_path):
     with pytest.raises(FileFormatError, match="a device"), replacing(path):
         raise AssertionError("must not begin")
     assert path.is_char_device()
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_folder_as_output_is_refused_before_anything_else(name, tmp_path, capsys, monkeypatch):
-    """Inputs that are missing are not even looked for."""
-    from tripillar.cli.app import main
-
-    monkeypatch.setattr(sys, "argv", ["tripillar", *WRITERS[name], "--out", str(tmp_path)])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    assert capsys.readouterr().err == f"tripillar: {tmp_path} is a folder: give the name of a file in it.\n"
 
 
 def test_a_link_is_followed(tmp_path):
