@@ -1,4 +1,4 @@
-"""What the studies' pictures share: colours, and how a picture is written."""
+"""Colours of all charts of the studies, and the writing of a picture."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,11 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by colour-blind readers too
 BLUE, ORANGE, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
+SERIES = (ORANGE, BLUE, GREEN, PURPLE, BLACK, "#e69f00", "#56b4e9", "#7a7a7a")  #: of other lines
+FAMILIES = {  #: of programs in benchmarks; ours stand out
+    "TriPillar": "#c1272d", "contrast": "#e59a6f", "closed form": "#7a7a7a", "scikit-fem": "#0081a7",
+    "NGSolve": "#3a5a40", "CalculiX": "#6a4c93",
+}  # fmt: skip
 
 
 def save(figure: "Figure", path: Path) -> None:

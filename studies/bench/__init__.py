@@ -1,5 +1,6 @@
-"""Run time against error: the default path, its contrasts and its peers on the same scenes, in one run.
+"""Run time against error of the default path, its contrasts and its peers on the same scenes and trainings, in one run.
 
-In: the scenes of `scenes.py` and their converged answers, `references.json`. Out: a table, a JSON and a picture. Open
-`work_precision.py` first, then `reference.py` (where the truth comes from) and `peers/` (who is compared).
+Open `harness.py` first: it runs contenders and shows what they took. `solving.py` holds the contenders on scenes,
+`scenes.py` the scenes, `references.json` their converged answers (made by `reference.py`), `peers/` the other programs;
+`training/` races trainers, `arrays.py` measures array responses, `inference.py` trained nets, `hardware.py` a board.
 """

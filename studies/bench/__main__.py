@@ -2,17 +2,24 @@
 
 import re
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from studies.bench.contenders import CONTENDERS
+from studies.bench.harness import (
+    Record,
+    Settings,
+    as_plain,
+    draw_records,
+    ratio_table,
+    record_table,
+    run_contenders,
+)
 from studies.bench.reference import has_reference
 from studies.bench.scenes import all_scenes, hard_scenes
-from studies.bench.table import ratio_table, work_precision_table
-from studies.bench.work_precision import Settings, as_plain, measure_scene
-from studies.bench.work_precision_chart import draw_work_precision
+from studies.bench.solving import CONTENDERS, LOADED, WORST
 from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
@@ -21,6 +28,8 @@ from tripillar.terminal.writing import write_json
 
 SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
+GOALS = (5e-2, 1e-2, 3e-3, 1e-3)  #: errors at which families are compared
+OURS = "TriPillar"  #: the family that the others are compared with
 
 
 def bench(
@@ -44,23 +53,24 @@ def bench(
         settings = replace(settings, runs=1, patience_s=20.0)
     chosen = [one for one in CONTENDERS if not only or any(re.search(word, one.name) for word in only)]
     scenes = all_scenes()
-    everything, pictures = [], []
+    everything: list[Record] = []
+    pictures = []
     for name in scene or SCENES:
         if name not in scenes:
             raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
         if not has_reference(name):
             say(f"{name}: skipped, no reference yet: run python -m studies.bench.reference {name}")
             continue
-        found = measure_scene(name, scenes[name], chosen, settings, say)
+        able = [one for one in chosen if one.covers(scenes[name])]
+        found = run_contenders("studies.bench.solving", name, name, able, settings, say)
         everything += found
         pictures.append(out / f"{name}.png")
-        draw_work_precision(name, found, pictures[-1])
-        show(work_precision_table(name, found))
-        show(ratio_table(name, found, loaded=True))
-        if len(scenes[name].probes) > 1:
-            show(ratio_table(name, found))
-    about = surroundings(PACKAGES) | asdict(settings)
-    write_json(as_plain(everything, about), out / "bench.json")
+        draw_records(name, found, (LOADED, WORST), pictures[-1])
+        show(record_table(f"{name}: run time against error", found))
+        for judged in (LOADED, WORST) if len(scenes[name].probes) > 1 else (LOADED,):
+            columns = {f"{goal:.1%}": partial(Record.seconds_to, judged=judged, error=goal) for goal in GOALS}
+            show(ratio_table(f"{name}: fastest at or below an {judged}", found, columns, OURS))
+    write_json(as_plain(everything, surroundings(PACKAGES) | asdict(settings)), out / "bench.json")
     wrote([*pictures, out / "bench.json"])
 
 

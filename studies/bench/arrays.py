@@ -5,57 +5,53 @@ response, the error against them is given for the loaded unit and its first neig
 """
 
 import json
-import os
-import subprocess
-import sys
-import tempfile
+from functools import partial
+from operator import eq
 from pathlib import Path
-from typing import Annotated, Any
+from time import perf_counter
+from typing import Annotated
 
 import numpy as np
 import typer
-from rich.table import Table
 
+from fem.array.response import ArrayResponse
+from fem.array.solving import ResponseSettings, solve_response
+from fem.array.substructured import cell_grid
 from fem.array.unit_check import meshed_response
-from fem.fields.array_field import array_field
-from fem.scene.scene import Sensor
-from fem.scene.solution import largest_error
+from fem.discretization.grid import Grid
+from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.patch import patch_means
+from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, SensorDesign
-from geometry.layout import FloatArray, pad_squares
+from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
-from studies.bench.reference import read_reference
-from studies.bench.scenes import small_array_scenes
-from studies.bench.whole_grid import whole_grid_response
-from tripillar.sweep.memory import peak_mib
-from tripillar.terminal.console import wrote
+from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
+from studies.bench.reference import REFERENCES
+from studies.surroundings import surroundings
+from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 from tripillar.terminal.writing import write_json
 
-REFERENCES = Path(__file__).with_name("references.json")
-#: name, units a side, settings of the response (or the level of one grid of the whole slab, or how the whole array is
-#: meshed), matrix's modulus [MPa]
-CASES: list[tuple[str, int, dict[str, Any], float]] = [
-    *[("cells", n, {"tolerance": 1e-3}, 6.1) for n in (2, 6, 12, 24, 48)],
-    ("cells, 1e-2", 6, {"tolerance": 1e-2}, 6.1),
-    *[("whole array, same hexahedra, level 1", n, {"level": 1}, 6.1) for n in (2, 6)],
-    ("whole array, same hexahedra, level 2", 6, {"level": 2}, 6.1),
-    ("whole array, Taylor-Hood", 2, {"mesh": suited_settings}, 6.1),
-    ("whole array, Taylor-Hood", 6, {"mesh": suited_settings}, 6.1),
-    ("layer", 6, {"method": "layer"}, 6.1),
-    ("half-space", 6, {"method": "halfspace"}, 6.1),
-    *[("cells, soft matrix", n, {"tolerance": 1e-2}, 1.0) for n in (2, 6, 12)],
-    ("whole array, Taylor-Hood, soft matrix", 6, {"mesh": suited_settings}, 1.0),
-]
-REFERRED = {(6, 6.1): "response", (2, 1.0): "oblique"}  #: units and modulus → how its reference's scenes begin
+SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
+REFERRED = {(6, SAME): "response", (2, SOFT): "oblique"}  #: units and modulus → how its reference's scenes begin
 
 
-def designed(units: int, matrix_mpa: float) -> SensorDesign:
-    """The paper's sensor with so many units a side and a matrix of another modulus."""
-    return SensorDesign(array=Array(rows=units, cols=units), matrix_material=Material(young_mpa=matrix_mpa))
+def measure(contender: Contender, case: float, setting: int) -> Found:
+    """The response of so many units a side in a matrix of some modulus, held to its reference if there is one."""
+    design = SensorDesign(array=Array(rows=setting, cols=setting), matrix_material=Material(young_mpa=case))
+    response = contender.solve(design)
+    referred = REFERRED.get((setting, case))
+    estimate = None if np.isnan(response.error_estimate) else response.error_estimate
+    return Found(
+        errors=column_errors(response.influence_mm_per_n, referred) if referred else {},
+        size=response.unknowns,
+        seconds=response.seconds,
+        notes={"estimate": estimate, "residual": response.residual},
+    )
 
 
-def errors(influence: FloatArray, name: str = "response") -> dict[str, float]:
+def column_errors(influence: FloatArray, name: str = "response") -> dict[str, float]:
     """Error of a response against its stored columns: of the loaded unit and of its first neighbours, relative."""
     scenes = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
     rows, cols = influence.shape[:2]
@@ -74,81 +70,74 @@ def errors(influence: FloatArray, name: str = "response") -> dict[str, float]:
     return found
 
 
-def field_error(name: str) -> float:
-    """Largest relative error of `array_field` at the stored points inside a small array, of the scene's name."""
-    scene = small_array_scenes()[name]
-    assert isinstance(scene.body, Sensor)
-    design = scene.body.design
-    squares = pad_squares(design)
-    centres = np.column_stack([(squares[:, :2] + squares[:, 2:]) / 2, np.zeros(design.n_units)])
-    unit = [int(probe.name.split("-")[0]) for probe in scene.probes]
-    points = np.array([probe.position_mm for probe in scene.probes]) - centres[unit]
-    field = array_field(design)
-    moved = field.observe(points).displacement_mm(field.state(scene.tractions_mpa))
-    found = {probe.name: moved[unit[k], k] for k, probe in enumerate(scene.probes)}
-    return largest_error(found, read_reference(name).probes)
+def by_settings(design: SensorDesign, **settings: object) -> ArrayResponse:
+    """The response as users get it."""
+    return solve_response(design, ResponseSettings(**settings))  # type: ignore[arg-type]  # it checks them itself
 
 
-def measure_one(number: int) -> None:
-    """Compute one case here and print what it took, as JSON."""
-    from fem.array.solving import ResponseSettings, solve_response
+def by_mesh(design: SensorDesign) -> ArrayResponse:
+    """The whole array meshed: Taylor-Hood tetrahedra."""
+    return meshed_response(design, sensor_mesh(design, suited_settings(design))[0])
 
-    _, units, settings, matrix_mpa = CASES[number]
-    design = designed(units, matrix_mpa)
-    if "level" in settings:
-        response = whole_grid_response(design, **settings)
-    elif "mesh" in settings:
-        response = meshed_response(design, sensor_mesh(design, settings["mesh"](design))[0])
-    else:
-        response = solve_response(design, ResponseSettings(**settings))
-    referred = REFERRED.get((units, matrix_mpa))
-    found = {
-        "seconds": response.seconds,
-        "unknowns": response.unknowns,
-        "estimate": None if np.isnan(response.error_estimate) else response.error_estimate,
-        "residual": response.residual,
-        "peak_mib": peak_mib(),
-        "errors": errors(response.influence_mm_per_n, referred) if referred else {},
-    }
-    print(json.dumps(found))
+
+def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
+    """The contrast to condensing one cell: copies of its grid side by side, factored as one body."""
+    start = perf_counter()
+    cell = cell_grid(design, level)
+    rows, cols = design.array.rows, design.array.cols
+    basis = GridBasis(Grid(x=_tiled(cell.x, cols), y=_tiled(cell.y, rows), z=cell.z))
+    body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
+    pads = patch_means(basis, pad_squares(design))
+    electrodes = patch_means(basis, electrode_squares(design))
+    assembled = perf_counter()
+    factor = factorized(body.matrix, definite=True)
+    factored = perf_counter()
+    solution, residual = checked_solve(body.matrix, factor, body.loads(pads.T.toarray()))
+    influence = electrodes @ body.displacements(solution)
+    return ArrayResponse(
+        design=design,
+        influence_mm_per_n=influence.reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
+        residual=residual,
+        unknowns=body.matrix.shape[0],
+        seconds={"assemble": assembled - start, "factor": factored - assembled, "solve": perf_counter() - factored},
+        method="whole grid",
+    )
+
+
+def _tiled(half: FloatArray, count: int) -> FloatArray:
+    """Lines of so many cells side by side, centred, from those of half a cell [0, a]."""
+    cell = np.concatenate([-half[:0:-1], half])
+    steps = np.tile(np.diff(cell), count)
+    return np.concatenate([[0.0], np.cumsum(steps)]) - count * half[-1]
+
+
+CONTENDERS = [
+    Contender(name=name, family="TriPillar", solve=solve, settings=units, covers=partial(eq, matrix))
+    for matrix, name, solve, units in (
+        (SAME, "cells", partial(by_settings, tolerance=1e-3), (2, 6, 12, 24, 48)),
+        (SAME, "cells, 1e-2", partial(by_settings, tolerance=1e-2), (6,)),
+        (SAME, "whole array, same hexahedra, level 1", partial(by_whole_grid, level=1), (2, 6)),
+        (SAME, "whole array, same hexahedra, level 2", partial(by_whole_grid, level=2), (6,)),
+        (SAME, "whole array, Taylor-Hood", by_mesh, (2, 6)),
+        (SAME, "layer", partial(by_settings, method="layer"), (6,)),
+        (SAME, "half-space", partial(by_settings, method="halfspace"), (6,)),
+        (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),
+        (SOFT, "whole array, Taylor-Hood, soft matrix", by_mesh, (6,)),
+    )
+]
 
 
 def bench(
     out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/arrays.json"),
     only: Annotated[str, typer.Option(help="Cases whose name holds this.")] = "",
-    one: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Measure every case, each in a fresh process with two threads and an empty cache."""
-    if one is not None:
-        measure_one(one)
-        return
-    rows = []
-    table = Table(title="Array responses, everything included, nothing cached")
-    for title in ("way", "units", "seconds", "of which", "MiB", "estimate", "error against the reference"):
-        table.add_column(title)
-    for number, (name, units, settings, matrix_mpa) in enumerate(CASES):
-        if only not in name:
-            continue
-        with tempfile.TemporaryDirectory() as cache:
-            done = subprocess.run(
-                [sys.executable, "-m", "studies.bench.arrays", "--one", str(number)],
-                capture_output=True,
-                text=True,
-                env=os.environ | {"TRIPILLAR_CACHE": cache, "OMP_NUM_THREADS": "2"},
-            )
-        if done.returncode:
-            print(f"{name}, {units} × {units}: {done.stderr.strip().splitlines()[-1]}", file=sys.stderr)
-            continue
-        found = json.loads(done.stdout)
-        rows.append({"name": name, "units": units, "settings": settings, "matrix_mpa": matrix_mpa} | found)
-        total = sum(found["seconds"].values())
-        parts = ", ".join(f"{step} {seconds:.1f}" for step, seconds in found["seconds"].items())
-        judged = ", ".join(f"{place} {error:.1e}" for place, error in found["errors"].items())
-        estimate = "" if found["estimate"] is None else f"{found['estimate']:.1e}"
-        table.add_row(name, f"{units} × {units}", f"{total:.1f}", parts, f"{found['peak_mib']:.0f}", estimate, judged)
-        print(f"{name}, {units} × {units}: {total:.1f} s", file=sys.stderr)
-    show(table)
-    write_json(rows, out)
+    """Measure every response once, with two threads; the setting is the number of units a side."""
+    records, settings = [], Settings(runs=1, patience_s=3600.0)
+    for case in (SAME, SOFT):
+        chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
+        records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings, say)
+    show(record_table("Array responses by units a side, everything included, nothing cached", records))
+    write_json(as_plain(records, surroundings(("numpy", "scipy", "scikit-fem"))), out)
     wrote([out])
 
 

@@ -1,6 +1,6 @@
 """``python -m studies.bench.inference``: errors of trained nets beside the time of one scan and of many."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -8,8 +8,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
@@ -17,7 +15,9 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from tripillar.terminal.console import wrote
+from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
+from studies.surroundings import surroundings
+from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 from tripillar.terminal.writing import write_json
@@ -26,44 +26,37 @@ SAMPLES = {"train": (2000, 1), "test": (500, 2)}  #: number and seed
 MANY = 10_000  #: scans of a batch
 WARM_UP_S = 0.5
 REPEATS = {1: 1000, MANY: 15}  #: by scans, of which the median counts
-#: protocol, component and network
-CASES = [
-    *[(loads, "all", NetworkConfig(feature="inverse")) for loads in ("three-axis", "contact")],
-    *[(loads, "all", NetworkConfig(hidden=36)) for loads in ("three-axis", "contact")],
-    *[(loads, "fz", NetworkConfig(feature="inverse")) for loads in ("independent-fz", "contact-fz")],
-    ("contact-fz", "fz", NetworkConfig(hidden=36)),
+INVERSE, ROOT = NetworkConfig(feature="inverse"), NetworkConfig(hidden=36)
+CONTENDERS = [
+    Contender(name=f"{net.feature}, {net.hidden} nodes", family="TriPillar", solve=lambda net=net: net, settings=kinds)
+    for net, kinds in (
+        (INVERSE, (("three-axis", "all"), ("contact", "all"), ("independent-fz", "fz"), ("contact-fz", "fz"))),
+        (ROOT, (("three-axis", "all"), ("contact", "all"), ("contact-fz", "fz"))),
+    )
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Measurement:
-    """One trained net."""
-
-    loads: str
-    component: str
-    network: NetworkConfig
-    full_scale_pct: dict[str, float | None]  #: error on test samples, by force
-    training_s: float
-    scan_us: float  #: one scan
-    batch_ms: float  #: `MANY` scans
+def measure(contender: Contender, _: None, setting: tuple[str, str]) -> Found:
+    """Train a net on exact samples of some loads for some forces, and time it on others."""
+    return trained_and_timed(array_response(SensorDesign())[0], *setting, contender.solve(), SAMPLES)
 
 
-def measure(response: ArrayResponse, loads: str, component: str, network: NetworkConfig) -> Measurement:
-    """Train a net on exact samples, and time it on others."""
-    data = {split: exact_samples(response, loads, n, seed) for split, (n, seed) in SAMPLES.items()}
+def trained_and_timed(
+    response: ArrayResponse, loads: str, component: str, network: NetworkConfig, samples: Mapping[str, tuple[int, int]]
+) -> Found:
+    """The same for any sensor."""
+    data = {split: exact_samples(response, loads, n, seed) for split, (n, seed) in samples.items()}
     started = perf_counter()
     model = train(data["train"], component, network, TrainingConfig(), response=response)
     training_s = perf_counter() - started
     scans = data["test"].resistance_ohm
     many = np.resize(scans, (MANY, *scans.shape[1:]))
-    return Measurement(
-        loads=loads,
-        component=component,
-        network=network,
-        full_scale_pct={name: errors.full_scale_pct for name, errors in evaluate(model, data["test"]).items()},
-        training_s=training_s,
-        scan_us=1e6 * seconds(model, scans[:1]),
-        batch_ms=1e3 * seconds(model, many),
+    errors = {name: one.full_scale_pct for name, one in evaluate(model, data["test"]).items()}
+    return Found(
+        errors={f"{name} [% of full scale]": error for name, error in errors.items() if error is not None},
+        size=model.hidden_weights.size + model.output_weights.size,
+        seconds={"a scan": median_seconds(model, scans[:1])},
+        notes={f"{MANY:,} scans [s]": median_seconds(model, many), "training [s]": training_s},
     )
 
 
@@ -72,7 +65,7 @@ def exact_samples(response: ArrayResponse, loads: str, n: int, seed: int) -> Sam
     return simulate(response, DatasetSettings(protocol=loads, samples=n, seed=seed)).labels()
 
 
-def seconds(model: Decoupler, scans: FloatArray) -> float:
+def median_seconds(model: Decoupler, scans: FloatArray) -> float:
     """Median time of `Decoupler.forces`, warmed up: threads of the training may still spin at first."""
     times = []
     warm = perf_counter() + WARM_UP_S
@@ -86,27 +79,14 @@ def seconds(model: Decoupler, scans: FloatArray) -> float:
 
 
 def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/inference.json")) -> None:
-    """Train and time every case; one scan runs on one thread, a batch on all cores."""
-    response, _, _ = array_response(SensorDesign())
-    found = [measure(response, *case) for case in CASES]
-    table = Table(title=f"Skip nets trained on {SAMPLES['train'][0]} exact samples")
-    for header in (
-        "loads",
-        "forces",
-        "net",
-        "error [% of full scale]",
-        "training [s]",
-        "a scan [µs]",
-        f"{MANY:,} [ms]",
-    ):
-        table.add_column(escape(header))
-    for one in found:
-        errors = " / ".join(f"{error:.3f}" for error in one.full_scale_pct.values() if error is not None)
-        net = f"{one.network.feature}, {one.network.hidden} nodes"
-        times = f"{one.training_s:.1f}", f"{one.scan_us:.0f}", f"{one.batch_ms:.0f}"
-        table.add_row(one.loads, " ".join(one.full_scale_pct), net, errors, *times)
-    show(table)
-    write_json([asdict(one) for one in found], out)
+    """Train and time every net on every kind of loads; one scan runs on one thread, a batch on all cores."""
+    array_response(SensorDesign())  # into the cache
+    settings = Settings(runs=1, patience_s=600.0, own_cache=False)
+    found = run_contenders("studies.bench.inference", "nets", None, CONTENDERS, settings, say)
+    show(
+        record_table(f"Skip nets trained on {SAMPLES['train'][0]} exact samples; seconds are those of one scan", found)
+    )
+    write_json(as_plain(found, surroundings(("numpy", "torch"))), out)
     wrote([out])
 
 

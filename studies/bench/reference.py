@@ -21,7 +21,7 @@ from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
-from studies.bench.ngsolve_solution import Grading, NgsolveSolution, solve_by_ngsolve
+from studies.bench.peers.ngsolve_peer import Grading, NgsolveSolution, solve_references
 from studies.bench.scenes import all_scenes
 
 REFERENCES = Path(__file__).with_name("references.json")
@@ -89,7 +89,7 @@ def make_references(scenes: dict[str, Scene], finest: Grading) -> dict[str, dict
     runs, answers = [], []
     for grading in (coarser(finest), replace(finest, order=finest.order - 1), finest):
         start = process_time()
-        answers.append(solve_by_ngsolve(list(scenes.values()), grading))
+        answers.append(solve_references(list(scenes.values()), grading))
         runs.append(asdict(grading) | {"cpu_seconds": round(process_time() - start, 1)})
     entries = {}
     for name, *others, best in zip(scenes, *answers, strict=True):

@@ -30,7 +30,7 @@ ELSEWHERE = {
     "make paper": (
         "tests/studies/paper/test_paper_report.py::test_the_command_writes_the_whole_report_and_again_nothing"
     ),
-    "make bench": "tests/studies/test_bench_peers.py::test_a_run_in_a_process_of_its_own",
+    "make bench": "tests/studies/test_bench_harness.py::test_a_run_in_a_process_of_its_own",
     "make edge-cases": "tests/studies/test_edge_cases.py::test_a_wrong_answer_is_the_exit_status",
     "make robustness": "tests/studies/test_robustness.py::test_table_json_and_pictures_are_written",
     "make hardware-test": "",  # these tests are among the others

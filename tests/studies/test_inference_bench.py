@@ -6,10 +6,11 @@ from tests.decoupler.synthetic_sensor import response, sensor
 
 
 def test_measures_errors_and_times(monkeypatch):
-    monkeypatch.setattr(inference, "SAMPLES", {"train": (60, 1), "test": (20, 2)})
     monkeypatch.setattr(inference, "WARM_UP_S", 0.0)
     monkeypatch.setattr(inference, "REPEATS", {1: 2, inference.MANY: 1})
-    found = inference.measure(response(sensor(2, 2)), "three-axis", "all", NetworkConfig(hidden=2, feature="inverse"))
-    assert set(found.full_scale_pct) == {"fx", "fy", "fz"}
-    assert all(error < 1.0 for error in found.full_scale_pct.values())  # it starts from the response of these very data
-    assert min(found.scan_us, found.batch_ms, found.training_s) > 0
+    samples = {"train": (60, 1), "test": (20, 2)}
+    network = NetworkConfig(hidden=2, feature="inverse")
+    found = inference.trained_and_timed(response(sensor(2, 2)), "three-axis", "all", network, samples)
+    assert set(found.errors) == {f"{name} [% of full scale]" for name in ("fx", "fy", "fz")}
+    assert all(error < 1.0 for error in found.errors.values())  # it starts from the response of these very data
+    assert min(*found.seconds.values(), *found.notes.values()) > 0

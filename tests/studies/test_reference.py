@@ -9,8 +9,8 @@ import pytest
 from fem.array.solving import solve_response
 from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
 from geometry.design import Material, SensorDesign
-from studies.bench.arrays import errors
-from studies.bench.ngsolve_solution import Grading, solve_by_ngsolve
+from studies.bench.arrays import column_errors
+from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.reference import REFERENCES, coarser, make_references, read_reference, solved_together
 from studies.bench.scenes import all_scenes
 from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
@@ -33,7 +33,7 @@ def patch_scene(material, size_mm, center_mm=(4.0, 4.0), traction=(0.0, 0.0, -1.
 
 def solved(scene: Scene, grading: Grading = COARSE):
     pytest.importorskip("ngsolve")
-    return solve_by_ngsolve([scene], grading)[0]
+    return solve_references([scene], grading)[0]
 
 
 def test_fully_covered_block_at_zero_poisson_follows_hooke():
@@ -85,10 +85,10 @@ def test_slender_oblique_pillar_follows_bernoulli():
 def test_scenes_of_one_body_are_solved_together():
     pytest.importorskip("ngsolve")
     scenes = [patch_scene(RUBBER, size_mm=4.0), patch_scene(RUBBER, size_mm=4.0, traction=(1.0, 0.0, 0.0))]
-    for together, scene in zip(solve_by_ngsolve(scenes, COARSE), scenes, strict=True):
+    for together, scene in zip(solve_references(scenes, COARSE), scenes, strict=True):
         assert together.probes["patch"] == pytest.approx(solved(scene).probes["patch"], rel=1e-7)
     with pytest.raises(ValueError, match="the same body and materials"):
-        solve_by_ngsolve([scenes[0], replace(scenes[1], material=LIMP)], COARSE)
+        solve_references([scenes[0], replace(scenes[1], material=LIMP)], COARSE)
 
 
 def test_an_entry_is_its_finest_answer_and_knows_its_neighbours():
@@ -128,5 +128,5 @@ def test_every_stored_reference_has_converged_in_two_orders_and_two_meshes():
 def test_columns_of_an_inner_pad_are_as_accurate_as_they_say():
     """NGSolve on the whole slab, never cut into cells, against the cells of the 6 × 6 response."""
     response = solve_response(SensorDesign())
-    found = errors(response.influence_mm_per_n)
+    found = column_errors(response.influence_mm_per_n)
     assert found["inner self"] < response.error_estimate

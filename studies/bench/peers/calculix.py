@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
 from itertools import permutations
 from pathlib import Path
@@ -20,9 +21,9 @@ from numpy.typing import NDArray
 
 from fem.scene.scene import Rectangle, Scene
 from geometry.layout import FloatArray
-from studies.bench.contender import Answer, Contender, fits_boxes
+from studies.bench.harness import Contender, Stopwatch
 from studies.bench.peers.grids import inclusion_box, lean, scene_lines
-from studies.bench.stopwatch import Stopwatch
+from studies.bench.peers.solved import Solved, fits_boxes
 
 IntArray = NDArray[np.int64]
 
@@ -52,7 +53,7 @@ def _tetrahedra() -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Grid:
+class QuadraticGrid:
     """Quadratic elements on the half-step lattice of a structured grid."""
 
     points_mm: FloatArray  #: shape (n, 3)
@@ -84,7 +85,7 @@ class Grid:
         return w
 
 
-def make_grid(scene: Scene, n: float, element: str, graded: bool) -> Grid:
+def make_grid(scene: Scene, n: float, element: str, graded: bool) -> QuadraticGrid:
     """A grid of C3D20R (or C3D20) hexahedra, or of C3D10 tetrahedra, six to a hexahedron."""
     lines = scene_lines(scene, n, graded)
     counts = [len(line) - 1 for line in lines]
@@ -100,10 +101,10 @@ def make_grid(scene: Scene, n: float, element: str, graded: bool) -> Grid:
     index = np.unravel_index(used, shape)
     points = np.stack([half[i] for half, i in zip(halves, index, strict=True)], axis=1)
     points[:, :2] += lean(scene, points[:, 2])
-    return Grid(points, cells.reshape(numbers.shape), element, lattice.reshape(shape), lines)
+    return QuadraticGrid(points, cells.reshape(numbers.shape), element, lattice.reshape(shape), lines)
 
 
-def deck(scene: Scene, grid: Grid, solver: str) -> str:
+def deck(scene: Scene, grid: QuadraticGrid, solver: str) -> str:
     """The input file: one linear static step that prints the displacement of the top."""
     out = StringIO()
     out.write("*NODE, NSET=ALL\n")
@@ -149,7 +150,7 @@ def read_displacements(text: str, n_points: int) -> FloatArray:
     return u
 
 
-def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool, solver: str = "SPOOLES") -> Answer:
+def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool, solver: str = "SPOOLES") -> Solved:
     """Write a deck, run `ccx` on it, read what it printed."""
     done = Stopwatch()
     grid = make_grid(scene, n, element, graded)
@@ -170,7 +171,7 @@ def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool, solver: str
         w = grid.weights(probe.rectangle)
         probes[probe.name] = w @ u / w.sum()
     done("read")
-    return Answer(probes, 3 * len(grid.points_mm), done.seconds)
+    return Solved(probes, 3 * len(grid.points_mm), done.seconds)
 
 
 def missing() -> str:
@@ -180,27 +181,16 @@ def missing() -> str:
 
 CONTENDERS = [
     Contender(
-        name="CalculiX C3D10 tetrahedra, graded",
+        name=f"CalculiX {element} {shape}, {'graded' if graded else 'uniform'}",
         family="CalculiX",
-        solve=lambda scene, n: solve_by_ccx(scene, n, "C3D10", graded=True),
-        resolutions=(1, 1.5, 2, 3),
+        solve=partial(solve_by_ccx, element=element, graded=graded),
+        settings=settings,
         covers=fits_boxes,
         missing=missing,
-    ),
-    Contender(
-        name="CalculiX C3D20R hexahedra, uniform",
-        family="CalculiX",
-        solve=lambda scene, n: solve_by_ccx(scene, n, "C3D20R", graded=False),
-        resolutions=(1, 2, 3),
-        covers=fits_boxes,
-        missing=missing,
-    ),
-    Contender(
-        name="CalculiX C3D20R hexahedra, graded",
-        family="CalculiX",
-        solve=lambda scene, n: solve_by_ccx(scene, n, "C3D20R", graded=True),
-        resolutions=(1, 1.5, 2, 3, 4, 5, 6),
-        covers=fits_boxes,
-        missing=missing,
-    ),
+    )
+    for element, shape, graded, settings in (
+        ("C3D10", "tetrahedra", True, (1, 1.5, 2, 3)),
+        ("C3D20R", "hexahedra", False, (1, 2, 3)),
+        ("C3D20R", "hexahedra", True, (1, 1.5, 2, 3, 4, 5, 6)),
+    )
 ]

@@ -1,34 +1,147 @@
-"""NGSolve as one who knows it would use it: netgen's graded or hp-refined meshes, orders 2 to 4, its own solver.
+"""NGSolve as one who knows it would use it: netgen's graded or hp-refined meshes, orders 2 to 6, its own solver.
 
 Patch outlines and inclusions are glued into the body, so that the mesh conforms to them and is refined there: either by
-local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra.
+local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra. The same
+solver, at high order, makes the benchmark's references: mesh, functions (integrated Legendre polynomials), assembly,
+condensation and sparse Cholesky factors are NGSolve's, none of it is what `fem` solves by.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal
 
-from fem.scene.scene import Pillar, Scene
+import numpy as np
+
+from fem.scene.scene import Pillar, Prism, Scene
+from geometry.design import Material
 from geometry.layout import FloatArray
-from studies.bench.contender import Answer, Contender, fits_boxes, is_homogeneous
-from studies.bench.ngsolve_solution import inside, mean_over, moduli, prism, rectangle
+from studies.bench.harness import Contender, Stopwatch
 from studies.bench.peers.grids import geometric_lines, lean, scene_lines
-from studies.bench.stopwatch import Stopwatch
+from studies.bench.peers.solved import Solved, fits_boxes, is_homogeneous
 
 Form = Literal["displacement", "reduced", "mixed"]
-MeshMaker = Callable[[Scene, float], Any]
+RESIDUAL = 1e-8  #: largest relative residual of a reference after refinement
+PLACES = 8  #: Gauss points along each side of a probe to which no mesh conforms
+MIN_LAME = 1e-9  #: least λ over μ in the mixed form, which divides by λ
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grading:
+    """The fineness of a reference."""
+
+    order: int  #: of the functions
+    levels: int  #: of geometric refinement toward singular edges
+    ratio: float  #: of the distances of neighbouring levels
+    largest_mm: float  #: of elements before they are refined
+    edge_mm: float  #: of elements along the outlines of loads and along inclusions
+    edges: tuple[str, ...] = ("base", "loads", "regions")  #: the singular ones
+
+
+@dataclass(frozen=True)
+class NgsolveSolution:
+    """A converged answer."""
+
+    probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+    energy_mj: float  #: ½ f·u
+    unknowns: int
+    elements: int
+
+
+# meshes
+
+
+def glued_mesh(
+    scene: Scene,
+    rectangles: dict[tuple[float, ...], float | None],
+    prisms: Sequence[tuple[Prism, float]],
+    base_mm: float | None,
+    largest_mm: float,
+    grading: float,
+    hp: tuple[int, float, Collection[str]],
+) -> Any:
+    """A mesh of the body by netgen; its faces are 'bottom' and 'top'.
+
+    Parameters
+    ----------
+    scene : Scene
+    rectangles : dict
+        Edge length [mm] along each rectangle of the top that is glued in; None where it is not refined.
+    prisms : sequence of (prism, edge length [mm])
+    base_mm : float or None
+        The same along the edges of the base.
+    largest_mm, grading : float
+        Of netgen.
+    hp : (levels, ratio, edges)
+        Geometric refinement toward the named edges: "base", "loads", "regions".
+    """
+    from netgen.occ import Glue, OCCGeometry
+    from ngsolve import Mesh
+
+    h = scene.height_mm
+    levels, ratio, singular = hp
+
+    def refined(edges: Any, kind: str, edge_mm: float | None) -> None:
+        for edge in edges:
+            edge.hpref = 1 if levels and kind in singular else 0
+            if edge_mm is not None:
+                edge.maxh = edge_mm
+
+    parts = [_solid(scene.outline)]
+    refined([edge for edge in parts[0].edges if abs(edge.center.z) < 1e-9 * h], "base", base_mm)
+    for corners, edge_mm in rectangles.items():
+        parts.append(_face(corners, h))
+        if edge_mm is not None:
+            refined(parts[-1].edges, "loads", edge_mm)
+    for prism, edge_mm in prisms:
+        parts.append(_solid(prism))
+        refined(parts[-1].edges, "regions", edge_mm)
+    shape = Glue(parts)
+    for face in shape.faces:
+        for name, z in (("bottom", 0.0), ("top", h)):
+            if abs(face.center.z - z) < 1e-9 * h:
+                face.name = name
+    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=largest_mm, grading=grading, parallel_meshing=False))
+    if levels:
+        mesh.RefineHP(levels, factor=ratio)
+    return mesh
+
+
+def reference_mesh(scenes: Sequence[Scene], grading: Grading) -> Any:
+    """A mesh that conforms to the loads of all scenes and to prisms of other rubber."""
+    rectangles: dict[tuple[float, ...], float | None] = {
+        load.rectangle: grading.edge_mm for one in scenes for load in one.loads
+    }
+    prisms = [(region, grading.edge_mm) for region, _ in _other_rubber(scenes[0])]
+    hp = (grading.levels, grading.ratio, grading.edges)
+    return glued_mesh(scenes[0], rectangles, prisms, None, grading.largest_mm, 0.5, hp)
+
+
+def tetrahedra(scene: Scene, largest_mm: float, fineness: float, hp: int) -> Any:
+    """A mesh whose edges along loads and inclusions are half as long as those are wide, over the fineness."""
+    smallest_mm = min(min(load.size_mm) for load in scene.loads)
+    loaded = [tuple(r) for r in scene.load_rectangles_mm.tolist()]
+    probed = [tuple(r) for r in scene.probe_rectangles_mm.tolist()]
+    rectangles = {r: smallest_mm / 2 / fineness if r in loaded else None for r in (*loaded, *probed)}
+    prisms = [(inclusion, min(inclusion.section_mm) / 2 / fineness) for inclusion in scene.inclusions]
+    # the clamped end of a free pillar is as singular as what is near its load
+    free = isinstance(scene.body, Pillar)
+    singular = ("base", "loads", "regions") if free else ("loads", "regions")
+    base_mm = smallest_mm / 2 / fineness if free else None
+    return glued_mesh(scene, rectangles, prisms, base_mm, largest_mm, 0.4, (hp, 0.15, singular))
 
 
 def local_size_mesh(scene: Scene, n: float) -> Any:
     """Tetrahedra by netgen, shrinking toward the outlines of loads and toward inclusions."""
-    return _netgen_mesh(scene, largest_mm=scene.height_mm / max(1.0, n / 2), fineness=n**1.5, hp=0)
+    return tetrahedra(scene, largest_mm=scene.height_mm / max(1.0, n / 2), fineness=n**1.5, hp=0)
 
 
 def hp_mesh(scene: Scene, n: float) -> Any:
     """Tetrahedra and their kin by netgen, refined geometrically twice toward the outlines of loads and inclusions."""
-    return _netgen_mesh(scene, largest_mm=scene.height_mm / n, fineness=n, hp=2)
+    return tetrahedra(scene, largest_mm=scene.height_mm / n, fineness=n, hp=2)
 
 
 def hexahedra_mesh(scene: Scene, n: float) -> Any:
@@ -36,9 +149,9 @@ def hexahedra_mesh(scene: Scene, n: float) -> Any:
     return _structured_mesh(scene, scene_lines(scene, n, graded=True))
 
 
-def geometric_mesh(scene: Scene, layers: float) -> Any:
-    """Few hexahedra on the lines of `grids.geometric_lines`."""
-    return _structured_mesh(scene, geometric_lines(scene, int(layers)))
+def geometric_mesh(scene: Scene, _: float) -> Any:
+    """Few hexahedra on the lines of `grids.geometric_lines`, two layers toward each edge."""
+    return _structured_mesh(scene, geometric_lines(scene, 2))
 
 
 def _structured_mesh(scene: Scene, lines: tuple[FloatArray, FloatArray, FloatArray]) -> Any:
@@ -55,48 +168,93 @@ def _structured_mesh(scene: Scene, lines: tuple[FloatArray, FloatArray, FloatArr
     return MakeStructured3DMesh(hexes=True, nx=counts[0], ny=counts[1], nz=counts[2], mapping=mapped)
 
 
-def _netgen_mesh(scene: Scene, largest_mm: float, fineness: float, hp: int) -> Any:
-    """A mesh whose edges along loads and inclusions are half as long as those are wide, over the fineness."""
-    from netgen.occ import Glue, OCCGeometry
-    from ngsolve import Mesh
+def _face(corners: Sequence[float], z_mm: float) -> Any:
+    """A rectangle of OpenCASCADE at some height; corners x0, y0, x1, y1."""
+    from netgen.occ import Axes, Pnt, WorkPlane, X, Z
 
-    def refined(shape: Any, width_mm: float) -> Any:
-        for edge in shape.edges:
-            edge.maxh = width_mm / 2 / fineness
-            edge.hpref = 1 if hp else 0
-        return shape
-
-    h, smallest_mm = scene.height_mm, min(min(load.size_mm) for load in scene.loads)
-    rectangles = {tuple(r): True for r in scene.load_rectangles_mm.tolist()}
-    rectangles |= {tuple(r): r in scene.load_rectangles_mm.tolist() for r in scene.probe_rectangles_mm.tolist()}
-    parts = [prism(scene.outline)]
-    if isinstance(scene.body, Pillar):  # the clamped end of a free pillar is as singular as what is near its load
-        for edge in parts[0].edges:
-            if abs(edge.center.z) < 1e-9 * h:
-                edge.maxh = smallest_mm / 2 / fineness
-                edge.hpref = 1 if hp else 0
-    for corners, loaded in rectangles.items():
-        face = rectangle(corners, h)
-        parts.append(refined(face, smallest_mm) if loaded else face)
-    parts += [refined(prism(inclusion), min(inclusion.section_mm)) for inclusion in scene.inclusions]
-    shape = Glue(parts)
-    for face in shape.faces:
-        if abs(face.center.z) < 1e-9 * h:
-            face.name = "bottom"
-        elif abs(face.center.z - h) < 1e-9 * h:
-            face.name = "top"
-    mesh = Mesh(OCCGeometry(shape).GenerateMesh(maxh=largest_mm, grading=0.4, parallel_meshing=False))
-    if hp:
-        mesh.RefineHP(hp, factor=0.15)
-    return mesh
+    x0, y0, x1, y1 = corners
+    return WorkPlane(Axes(Pnt(x0, y0, z_mm), n=Z, h=X)).Rectangle(x1 - x0, y1 - y0).Face()
 
 
-def solve_by_ngsolve(scene: Scene, make_mesh: MeshMaker, n: float, order: int, form: Form) -> Answer:
-    """Mesh, assemble, factor by NGSolve's sparse Cholesky, solve.
+def _solid(one: Prism) -> Any:
+    """A prism of OpenCASCADE."""
+    from netgen.occ import Vec
+
+    (x, y, z), (a, b) = one.base_mm, one.section_mm
+    upward = Vec(*(np.array(one.top_mm) - np.array(one.base_mm)).tolist())
+    return _face((x - a / 2, y - b / 2, x + a / 2, y + b / 2), z).Extrude(upward)
+
+
+# equations
+
+
+class System:
+    """An elastic body on a mesh: assembled at once, then factored, then solved for any loads.
 
     The displacement form condenses what lies inside elements; in its reduced kind the volumetric part is integrated one
     order lower. The mixed form adds a continuous pressure one order below the displacement (Taylor-Hood).
     """
+
+    def __init__(self, scene: Scene, mesh: Any, order: int, form: Form) -> None:
+        import ngsolve as ng
+        from ngsolve import ET, IntegrationRule
+
+        lame, mu = _moduli(scene, mesh, MIN_LAME if form == "mixed" else 0.0)
+        V = ng.VectorH1(mesh, order=order, dirichlet="bottom")
+        self.mesh, self.form = mesh, form
+        self.space = V * ng.H1(mesh, order=order - 1) if form == "mixed" else V
+        trial, test = self.space.TnT()
+        u, v = (trial[0], test[0]) if form == "mixed" else (trial, test)
+        self.a = ng.BilinearForm(self.space, symmetric=True, condense=True)
+        self.a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) * ng.dx
+        if form == "mixed":
+            p, q = trial[1], test[1]
+            self.a += (p * ng.div(v) + q * ng.div(u) - p * q / lame) * ng.dx
+        else:
+            rules = {ET.HEX: IntegrationRule(ET.HEX, 2 * order - 1)} if form == "reduced" else {}
+            self.a += lame * ng.div(u) * ng.div(v) * (ng.dx(intrules=rules) if rules else ng.dx)
+        self.virtual = v
+        self.a.Assemble()
+
+    def load(self, scene: Scene) -> Any:
+        """Nodal forces of a scene's loads."""
+        import ngsolve as ng
+
+        f = ng.LinearForm(self.space)
+        for load in scene.loads:
+            f += _inside(load.rectangle) * ng.InnerProduct(ng.CF(load.traction_mpa), self.virtual) * ng.ds("top")
+        f.Assemble()
+        return f
+
+    def factor(self) -> Any:
+        return self.a.mat.Inverse(self.space.FreeDofs(True), inverse="sparsecholesky")
+
+    def solve(self, inverse: Any, f: Any, refinements: int = 0) -> Any:
+        """The solution; with refinements its residual must stay below `RESIDUAL`, else `ArithmeticError`."""
+        import ngsolve as ng
+
+        w = ng.GridFunction(self.space)
+        f.vec.data += self.a.harmonic_extension_trans * f.vec
+        w.vec.data = inverse * f.vec
+        if refinements:
+            rest, free = f.vec.CreateVector(), ng.Projector(self.space.FreeDofs(True), True)
+            for _ in range(refinements):
+                rest.data = free * (f.vec - self.a.mat * w.vec)
+                w.vec.data += inverse * rest
+            if rest.Norm() > RESIDUAL * f.vec.Norm():
+                raise ArithmeticError(f"residual {rest.Norm() / f.vec.Norm():.1e} > {RESIDUAL:g}: inexact factors.")
+        w.vec.data += self.a.harmonic_extension * w.vec
+        w.vec.data += self.a.inner_solve * f.vec
+        return w
+
+    def displacement(self, w: Any) -> Any:
+        return w.components[0] if self.form == "mixed" else w
+
+
+def solve_by_ngsolve(
+    scene: Scene, n: float, make_mesh: Callable[[Scene, float], Any], form: Form, order: int | None = None
+) -> Solved:
+    """Mesh, assemble, factor by NGSolve's sparse Cholesky, solve; without an order `n` is the order."""
     import ngsolve as ng
 
     threads = int(os.environ.get("OMP_NUM_THREADS", "2"))
@@ -104,50 +262,114 @@ def solve_by_ngsolve(scene: Scene, make_mesh: MeshMaker, n: float, order: int, f
     done = Stopwatch()
     mesh = make_mesh(scene, n)
     done("mesh")
-    # a task manager of one thread would only cost
-    with ng.TaskManager() if threads > 1 else nullcontext():
-        answer = _solve(scene, mesh, order, form, done)
-    return answer
+    with ng.TaskManager() if threads > 1 else nullcontext():  # a task manager of one thread would only cost
+        system = System(scene, mesh, order or int(n), form)
+        f = system.load(scene)
+        done("assemble")
+        inverse = system.factor()
+        done("factor")
+        u = system.displacement(system.solve(inverse, f))
+        probes = {probe.name: _mean_over(u, probe.rectangle) for probe in scene.mean_probes}
+        done("solve")
+    return Solved(probes, system.space.ndof, done.seconds)
 
 
-def _solve(scene: Scene, mesh: Any, order: int, form: Form, done: Stopwatch) -> Answer:
+def solve_references(scenes: Sequence[Scene], grading: Grading) -> list[NgsolveSolution]:
+    """Displacement of the probes of scenes that differ in loads and probes only: one factorisation serves them all.
+
+    Raises
+    ------
+    ValueError
+        If bodies or materials differ.
+    ArithmeticError
+        If a residual stays above `RESIDUAL`.
+    """
     import ngsolve as ng
-    from ngsolve import ET, H1, BilinearForm, GridFunction, InnerProduct, IntegrationRule, LinearForm, Sym, VectorH1
 
-    lame, mu = moduli(scene, mesh, least=1e-9)  # the mixed form divides by λ
-    V = VectorH1(mesh, order=order, dirichlet="bottom")
-    if form == "mixed":
-        space = V * H1(mesh, order=order - 1)
-        (u, p), (v, q) = space.TnT()
-    else:
-        space = V
-        u, v = space.TnT()
-    a = BilinearForm(space, symmetric=True, condense=True)
-    a += 2 * mu * InnerProduct(Sym(ng.Grad(u)), Sym(ng.Grad(v))) * ng.dx
-    if form == "mixed":
-        a += (p * ng.div(v) + q * ng.div(u) - p * q / lame) * ng.dx
-    elif form == "reduced":
-        a += lame * ng.div(u) * ng.div(v) * ng.dx(intrules={ET.HEX: IntegrationRule(ET.HEX, 2 * order - 1)})
-    else:
-        a += lame * ng.div(u) * ng.div(v) * ng.dx
-    f = LinearForm(space)
-    for load in scene.loads:
-        f += inside(load.rectangle) * InnerProduct(ng.CF(load.traction_mpa), v) * ng.ds("top")
-    a.Assemble()
-    f.Assemble()
-    done("assemble")
+    first = scenes[0]
+    if any(
+        (one.body, one.material, one.inclusions) != (first.body, first.material, first.inclusions) for one in scenes
+    ):
+        raise ValueError("scenes of one solve must have the same body and materials.")
+    mesh = reference_mesh(scenes, grading)
+    system = System(first, mesh, grading.order, "displacement")
+    inverse = system.factor()
+    found = []
+    for scene in scenes:
+        f = system.load(scene)
+        w = system.solve(inverse, f, refinements=2)
+        energy_mj = ng.InnerProduct(f.vec, w.vec) / 2
+        found.append(NgsolveSolution(_probed(scene, w), energy_mj, system.space.ndof, mesh.ne))
+    return found
 
-    inverse = a.mat.Inverse(space.FreeDofs(True), inverse="sparsecholesky")
-    done("factor")
-    solution = GridFunction(space)
-    f.vec.data += a.harmonic_extension_trans * f.vec
-    solution.vec.data = inverse * f.vec
-    solution.vec.data += a.harmonic_extension * solution.vec
-    solution.vec.data += a.inner_solve * f.vec
-    displacement = solution.components[0] if form == "mixed" else solution
-    probes = {probe.name: mean_over(displacement, probe.rectangle) for probe in scene.mean_probes}
-    done("solve")
-    return Answer(probes, space.ndof, done.seconds)
+
+def _moduli(scene: Scene, mesh: Any, least: float) -> tuple[Any, Any]:
+    """λ and μ of each element of a mesh that conforms to the scene's prisms; λ ≥ least · μ."""
+    import ngsolve as ng
+
+    def both(material: Material) -> tuple[float, float]:
+        lame, mu = material.lame_mpa
+        return max(lame, least * mu), mu
+
+    found = [ng.CF(value) for value in both(scene.material)]
+    for region, material in _other_rubber(scene):
+        (x, y, z), (a, b) = region.base_mm, region.section_mm
+        slope = (np.array(region.top_mm) - np.array(region.base_mm)) / region.height_mm
+        rise = ng.z - z
+        beside = [(a / 2) ** 2 - (ng.x - x - slope[0] * rise) ** 2, (b / 2) ** 2 - (ng.y - y - slope[1] * rise) ** 2]
+        beside.append(rise * (region.height_mm - rise))
+        for i, value in enumerate(both(material)):
+            within = ng.CF(value)
+            for one in beside:
+                within = ng.IfPos(one, within, found[i])
+            found[i] = within
+    constant = [ng.GridFunction(ng.L2(mesh, order=0)) for _ in found]
+    for one, value in zip(constant, found, strict=True):
+        one.Set(value)
+    return constant[0], constant[1]
+
+
+def _other_rubber(scene: Scene) -> list[tuple[Prism, Material]]:
+    return [(region, material) for region, material in scene.regions if material != scene.material]
+
+
+# probes
+
+
+def _inside(rectangle: Sequence[float]) -> Any:
+    """1 inside a rectangle, 0 outside: constant on each face, for the mesh conforms to its outline."""
+    import ngsolve as ng
+
+    x0, y0, x1, y1 = (float(corner) for corner in rectangle)
+    return ng.IfPos((ng.x - x0) * (x1 - ng.x), 1, 0) * ng.IfPos((ng.y - y0) * (y1 - ng.y), 1, 0)
+
+
+def _mean_over(u: Any, rectangle: Sequence[float]) -> FloatArray:
+    """Mean displacement over a rectangle of the top whose outline the mesh conforms to, shape (3,): exact."""
+    import ngsolve as ng
+
+    mesh, order = u.space.mesh, 2 * u.space.globalorder
+    x0, y0, x1, y1 = rectangle
+    total = ng.Integrate(_inside(rectangle) * u, mesh, ng.BND, order=order, definedon=mesh.Boundaries("top"))
+    return np.array(total) / ((x1 - x0) * (y1 - y0))
+
+
+def _probed(scene: Scene, u: Any) -> dict[str, FloatArray]:
+    """Each probe: exact over a load's rectangle and at points, by Gauss points elsewhere."""
+    mesh, found = u.space.mesh, {}
+    conforming = {load.rectangle for load in scene.loads}
+    places, weights = np.polynomial.legendre.leggauss(PLACES)
+    for probe in scene.probes:
+        if probe.position_mm is not None:
+            found[probe.name] = np.array(u(mesh(*probe.position_mm)))
+        elif probe.rectangle in conforming:
+            found[probe.name] = _mean_over(u, probe.rectangle)
+        else:
+            x0, y0, x1, y1 = probe.rectangle
+            x, y = np.meshgrid((x0 + x1 + (x1 - x0) * places) / 2, (y0 + y1 + (y1 - y0) * places) / 2, indexing="ij")
+            values = u(mesh(x.ravel(), y.ravel(), np.full(x.size, scene.height_mm)))
+            found[probe.name] = np.outer(weights, weights).ravel() @ values / 4
+    return found
 
 
 def missing() -> str:
@@ -155,52 +377,22 @@ def missing() -> str:
     return "" if find_spec("ngsolve") else "ngsolve is not installed (pip install 'tripillar[bench]')"
 
 
-IMPORTS = ("ngsolve", "ngsolve.meshes", "netgen.occ")
-
+VARIANTS: tuple[tuple[str, Callable[[Scene, float], Any], Form, int | None, tuple[float, ...]], ...] = (
+    ("P3 tetrahedra, local sizes", local_size_mesh, "displacement", 3, (1, 1.5, 2, 3, 4)),
+    ("Taylor-Hood P2-P1 tetrahedra, local sizes", local_size_mesh, "mixed", 2, (1, 2, 3, 4, 5)),
+    ("P4, hp-refined", hp_mesh, "displacement", 4, (1, 1.5, 2)),
+    ("Q3 hexahedra, reduced, graded", hexahedra_mesh, "reduced", 3, (1, 1.5, 2, 3, 4)),
+    ("hexahedra of rising order, reduced, geometric", geometric_mesh, "reduced", None, (2, 3, 4, 5)),
+)  #: name, mesh, form, order (None: the setting), settings
 CONTENDERS = [
     Contender(
-        name="NGSolve P3 tetrahedra, local sizes",
+        name=f"NGSolve {name}",
         family="NGSolve",
-        solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 3, "displacement"),
-        resolutions=(1, 1.5, 2, 3, 4),
-        covers=fits_boxes,
+        solve=partial(solve_by_ngsolve, make_mesh=make_mesh, form=form, order=order),
+        settings=settings,
+        covers=is_homogeneous if form == "mixed" else fits_boxes,  # a continuous pressure does not suit two rubbers
         missing=missing,
-        imports=IMPORTS,
-    ),
-    Contender(
-        name="NGSolve Taylor-Hood P2-P1 tetrahedra, local sizes",
-        family="NGSolve",
-        solve=lambda scene, n: solve_by_ngsolve(scene, local_size_mesh, n, 2, "mixed"),
-        resolutions=(1, 2, 3, 4, 5),
-        covers=is_homogeneous,  # a continuous pressure does not suit two rubbers
-        missing=missing,
-        imports=IMPORTS,
-    ),
-    Contender(
-        name="NGSolve P4, hp-refined",
-        family="NGSolve",
-        solve=lambda scene, n: solve_by_ngsolve(scene, hp_mesh, n, 4, "displacement"),
-        resolutions=(1, 1.5, 2),
-        covers=fits_boxes,
-        missing=missing,
-        imports=IMPORTS,
-    ),
-    Contender(
-        name="NGSolve Q3 hexahedra, reduced, graded",
-        family="NGSolve",
-        solve=lambda scene, n: solve_by_ngsolve(scene, hexahedra_mesh, n, 3, "reduced"),
-        resolutions=(1, 1.5, 2, 3, 4),
-        covers=fits_boxes,
-        missing=missing,
-        imports=IMPORTS,
-    ),
-    Contender(
-        name="NGSolve hexahedra of rising order, reduced, geometric",
-        family="NGSolve",
-        solve=lambda scene, order: solve_by_ngsolve(scene, geometric_mesh, 2, int(order), "reduced"),
-        resolutions=(2, 3, 4, 5),
-        covers=fits_boxes,
-        missing=missing,
-        imports=IMPORTS,
-    ),
+        imports=("ngsolve", "ngsolve.meshes", "netgen.occ"),
+    )
+    for name, make_mesh, form, order, settings in VARIANTS
 ]

@@ -3,11 +3,12 @@
 Follows its example 11 (three-dimensional linear elasticity) with quadratic elements and loads on named boundaries.
 """
 
+from functools import partial
+
 import numpy as np
 from skfem import (
     Basis,
     ElementHex2,
-    ElementHexS2,
     ElementTetP2,
     ElementVector,
     FacetBasis,
@@ -21,12 +22,12 @@ from skfem.element import Element
 from skfem.models.elasticity import linear_elasticity
 
 from fem.scene.scene import Rectangle, Scene
-from studies.bench.contender import Answer, Contender
+from studies.bench.harness import Contender, Stopwatch
 from studies.bench.peers.grids import scene_lines
-from studies.bench.stopwatch import Stopwatch
+from studies.bench.peers.solved import Solved, is_homogeneous_block
 
 
-def solve_stock(scene: Scene, n: float, element: type[Element]) -> Answer:
+def solve_stock(scene: Scene, n: float, element: type[Element]) -> Solved:
     """A uniform grid of tetrahedra or hexahedra, solved as in the documentation."""
     done = Stopwatch()
     lines = scene_lines(scene, n, graded=False)
@@ -56,26 +57,16 @@ def solve_stock(scene: Scene, n: float, element: type[Element]) -> Answer:
         area = probe.size_mm[0] * probe.size_mm[1]
         probes[probe.name] = np.array([on(probe.rectangle, a) @ u / area for a in range(3)])
     done("solve")
-    return Answer(probes, int(basis.N), done.seconds)
+    return Solved(probes, int(basis.N), done.seconds)
 
 
 CONTENDERS = [
     Contender(
-        name="scikit-fem stock P2 tetrahedra",
+        name=f"scikit-fem stock {name}",
         family="scikit-fem",
-        solve=lambda scene, n: solve_stock(scene, n, ElementTetP2),
-        resolutions=(1, 2, 3),
-    ),
-    Contender(
-        name="scikit-fem stock Q2 hexahedra",
-        family="scikit-fem",
-        solve=lambda scene, n: solve_stock(scene, n, ElementHex2),
-        resolutions=(1, 2, 3),
-    ),
-    Contender(
-        name="scikit-fem stock S2 hexahedra",
-        family="scikit-fem",
-        solve=lambda scene, n: solve_stock(scene, n, ElementHexS2),
-        resolutions=(1, 2, 3),
-    ),
+        solve=partial(solve_stock, element=element),
+        settings=(1, 2, 3),
+        covers=is_homogeneous_block,
+    )
+    for name, element in (("P2 tetrahedra", ElementTetP2), ("Q2 hexahedra", ElementHex2))
 ]

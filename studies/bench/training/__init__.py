@@ -1,6 +1,5 @@
 """Training time against error: the three trainers, torch's own and two peers on the same data, network and start.
 
-In: simulated samples and the form of a network. Out: a table, ratios, a JSON and a picture for each case. Open
-`contenders.py` first (ours), then `peers.py` (the others), `problem.py` (what all are handed) and `race.py` (how each
-is timed in a process of its own).
+Open `contenders.py` first (ours, and how one is measured), then `peers.py` (the others), `problem.py` (the samples and
+network that all are handed) and `trace.py` (the error over time).
 """

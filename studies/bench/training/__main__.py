@@ -1,21 +1,16 @@
 """``python -m studies.bench.training``: the tables, the JSON and the pictures of training time against error."""
 
-import tempfile
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
 
-from dataset import DatasetSettings, simulate
 from decoupler.model.settings import Net
-from fem.array.solving import array_response
-from geometry.design import SensorDesign
-from studies.bench.training.contenders import CONTENDERS
+from studies.bench.harness import Record, Settings, as_plain, draw_records, ratio_table, record_table, run_contenders
+from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race
 from studies.bench.training.dense import step_difference
-from studies.bench.training.race import Case, race
-from studies.bench.training.race_chart import draw_race
-from studies.bench.training.table import ratio_table, time_table
 from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
@@ -23,9 +18,9 @@ from tripillar.terminal.tables import show
 from tripillar.terminal.writing import write_json
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
-TEST_SAMPLES = 200
-SEEDS = {"train": 1, "test": 2}
 PACKAGES = ("numpy", "scipy", "torch", "torch-levenberg-marquardt")
+GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
+SPARE_S = 60.0  #: beyond thrice its patience, for imports and a step that cannot be interrupted
 
 
 def bench(
@@ -45,46 +40,27 @@ def bench(
     if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:
         raise typer.BadParameter(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
     chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
-    found, pictures = [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for case in cases(Path(folder), protocols, nets, hidden, samples, patience):
-            difference = step_difference(case.problem())
-            runs = race(case, chosen, say)
-            pictures.append(out / f"training-{case.name}.png")
-            draw_race(case.name, runs, pictures[-1])
-            show(time_table(case.name, runs, difference))
-            show(ratio_table(case.name, runs))
-            found.append({"name": case.name, "step_difference": difference, "runs": [asdict(run) for run in runs]})
+    settings = Settings(runs=1, threads=1, patience_s=3 * patience + SPARE_S, own_cache=False)
+    columns = {"a step": lambda record: record.notes["a step [s]"]}
+    columns |= {f"to {goal:.0e}": partial(Record.seconds_to, judged=MSE, error=goal) for goal in GOALS}
+    everything: list[Record] = []
+    differences, pictures = {}, []
+    for race in [
+        Race(protocol=name, component=PROTOCOLS[name], net=one, hidden=hidden, samples=samples, patience_s=patience)  # type: ignore[arg-type]  # checked above
+        for name in protocols
+        for one in nets
+    ]:
+        differences[race.name] = step_difference(race.data()[0])  # which puts the response into the cache, too
+        found = run_contenders("studies.bench.training.contenders", race.name, asdict(race), chosen, settings, say)
+        everything += found
+        pictures.append(out / f"training-{race.name}.png")
+        draw_records(race.name, found, (MSE,), pictures[-1])
+        caption = f"structured LM step less that of the dense JᵀJ: {differences[race.name]:.0e} of its length"
+        show(record_table(f"{race.name}: training time against error", found, caption))
+        show(ratio_table(f"{race.name}: seconds, and times those of {LM} / {VARPRO}", found, columns, LM, VARPRO))
     about = surroundings(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
-    write_json({"about": about, "cases": found}, out / "training.json")
+    write_json(as_plain(everything, about | {"step_difference": differences}), out / "training.json")
     wrote([*pictures, out / "training.json"])
-
-
-def cases(
-    folder: Path, protocols: list[str], nets: list[str], hidden: int, samples: int, patience_s: float
-) -> list[Case]:
-    """Every protocol's samples, simulated into the folder, with every net."""
-    response, _, _ = array_response(SensorDesign())
-    made = []
-    for protocol in protocols:
-        files = {}
-        for split, seed in SEEDS.items():
-            n = samples if split == "train" else TEST_SAMPLES
-            files[split] = folder / f"{protocol}-{split}.nc"
-            simulate(response, DatasetSettings(protocol=protocol, samples=n, seed=seed)).write(files[split])
-        for net in nets:
-            made.append(
-                Case(
-                    name=f"{protocol}-{net}-{hidden}",
-                    train=str(files["train"]),
-                    test=str(files["test"]),
-                    component=PROTOCOLS[protocol],
-                    net=net,  # type: ignore[arg-type]  # checked above
-                    hidden=hidden,
-                    patience_s=patience_s,
-                )
-            )
-    return made
 
 
 if __name__ == "__main__":

@@ -1,31 +1,91 @@
-"""Who trains: a name, how, and what that needs. Ours here, the others in `peers`."""
+"""Contenders of the training race, and one race: ours here, the others in `peers`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from decoupler import train
-from decoupler.model.decoupler import Decoupler
-from decoupler.model.settings import Trainer, TrainingConfig
+from dataset import DatasetSettings, Samples, simulate
+from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
+from decoupler.model.settings import Net, Trainer
+from fem.array.solving import ResponseSettings, array_response
+from geometry.design import Array, SensorDesign
+from studies.bench.harness import Contender, Found
 from studies.bench.training import peers
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
+from tripillar.sweep.memory import peak_mib
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
 ENOUGH = 10**9  #: iterations: time or goal comes first
+WARM_UP = 8  #: samples of the training that warms a contender up
+TEST_SAMPLES = 200
+MSE = "mse of the scaled training outputs"
+Train = Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contender:
-    """One way to train."""
+class Race:
+    """Samples, and the network to be trained on them."""
 
-    name: str
-    train: Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
-    ours: bool = False
-    missing: Callable[[], str] = str  #: what the environment lacks to run this, in a word; str() is nothing
+    protocol: str
+    component: str
+    net: Net
+    hidden: int
+    samples: int
+    goal_mse: float = 1e-6
+    patience_s: float = 60.0
+    rows: int = 6  #: units a side
+    method: str = "cells"  #: of the response
+
+    @property
+    def name(self) -> str:
+        return f"{self.protocol}-{self.net}-{self.hidden}"
+
+    def data(self) -> tuple[Problem, Samples]:
+        """The training problem and the test samples; the response comes from the cache."""
+        design = SensorDesign(array=Array(rows=self.rows, cols=self.rows))
+        response, *_ = array_response(design, ResponseSettings(method=self.method))  # type: ignore[arg-type]
+        trained_on, tested_on = (
+            simulate(response, DatasetSettings(protocol=self.protocol, samples=n, seed=seed)).labels()
+            for n, seed in ((self.samples, 1), (TEST_SAMPLES, 2))
+        )
+        network = NetworkConfig(hidden=self.hidden, net=self.net, feature="root")
+        return Problem(data=trained_on, component=self.component, network=network, response=response), tested_on
 
 
-def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace], tuple[Decoupler, str]]:
-    """Training by `trainer.train`; `known`: of a skip net that starts from the response's inverse."""
+def measure(contender: Contender, case: dict, _: None) -> Found:
+    """Train after a warm-up, and judge the network on the test samples."""
+    race = Race(**case)
+    problem, tested_on = race.data()
+    warm_up(contender, problem)
+    before = peak_mib()
+    trace = Trace(race.goal_mse, race.patience_s)
+    decoupler, reason = contender.solve(problem, trace)
+    peak = peak_mib()
+    (errors,) = evaluate(decoupler, tested_on).values()
+    iterations, seconds, mse = trace.points[-1]
+    weights = decoupler.hidden_weights.size + decoupler.output_weights.size
+    return Found(
+        errors={MSE: mse} | ({} if errors.rel_err is None else {"eq. 17, test samples": errors.rel_err}),
+        size=weights,
+        seconds={"training": seconds},
+        notes={
+            "steps": iterations,
+            "a step [s]": trace.seconds_per_iteration(),
+            "MiB of training": peak - before,
+            "stopped by": reason,
+        },
+        trace=[(seconds, mse) for _, seconds, mse in trace.thinned()],
+    )
+
+
+def warm_up(contender: Contender, problem: Problem) -> None:
+    """Train twice for a moment: what the first loads as it goes, the second finds there."""
+    for _ in range(2):
+        contender.solve(problem.first(WARM_UP), Trace(0.0, 0.1))
+
+
+def by_ours(trainer: Trainer, known: bool = False) -> Train:
+    """Training by `decoupler.train`; `known`: of a skip net that starts from the response's inverse."""
 
     def run(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
         config = TrainingConfig(
@@ -43,7 +103,7 @@ def by_ours(trainer: Trainer, known: bool = False) -> Callable[[Problem, Trace],
     return run
 
 
-def by_peer(run: Callable[[Scaled, Trace], str]) -> Callable[[Problem, Trace], tuple[Decoupler, str]]:
+def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:
     """Training of the same network by something else, which changes its weights in place."""
 
     def trained(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
@@ -60,17 +120,15 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Callable[[Problem, Trace], t
 VARPRO, LM = "VarPro", "structured LM"  #: what the others are compared with
 KNOWN = "VarPro, skip net from the response"
 CONTENDERS = [
-    Contender(name=KNOWN, train=by_ours("varpro", known=True), ours=True),
-    Contender(name=VARPRO, train=by_ours("varpro"), ours=True),
-    Contender(name=LM, train=by_ours("lm"), ours=True),
-    Contender(name="momentum (eq. 15)", train=by_ours("momentum"), ours=True),
-    Contender(name="torch Adam", train=by_peer(peers.adam)),
-    Contender(name="torch LBFGS", train=by_peer(peers.lbfgs)),
-    Contender(name="torch-levenberg-marquardt", train=by_peer(peers.torch_lm), missing=peers.torch_lm_missing),
-    Contender(name=f"SciPy trf, {peers.SCIPY_SAMPLES} samples", train=by_peer(peers.scipy_trf)),
+    Contender(name=name, family=name, solve=solve, missing=missing)
+    for name, solve, missing in (
+        (KNOWN, by_ours("varpro", known=True), str),  # str() is nothing missing
+        (VARPRO, by_ours("varpro"), str),
+        (LM, by_ours("lm"), str),
+        ("momentum (eq. 15)", by_ours("momentum"), str),
+        ("torch Adam", by_peer(peers.adam), str),
+        ("torch LBFGS", by_peer(peers.lbfgs), str),
+        ("torch-levenberg-marquardt", by_peer(peers.torch_lm), peers.torch_lm_missing),
+        (f"SciPy trf, {peers.SCIPY_SAMPLES} samples", by_peer(peers.scipy_trf), str),
+    )
 ]
-
-
-def contender(name: str) -> Contender:
-    """The contender of that name."""
-    return next(one for one in CONTENDERS if one.name == name)

@@ -4,8 +4,6 @@ from itertools import pairwise
 from statistics import median
 from time import perf_counter
 
-GOALS = {"1e-3": 1e-3, "1e-4": 1e-4, "1e-5": 1e-5}  #: scaled mean squared errors whose time is told, by name
-
 
 class Ended(Exception):
     """Raised out of a training that has reached the goal, or whose time is over; its message says which."""

@@ -1,0 +1,86 @@
+"""Contenders on scenes: the default path, what it was chosen over, closed forms and other programs."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from fem.array.halfspace import mean_compliance
+from fem.array.layer import layer_mean_compliance
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Scene
+from fem.scene.solution import relative_errors
+from geometry.layout import FloatArray
+from studies.bench.harness import Contender, Found
+from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
+from studies.bench.peers.solved import Solved, is_homogeneous_block
+from studies.bench.reference import read_reference
+from studies.bench.scenes import all_scenes
+
+LOADED, WORST = "error of the loaded probe", "error of the worst probe"
+TOLERANCES = (5e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+
+
+def measure(contender: Contender, case: str, setting: float) -> Found:
+    """Solve a scene once and hold its probes to the reference."""
+    solved: Solved = contender.solve(all_scenes()[case], setting)
+    reference = read_reference(case).probes
+    errors = relative_errors({name: solved.probes[name] - u for name, u in reference.items()}, reference)
+    judged = {LOADED: errors[next(iter(errors))], WORST: max(errors.values())}
+    return Found(errors=judged, size=solved.unknowns, seconds=solved.seconds)
+
+
+def solve_to_tolerance(scene: Scene, tolerance: float, no_skip: Iterable[str] = ()) -> Solved:
+    """The default path, or one with savings of the plan switched off."""
+    start = perf_counter()
+    solution, _ = solve_scene(replace(scene, tolerance=tolerance), no_skip=no_skip)
+    seconds = dict(solution.seconds)
+    seconds["other"] = perf_counter() - start - sum(seconds.values())
+    return Solved(solution.probes, solution.unknowns, seconds)
+
+
+def solve_in_closed_form(scene: Scene, compliance: Callable[[FloatArray, FloatArray], FloatArray]) -> Solved:
+    """Superpose mean compliances (n_probes, n_loads, 3, 3) [mm/N] of rectangles: no mesh, and no free sides."""
+    start = perf_counter()
+    loads = scene.load_rectangles_mm
+    areas_mm2 = (loads[:, 2] - loads[:, 0]) * (loads[:, 3] - loads[:, 1])
+    C = compliance(scene.probe_rectangles_mm[:, None], loads[None])
+    u = np.einsum("plij,lj->pi", C, scene.tractions_mpa * areas_mm2[:, None])
+    probes = {probe.name: row for probe, row in zip(scene.mean_probes, u, strict=True)}
+    return Solved(probes, 0, {"solve": perf_counter() - start})
+
+
+def as_halfspace(scene: Scene, _: float) -> Solved:
+    """Boussinesq's and Cerruti's half-space in place of the body: instant, and as wrong as the body is thin."""
+    return solve_in_closed_form(scene, lambda at, of: mean_compliance(at, of, scene.material))
+
+
+def as_layer(scene: Scene, _: float) -> Solved:
+    """An endless layer on a rigid base in place of the body: wrong only by its sides."""
+    return solve_in_closed_form(scene, lambda at, of: layer_mean_compliance(at, of, scene.height_mm, scene.material))
+
+
+CONTENDERS = [
+    Contender(name="TriPillar", family="TriPillar", solve=solve_to_tolerance, settings=TOLERANCES),
+    Contender(
+        name="TriPillar, no symmetry used",
+        family="TriPillar",
+        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, no_skip=["symmetry"]),
+        settings=TOLERANCES,
+        covers=is_homogeneous_block,
+    ),
+    Contender(
+        name="TriPillar, Taylor-Hood tetrahedra",
+        family="contrast",
+        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, no_skip=["hexahedra"]),
+        settings=TOLERANCES[:4],
+    ),
+    *(
+        Contender(name=name, family="closed form", solve=solve, settings=(0,), covers=is_homogeneous_block)
+        for name, solve in (("half-space, closed form", as_halfspace), ("layer, closed form", as_layer))
+    ),
+    *scikit_fem.CONTENDERS,
+    *ngsolve_peer.CONTENDERS,
+    *calculix.CONTENDERS,
+]
