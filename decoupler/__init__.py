@@ -10,16 +10,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dataset.samples import SampleError
-from decoupler.data.components import COMPONENTS, Component, component_named
-from decoupler.data.errors import TrainingError
+from decoupler.data.columns import COMPONENTS, Component, component_named
 from decoupler.evaluation.assessment import Assessment, Limits, assess
 from decoupler.evaluation.crossval import Fold, cross_validate
-from decoupler.evaluation.floor import PcaFloor, pca_floor
-from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, force_errors
+from decoupler.evaluation.metrics import ForceErrors, PcaFloor, component_errors, evaluate, force_errors, pca_floor
 from decoupler.model.baseline import LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_recipe, read_model, require_same_sensor, write_model
-from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
 from decoupler.training.fine_tuning import fine_tune
 
 if TYPE_CHECKING:

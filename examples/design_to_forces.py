@@ -42,6 +42,6 @@ for name, one in assess(model, test, response).items():
 
 # 6. Forces of a single scan, with the half-widths that hold 68 % of their errors.
 scan = test.resistance_ohm[:1]  # (1, rows, cols, 3): pillars z, x, y [Ω]
-found, half_width, applied = model.forces(scan)[0], model.deviations(scan)[0][0], test.force_n[0]
+found, half_width, applied = model.forces(scan)[0], model.half_widths(scan)[0][0], test.force_n[0]
 middle = 1, 1, 2  # row, column, axis z
 print(f"the middle pad: Fz {found[middle]:.1f} ± {half_width[middle]:.1f} N, applied {applied[middle]:.1f} N")

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset import Samples
-from decoupler.data.components import force_columns, readable_columns
-from decoupler.evaluation.light_touch import LightTouch, light_touch
+from dataset.measurement import measured
+from dataset.protocols import LIGHT_N
+from decoupler.data.columns import force_columns, readable_columns
 from decoupler.evaluation.metrics import ForceErrors, component_errors
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 MAX_SAMPLES = 200  #: whose limits are worked out; spread over the data
+TOUCHES = 200  #: light touches, and as many samples at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +29,18 @@ class Limits:
 
     cramer_rao_n: float | None  #: without bias; None where pillars that can be read do not determine the force
     bayes_n: float  #: knowing the forces' mean and covariance
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightTouch:
+    """Errors of one force at rest and under touches of one pad, over all pads."""
+
+    at_rest_rmse_n: float  #: [N]
+    touch_rmse_n: float  #: [N]
+    touch_limit_n: (
+        float | None
+    )  #: what the readings allow without bias (Cramér-Rao); None without noise or with dead pillars
+    coverage: tuple[float, float] | None  #: shares of both kinds of errors within the 68 % and the 95 % deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +78,11 @@ def assess(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None"
     limits = _limits(decoupler, data, response)
     light = None
     if response is not None:
-        light = light_touch(decoupler, ForwardModel.of(response, component), data.noise, data.bits)
+        light = light_touches(decoupler, ForwardModel.of(response, component), data.noise, data.bits)
     covered = None
     if decoupler.uncertainty is not None:
         missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
-        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.deviations(resistance_ohm)]
+        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.half_widths(resistance_ohm)]
     found = {}
     for axis, name in enumerate(component.forces):
         limit = limits[axis] if limits is not None else None
@@ -105,6 +119,45 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
 def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
     return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
+
+
+def light_touches(decoupler: Decoupler, forward: ForwardModel, noise: float, bits: int | None) -> dict[str, LightTouch]:
+    """Errors by force on the sensor that the model knows, gains and offsets included, read with this noise.
+
+    `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.
+    """
+    generator = np.random.default_rng(0)
+    axes = decoupler.component.axes
+    force_n = np.zeros((2 * TOUCHES, forward.n_forces))
+    touched = generator.integers(forward.n_forces, size=TOUCHES)
+    force_n[np.arange(TOUCHES, 2 * TOUCHES), touched] = generator.uniform(0.0, LIGHT_N, TOUCHES)
+    ohms = forward.resistances(force_n)
+    if decoupler.calibration is not None:
+        ohms = decoupler.calibration.shown(ohms)
+    ohms = measured(ohms, noise, bits, generator)
+    missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
+    rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))
+    readable = readable_columns(decoupler.component, decoupler.dead, forward.n_pillars)
+    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], noise, bits, readable), axes)
+    limit_n = np.sqrt((limit_n**2).mean(axis=(0, 1)))
+    covered = None
+    if decoupler.uncertainty is not None:
+        widths = decoupler.half_widths_of(ohms)
+        covered = [(missed <= _columns_by_axis(width, axes)).mean(axis=(0, 1)) for width in widths]
+    return {
+        name: LightTouch(
+            at_rest_rmse_n=float(rest[axis]),
+            touch_rmse_n=float(touch[axis]),
+            touch_limit_n=float(limit_n[axis]) if 0 < limit_n[axis] < np.inf else None,
+            coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
+        )
+        for axis, name in enumerate(decoupler.component.forces)
+    }
+
+
+def _columns_by_axis(columns: FloatArray, axes: tuple[str, ...]) -> FloatArray:
+    """Columns (n, n_forces) by unit and axis, (n, n_units, n_axes)."""
+    return columns.reshape(len(columns), -1, len(axes))
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:

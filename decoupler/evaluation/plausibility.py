@@ -15,11 +15,17 @@ from scipy.optimize import linear_sum_assignment
 from dataset import Samples
 from dataset.measurement import reading_deviation
 from dataset.samples import MAX_N
-from decoupler.data.components import COMPONENTS, Component, force_columns, pillar_columns, readable_columns
-from decoupler.data.selection import distinct, load_numbers
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import SLOPES
-from decoupler.model.calibration import MIN_NOISE
+from decoupler.data.columns import (
+    COMPONENTS,
+    Component,
+    distinct,
+    force_columns,
+    load_numbers,
+    pillar_columns,
+    readable_columns,
+)
+from decoupler.data.scaling import MIN_NOISE
+from decoupler.inverse.forward_model import SLOPES, ForwardModel
 from geometry.layout import AXES, PILLARS, FloatArray
 
 #: share of honest inputs that is doubted at most: a likelihood ratio passes 1/α with a probability of α at most

@@ -9,11 +9,9 @@ from textwrap import fill
 import numpy as np
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.components import DEAD_OHM
-from decoupler.data.errors import ExportError
-from decoupler.data.resting import HALF_STEP, MOST
-from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.model.calibration import MIN_OHM
+from decoupler.data.columns import DEAD_OHM
+from decoupler.data.scaling import MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING
+from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -226,11 +224,11 @@ def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "least_ohm": _literal(dtype(MIN_OHM)),
+        "least_ohm": _literal(dtype(MIN_CALIBRATED_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
         "sense": _literal(dtype(SENSE_OHM)),
-        "half": _literal(dtype(HALF_STEP)),
-        "most": _literal(dtype(MOST)),
+        "half": _literal(dtype(MAX_COUNTS_FROM_REST)),
+        "most": _literal(dtype(MIN_RESTING)),
     }
     known["given"] = Template(given).substitute(known)
     known["resting"] = "" if decoupler.resting is None else Template(_RESTING).substitute(known)

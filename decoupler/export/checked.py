@@ -7,9 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from decoupler.data.errors import ExportError
 from decoupler.export.c_header import c_header, compiled_forces
-from decoupler.export.portable import dead_inputs, places
+from decoupler.export.portable import ExportError, dead_inputs, places
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray

@@ -7,11 +7,10 @@ import onnx
 from onnx import helper, numpy_helper
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.components import DEAD_OHM
-from decoupler.data.resting import HALF_STEP, MOST, Resting
+from decoupler.data.columns import DEAD_OHM
+from decoupler.data.scaling import MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.inverse.model_inverse import ModelInverse
-from decoupler.model.calibration import MIN_OHM
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -45,7 +44,7 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     if decoupler.calibration is not None:
         modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
         modelled = graph.add("Div", modelled, decoupler.calibration.gain)
-        x = graph.add("Max", modelled, np.array(MIN_OHM))
+        x = graph.add("Max", modelled, np.array(MIN_CALIBRATED_OHM))
     if decoupler.inverse is not None:
         x = _inverse(graph, x, decoupler.inverse)
     elif decoupler.network.feature == "root":
@@ -106,9 +105,9 @@ def _settled(graph: _Graph, columns_ohm: str, resting: Resting) -> str:
     shares = graph.add("Div", sense, graph.add("Add", columns_ohm, sense))
     steps = graph.add("Sub", shares, SENSE_OHM / (resting.rest_ohm + SENSE_OHM))
     steps = graph.add("Mul", graph.add("Abs", steps), resting.full_counts)
-    alike = graph.add("LessOrEqual", steps, np.array(HALF_STEP))
+    alike = graph.add("LessOrEqual", steps, np.array(MAX_COUNTS_FROM_REST))
     ones = graph.add("Where", alike, np.array(1.0), np.array(0.0))
-    most = graph.add("Greater", graph.add("ReduceMean", ones, axes=[1]), np.array(MOST))
+    most = graph.add("Greater", graph.add("ReduceMean", ones, axes=[1]), np.array(MIN_RESTING))
     return graph.add("Where", graph.add("And", alike, most), resting.rest_ohm, columns_ohm)
 
 

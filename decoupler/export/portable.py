@@ -5,10 +5,15 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.components import readable_columns
+from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
+from geometry.errors import TriPillarError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import digest
+
+
+class ExportError(TriPillarError, RuntimeError):
+    """A model that cannot be exported, or whose exported form gives other forces."""
 
 
 def places(decoupler: Decoupler) -> NDArray[np.int64]:

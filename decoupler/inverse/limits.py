@@ -1,6 +1,6 @@
 """The least error that readings allow, whatever the estimator: what the response says of noise in the forces.
 
-`cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `model_inverse` is
+`cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `exact_inverse` is
 the estimator that meets the first: Gauss-Newton on the response itself.
 """
 
@@ -96,7 +96,7 @@ def _linearised(
         yield part, J, deviation
 
 
-def model_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
+def exact_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
     """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N]; all samples in one call.
 
     Parameters

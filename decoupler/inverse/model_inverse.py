@@ -5,24 +5,15 @@ inverse iterated to the end.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.samples import SampleError
-from decoupler.data.components import Component
-from decoupler.data.rowwise import rowwise
+from decoupler.data.columns import rowwise
 from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import FloatArray
 
-if TYPE_CHECKING:
-    from fem.array.response import ArrayResponse
-
-#: share of the lengths' variance, below which a response is held to be of another sensor: with pads a third smaller
-#: it explains 0.83, with those of an eighth less 0.99; noise of 1 % leaves 0.93 and more
-MIN_EXPLAINED = 0.9
-SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, the body is softer or stiffer
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
 ENOUGH = 8e-4  #: of the forces' spread: what may be left under load when corrections end sooner
 ENOUGH_AT_REST = 1e-4  #: of the same: what may be left with nothing on the sensor
@@ -151,48 +142,3 @@ def _tangent(
         S = J @ covariance @ J.T + np.diag(unsure_mm[readable] ** 2)
         tangent[readable] = np.linalg.solve(S, J @ covariance)
     return tangent
-
-
-def explaining(
-    response: "ArrayResponse | None",
-    component: Component,
-    columns_ohm: FloatArray,
-    force_n: FloatArray,
-    readable: np.ndarray,
-) -> ForwardModel:
-    """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
-
-    Raises
-    ------
-    SampleError
-        If there is no response, or it is of an array of another size or explains too little: other loads act than the
-        component's own, or the sensor is another.
-    """
-    if response is None:
-        raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")
-    forward = ForwardModel.of(response, component)
-    if (forward.n_pillars, forward.n_forces) != (columns_ohm.shape[1], force_n.shape[1]):
-        raise SampleError(
-            f"the response is of {forward.n_pillars} pillars, the samples of {columns_ohm.shape[1]}: "
-            "give the response of this array, or use the feature 'root'."
-        )
-    share = _explained(forward.lengths_of(columns_ohm)[:, readable], forward.lengths(force_n)[:, readable])
-    if share < MIN_EXPLAINED:
-        raise SampleError(
-            f"the response explains {max(share, 0.0):.0%} of the resistances' variance, too little to start from: "
-            "use the feature 'root', or the component that holds all loads ('all')."
-        )
-    return forward
-
-
-def _explained(measured: FloatArray, modelled: FloatArray) -> float:
-    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
-
-    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
-    """
-    measured = measured * (modelled.mean(axis=0) / measured.mean(axis=0))
-    measured, modelled = measured - measured.mean(axis=0), modelled - modelled.mean(axis=0)
-    both, own = (measured * modelled).sum(axis=0), (modelled**2).sum(axis=0)
-    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
-    total = (measured**2).sum()
-    return float(1.0 - ((measured - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0

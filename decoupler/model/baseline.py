@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset import Samples
-from decoupler.data.components import Component, force_columns, pillar_columns
+from decoupler.data.columns import Component, force_columns, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
 

@@ -10,14 +10,11 @@ import numpy as np
 from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
-from decoupler.data.components import Component, pillar_columns
-from decoupler.data.resting import Resting
-from decoupler.data.rowwise import in_blocks, rowwise
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Component, in_blocks, pillar_columns, rowwise
+from decoupler.data.scaling import Calibration, Resting, Scaling
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.calibration import Calibration
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from geometry.design import SensorDesign
@@ -25,6 +22,7 @@ from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
+DERIVATIVES = 64  #: samples whose derivatives are in memory together
 ALIKE = 0.01  #: of a resistance at rest: pillars nearer to the design than this are as designed
 
 
@@ -88,7 +86,7 @@ class Decoupler:
                 list(pool.map(fill, range(0, n, CHUNK)))
         return outputs.reshape(n, self.rows, self.cols, len(self.component.axes))
 
-    def deviations(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
 
         Raises
@@ -99,8 +97,27 @@ class Decoupler:
         if self.uncertainty is None:
             raise SampleError("this model knows no uncertainty: train it again.")
         shape = (-1, self.rows, self.cols, len(self.component.axes))
-        one, two = self.uncertainty.deviations(self, self.columns(resistance_ohm))
+        one, two = self.half_widths_of(self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
+
+    def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same of columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
+        found = self.uncertainty
+        assert found is not None
+        A, half_range_n = self.activations(columns_ohm), self.output_scaling.half_range
+        force_n = self.output_scaling.unscale(A @ self.output_weights.T)
+        return found.half_widths(A, force_n, self.noise_variance(columns_ohm, found.noise, found.bits), half_range_n)
+
+    def noise_variance(self, columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:
+        """Variance of the forces (n, n_out) [N²] that errors of the readings (n, n_in) [Ω] cause."""
+        found = np.zeros((len(columns_ohm), len(self.output_weights)))
+        if not noise and bits is None:
+            return found
+        for start in range(0, len(columns_ohm), DERIVATIVES):
+            chunk = slice(start, start + DERIVATIVES)
+            variance = reading_deviation(columns_ohm[chunk], noise, bits) ** 2
+            found[chunk] = np.einsum("nom,nm->no", self.derivatives(columns_ohm[chunk]) ** 2, variance)
+        return found
 
     @property
     def is_fine_tuned(self) -> bool:
@@ -117,18 +134,18 @@ class Decoupler:
 
     @property
     def knows_uncertainty(self) -> bool:
-        """`deviations` can be asked for."""
+        """`half_widths` can be asked for."""
         return self.uncertainty is not None
 
     def read_by(self, noise: float) -> "Decoupler":
-        """The same with deviations for readings of this relative standard deviation, converter's steps included."""
+        """The same with half-widths for readings of this relative standard deviation, converter's steps included."""
         if self.uncertainty is None:
             return self
         return replace(self, uncertainty=replace(self.uncertainty, noise=noise, bits=None))
 
     @property
     def reading_noise(self) -> float:
-        """What its deviations take readings at rest to err by: the median over pillars, relative; 0 if unknown."""
+        """What its half-widths take readings at rest to err by: the median over pillars, relative; 0 if unknown."""
         rest_ohm = self.rest_resistances()
         if self.uncertainty is None or rest_ohm is None:
             return 0.0
@@ -158,11 +175,11 @@ class Decoupler:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         if self.uncertainty is None:
             return []
-        least = None
+        limit_n = None
         if self.inverse is not None and self.dead is not None:
             noise, bits = self.uncertainty.noise, self.uncertainty.bits
-            least = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], noise, bits)[0]
-        lost = self.uncertainty.untrusted(self.output_scaling.half_range, least)
+            limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], noise, bits)[0]
+        lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 

@@ -10,13 +10,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset import Samples
-from decoupler.data.components import component_named
-from decoupler.data.resting import Resting
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import component_named
+from decoupler.data.scaling import Calibration, Resting, Scaling
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.calibration import Calibration
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty

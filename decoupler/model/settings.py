@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from geometry.errors import DesignError
+from geometry.errors import DesignError, TriPillarError
 
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root", "inverse"]
@@ -20,6 +20,10 @@ _TRAINERS_OWN = {
         "patience": 500,
     },  # first order: many cheap steps, each gaining little
 }
+
+
+class TrainingError(TriPillarError, ArithmeticError):
+    """A training that ran away."""
 
 
 def _require_one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:

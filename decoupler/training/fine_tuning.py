@@ -7,13 +7,11 @@ import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
-from decoupler.data.components import force_columns
-from decoupler.data.resting import Resting
-from decoupler.data.selection import distinct, load_numbers, without_stuck
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.model.calibration import Calibration
+from decoupler.data.columns import distinct, force_columns, load_numbers
+from decoupler.data.scaling import Calibration, Resting
+from decoupler.inverse.forward_model import ForwardModel, without_stuck
 from decoupler.model.decoupler import Decoupler
-from decoupler.training.ridge import best_ridge
+from decoupler.training.error_bars import best_ridge, widened
 from geometry.errors import require_type
 from geometry.layout import PILLARS
 from geometry.storage.files import digest
@@ -67,9 +65,8 @@ def fine_tune(decoupler: Decoupler, pairs: Samples, response: "ArrayResponse | N
     load = load_numbers(pairs.force_n)
     if len(forces) >= MIN_PAIRS and load.any():  # readings of one load alone cannot judge each other
         tuned = _nearer(tuned, columns, forces, load)
-    if tuned.uncertainty is not None:
-        noise = pairs.noise * np.sqrt(1.0 + 2.0 / len(forces))  # gain and offset are only as good as the pairs
-        tuned = replace(tuned, uncertainty=tuned.uncertainty.widened(tuned, columns, forces, noise, pairs.bits))
+    noise = pairs.noise * np.sqrt(1.0 + 2.0 / len(forces))  # gain and offset are only as good as the pairs
+    tuned = widened(tuned, columns, forces, noise, pairs.bits)
     story = {"fine_tuned_on": given.content_hash, "pairs": len(given.force_n)}
     recipe = digest(decoupler.made_from.get("recipe"), given.content_hash, pairs.noise)
     return replace(tuned, made_from=decoupler.made_from | story | {"recipe": recipe})

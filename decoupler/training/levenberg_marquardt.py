@@ -1,11 +1,83 @@
-"""Levenberg-Marquardt on all weights at once, the paper's "LMBP", through the blocks of `gauss_newton`."""
+"""Levenberg-Marquardt on all weights at once, the paper's "LMBP".
+
+The Gauss-Newton matrix is put together from its exact blocks; the Jacobian, which has samples · outputs rows, is never
+formed.
+"""
 
 import torch
 from torch import Tensor
 
 from decoupler.model.settings import TrainingConfig
 from decoupler.training.damping import Outcome, Point, Progress, minimise
-from decoupler.training.gauss_newton import GaussNewton, TrainingSet
+from decoupler.training.network import TrainingSet, pair_products
+
+
+def _pair_index(n: int) -> Tensor:
+    """Where each entry of a symmetric n × n matrix is in the list of its pairs, flattened."""
+    i, j = torch.triu_indices(n, n)
+    index = torch.empty(n, n, dtype=torch.long)
+    index[i, j] = index[j, i] = torch.arange(len(i))
+    return index.reshape(-1)
+
+
+class GaussNewton:
+    """JᵀJ and Jᵀr of the squared error ½‖A W₂ᵀ − T‖² at one point, block by block.
+
+    Notes
+    -----
+    With s = 1 − tanh², Z the row-wise Khatri-Rao product of s and X (one column s_j·x_a for every hidden
+    weight), C = ZᵀA and K = W₂ᵀW₂ over the hidden nodes, JᵀJ has the blocks K ∘ ZᵀZ (hidden; K_jj' multiplies
+    the whole block of nodes j and j'), I ⊗ AᵀA (output) and W₂[k, j] C[(j, a), b] between them. The damped
+    step (JᵀJ + μI) d = −Jᵀr goes through the Schur complement of the output block, K ∘ (ZᵀZ − C M⁻¹ Cᵀ) + μI
+    with M = AᵀA + μI: only (n_in+1)·n_hidden unknowns are factored, however many outputs there are.
+
+    Both symmetries of ZᵀZ, Σ s_j s_j' x_a x_a', are used: the pairs of inputs are multiplied once a training,
+    the pairs of nodes once an iteration, and one matrix product of a quarter of the size is left.
+    """
+
+    def __init__(self, samples: TrainingSet, hidden: Tensor, output: Tensor) -> None:
+        h, p = hidden.shape
+        A = samples.activations(hidden)
+        s = 1.0 - A[:, :h] ** 2
+        residual = A @ output.T - samples.targets  # (n_samples, n_out)
+        self.W2 = output[:, :h]
+        self.K = self.W2.T @ self.W2
+        self.gradient_hidden = ((residual @ self.W2) * s).T @ samples.X  # (h, p)
+        self.gradient_output = residual.T @ A  # (n_out, n_hidden + n_linear)
+        self.AtA = A.T @ A
+        Z = (s[:, :, None] * samples.X[:, None, :]).reshape(len(s), h * p)
+        self.C = Z.T @ A
+        pairs = pair_products(s.T.contiguous()) @ samples.products.T
+        blocks = pairs.index_select(1, _pair_index(p)).index_select(0, _pair_index(h))
+        self.ZtZ = blocks.view(h, h, p, p).permute(0, 2, 1, 3).reshape(h * p, h * p)
+
+    def largest_diagonal(self) -> float:
+        """Largest entry of the diagonal of JᵀJ, the scale of a damping."""
+        p = self.gradient_hidden.shape[1]
+        hidden = self.ZtZ.diagonal() * self.K.diagonal().repeat_interleave(p)
+        return max(hidden.max().item(), self.AtA.diagonal().max().item())
+
+    def step(self, damping: float) -> tuple[Tensor, Tensor] | None:
+        """Damped step (JᵀJ + damping·I) d = −Jᵀr as (hidden, output); None if singular to rounding."""
+        h, p = self.gradient_hidden.shape
+        M = self.AtA.clone()
+        M.diagonal().add_(damping)
+        M_factor, info = torch.linalg.cholesky_ex(M)
+        if info.item():
+            return None
+        G = torch.linalg.solve_triangular(M_factor, self.C.T, upper=False)  # C M⁻¹ Cᵀ = GᵀG
+        S = torch.addmm(self.ZtZ, G.T, G, alpha=-1.0).view(h, p, h, p) * self.K[:, None, :, None]
+        S = S.view(h * p, h * p)
+        S.diagonal().add_(damping)
+        S_factor, info = torch.linalg.cholesky_ex(S)
+        if info.item():
+            return None
+        C = self.C.view(h, p, -1)  # (h, p, n_hidden + n_linear)
+        solved = torch.cholesky_solve(self.gradient_output.T, M_factor)
+        reduced = self.gradient_hidden - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
+        hidden = -torch.cholesky_solve(reduced.reshape(-1, 1), S_factor).view(h, p)
+        coupled = torch.einsum("jaq,ja->qj", C, hidden) @ self.W2.T
+        return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, M_factor).T
 
 
 class _AllWeights:

@@ -1,46 +1,50 @@
-"""The paper's momentum rule (its eq. 15) as a torch optimiser."""
-
-from collections.abc import Callable, Iterable
-from typing import Any
+"""The paper's momentum rule, its eq. 15."""
 
 import torch
+from torch import Tensor
+
+from decoupler.model.settings import TrainingConfig, TrainingError
+from decoupler.training.damping import Outcome, Point, Progress, Stop
+from decoupler.training.network import TrainingSet
 
 
-class Momentum(torch.optim.Optimizer):
+def momentum_step(weights: Tensor, gradient: Tensor, before: Tensor, training: TrainingConfig) -> Tensor:
     """v(N+1) = v(N) + α[(1−η) g(N) + η g(N−1)], with g the negative gradient and g(−1) = 0.
 
-    Parameters
-    ----------
-    params : iterable of parameters
-        The weights v.
-    learning_rate : float
-        α.
-    momentum : float
-        η: the share of the previous gradient in a step.
-
-    Notes
-    -----
-    Eq. 15 of Song et al., Micromachines 2018, 9(5), 236. It averages two gradients; unlike the usual momentum
-    it keeps no velocity, so it damps oscillations and is no faster than gradient descent downhill.
+    Eq. 15 of Song et al., Micromachines 2018, 9(5), 236. It averages two gradients and keeps no velocity, so it damps
+    oscillations and is no faster than gradient descent downhill.
     """
+    alpha, eta = training.learning_rate, training.momentum
+    return weights.add(gradient, alpha=-alpha * (1.0 - eta)).add(before, alpha=-alpha * eta)
 
-    def __init__(self, params: Iterable[torch.nn.Parameter], learning_rate: float, momentum: float) -> None:
-        super().__init__(params, {"learning_rate": learning_rate, "momentum": momentum})
 
-    @torch.no_grad()
-    def step(self, closure: Callable[[], Any] | None = None) -> Any:
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
-        for group in self.param_groups:
-            alpha, eta = group["learning_rate"], group["momentum"]
-            for v in group["params"]:
-                if v.grad is None:
-                    continue
-                before = self.state[v].get("gradient")
-                v.add_(v.grad, alpha=-alpha * (1.0 - eta))
-                if before is not None:
-                    v.add_(before, alpha=-alpha * eta)
-                self.state[v]["gradient"] = v.grad.clone()
-        return loss
+def train_momentum(
+    samples: TrainingSet, hidden: Tensor, output: Tensor, training: TrainingConfig, progress: Progress
+) -> tuple[Point, Outcome]:
+    """Train from the given weights by the paper's momentum rule.
+
+    Raises
+    ------
+    TrainingError
+        If the learning rate makes the error grow without bound.
+    """
+    weights, stop, iteration = [hidden, output], Stop(training), 0
+    before: tuple[Tensor, ...] = (torch.zeros_like(hidden), torch.zeros_like(output))
+    while True:
+        with torch.enable_grad():
+            hidden, output = (one.requires_grad_() for one in weights)
+            loss = torch.mean((samples.activations(hidden) @ output.T - samples.targets) ** 2)
+        mse = loss.item()
+        progress(iteration, mse)
+        if not mse < 1e6:
+            raise TrainingError(
+                f"the momentum rule ran away (mean squared error {mse:.1e} after {iteration} iterations): "
+                f"learning_rate was {training.learning_rate:g}, lower it."
+            )
+        reason = stop.reason(mse)
+        if reason is not None:
+            return Point(hidden.detach(), output.detach(), mse, mse), Outcome(iteration, mse, reason)
+        gradients = torch.autograd.grad(loss, (hidden, output))
+        with torch.no_grad():
+            weights = [momentum_step(*one, training) for one in zip((hidden, output), gradients, before, strict=True)]
+        before, iteration = gradients, iteration + 1

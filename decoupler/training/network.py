@@ -1,4 +1,10 @@
-"""The network as torch trains it: one tanh hidden layer, a linear output, all in float64."""
+"""The network as torch trains it, and its training set.
+
+The network is Y = A W₂ᵀ with A = [tanh(X W₁ᵀ), X] (skip) or [tanh(X W₁ᵀ), 1] (plain), where the columns of X are the
+inputs and a 1, all in float64.
+"""
+
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -8,7 +14,7 @@ from decoupler.model.settings import NetworkConfig
 
 
 class Network(nn.Module):
-    """Y = A W₂ᵀ with A = [tanh(X W₁ᵀ), X] for a skip net, [tanh(X W₁ᵀ), 1] for a plain one, X = [inputs, 1].
+    """The weights W₁ (`hidden`) and W₂ (`output`) of a network.
 
     Parameters
     ----------
@@ -16,7 +22,7 @@ class Network(nn.Module):
     n_in, n_out : int
         Scaled resistances in, scaled forces out.
     seed : int
-        Of the start: hidden weights after Nguyen & Widrow (IJCNN 1990), which spread the bends of the tanh
+        Seed of the start: hidden weights after Nguyen & Widrow (IJCNN 1990), which spread the bends of the tanh
         over the inputs' range [-1, 1] instead of piling them up at 0, as the MATLAB toolbox of the paper
         does; output weights uniform within ±1/√(their number).
     """
@@ -42,3 +48,39 @@ def _nguyen_widrow(n_hidden: int, n_in: int, generator: np.random.Generator) -> 
     weights = generator.uniform(-1.0, 1.0, (n_hidden, n_in))
     weights *= length / np.linalg.norm(weights, axis=1, keepdims=True)
     return np.hstack([weights, generator.uniform(-length, length, (n_hidden, 1))])
+
+
+class TrainingSet:
+    """A training set, with the products of input columns that every Gauss-Newton matrix is made of.
+
+    Parameters
+    ----------
+    inputs : tensor, shape (n_samples, n_in)
+    targets : tensor, shape (n_samples, n_out)
+    skip : bool
+        True if the output layer also sees the inputs themselves.
+    """
+
+    def __init__(self, inputs: Tensor, targets: Tensor, skip: bool) -> None:
+        self.X = torch.cat([inputs, torch.ones_like(inputs[:, :1])], dim=1)  # (n_samples, n_in+1)
+        self.targets = targets
+        self.linear = self.X if skip else self.X[:, -1:]  # what A holds beside the hidden nodes
+
+    def __getitem__(self, part: slice | Tensor) -> "TrainingSet":
+        """Some of the samples, or all in another order."""
+        return TrainingSet(self.X[part, :-1], self.targets[part], self.linear is self.X)
+
+    @cached_property
+    def products(self) -> Tensor:
+        """Products of pairs of columns of X, (n_in+1)(n_in+2)/2 × n_samples."""
+        return pair_products(self.X.T)
+
+    def activations(self, hidden: Tensor) -> Tensor:
+        """A, shape (n_samples, n_hidden + n_linear), for hidden weights of shape (n_hidden, n_in+1)."""
+        return torch.cat([torch.tanh(self.X @ hidden.T), self.linear], dim=1)
+
+
+def pair_products(rows: Tensor) -> Tensor:
+    """Products of each pair of rows once: (n, k) -> (n(n+1)/2, k), in the order of `torch.triu_indices`."""
+    i, j = torch.triu_indices(len(rows), len(rows))
+    return rows[i] * rows[j]

@@ -13,25 +13,19 @@ from dataset import Samples, measured
 from dataset.measurement import reading_deviation
 from dataset.protocols import MAX_TOUCHED
 from dataset.samples import SampleError
-from decoupler.data.components import Component, force_columns, pillar_columns, readable_columns
-from decoupler.data.errors import TrainingError
-from decoupler.data.resting import Resting
-from decoupler.data.scaling import Scaling
-from decoupler.data.selection import distinct, load_numbers, without_stuck
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import ModelInverse, explaining
+from decoupler.data.columns import Component, distinct, force_columns, load_numbers, pillar_columns, readable_columns
+from decoupler.data.scaling import Calibration, Resting, Scaling
+from decoupler.inverse.forward_model import ForwardModel, explaining, without_stuck
+from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.calibration import Calibration
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_recipe
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.model.uncertainty import Uncertainty
-from decoupler.training.damping import Outcome, Point, Progress, Stop
-from decoupler.training.gauss_newton import TrainingSet
+from decoupler.training.damping import Progress
+from decoupler.training.error_bars import best_ridge, fitted_uncertainty
 from decoupler.training.levenberg_marquardt import train_lm
-from decoupler.training.momentum import Momentum
-from decoupler.training.network import Network
-from decoupler.training.ridge import best_ridge
+from decoupler.training.momentum import train_momentum
+from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
@@ -40,7 +34,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 LIGHT = 0.1  #: light samples that training adds where the response is known, a share of those given
-UNTOLD = 3e-3  #: of the readings' variance, what a response may leave and still be asked for light samples
+MAX_UNEXPLAINED = 3e-3  #: of the readings' variance, what a response may leave and still be asked for light samples
 TOUCH = 0.05  #: of the largest force: a light touch
 
 
@@ -103,32 +97,36 @@ def train(
     forces = force_columns(data.force_n, parts)
     untrained = _untrained(data, parts, network, columns, forces, response)
     known = network.feature == "inverse" and network.net == "skip"
-    n_light = 0
-    if known and _foretells(untrained, columns, forces, data.noise, data.bits):
-        light_ohm, light_n = _light(untrained, forces, data.noise, data.bits)
-        n_light = len(light_n)
-        columns, forces = np.concatenate([columns, light_ohm]), np.concatenate([forces, light_n])
+    columns, forces, n_light = _light_samples_too(untrained, columns, forces, data) if known else (columns, forces, 0)
     inputs = untrained.inputs(columns)
     targets = untrained.output_scaling.scale(forces)
     if known:
         targets = targets - inputs
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
-    model = Network(network, inputs.shape[1], targets.shape[1], training.seed)
-    if known:
-        torch.nn.init.zeros_(model.output)  # what is known is the start
+    start = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     load = load_numbers(data.force_n)
     load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
-    with _one_torch_thread():
+    with _one_torch_thread(), torch.no_grad():
+        hidden, output = start.hidden.detach(), start.output.detach()
+        if known:
+            output.zero_()  # what is known is the start
         readings = len(load) / (load.max() + 1)
         ridge = best_ridge(samples.linear.numpy(), targets, readings) if known else _ridge(network, len(inputs))
-        point, outcome = _TRAINERS[training.trainer](model, samples, load, ridge, training, progress)
+        if training.trainer == "varpro":
+            order = _mixed(load, training)
+            held_out = _n_held_out(load[order], training) if start.skip else 0  # a plain net has no linear map instead
+            mixed = samples[torch.from_numpy(order)]
+            point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
+        else:
+            train_all = train_lm if training.trainer == "lm" else train_momentum
+            point, outcome = train_all(samples, hidden, output, training, progress)
     output_weights = point.output.numpy().copy()
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     return replace(
         trained,
-        uncertainty=Uncertainty.fitted(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
+        uncertainty=fitted_uncertainty(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
         made_from={
             "recipe": model_recipe(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
@@ -185,36 +183,33 @@ def _untrained(
     )
 
 
-def _foretells(
-    untrained: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
-) -> bool:
-    """Whether response and calibration leave no more than noise and `UNTOLD` of the readings' variance unexplained.
+def _light_samples_too(
+    untrained: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, data: Samples
+) -> tuple[FloatArray, FloatArray, int]:
+    """Training columns (n, n_in) [Ω] and (n, n_out) [N] with light samples added at the end, and how many.
 
-    What another sensor's response says of rest would be learnt as if it were measured.
+    A quarter of the light samples is at rest; in each, none to `MAX_TOUCHED` forces are up to `TOUCH` of the largest in
+    training. Their resistances are what response and calibration give. None are added where these leave more than noise
+    and `MAX_UNEXPLAINED` of the readings' variance unexplained: what another sensor's response says of rest would be
+    learnt as if it were measured.
     """
-    assert untrained.inverse is not None
-    assert untrained.calibration is not None
-    left = columns_ohm - untrained.calibration.shown(untrained.inverse.forward.resistances(force_n))
-    by_noise = reading_deviation(columns_ohm, noise, bits) ** 2
+    inverse, calibration = untrained.inverse, untrained.calibration
+    assert inverse is not None
+    assert calibration is not None
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
+    left = columns_ohm - calibration.shown(inverse.forward.resistances(force_n))
+    by_noise = reading_deviation(columns_ohm, data.noise, data.bits) ** 2
     excess = (left**2 - by_noise)[:, readable].mean(axis=0)
-    return bool(excess.mean() <= UNTOLD * columns_ohm[:, readable].var(axis=0).mean())
-
-
-def _light(untrained: Decoupler, force_n: FloatArray, noise: float, bits: int | None) -> tuple[FloatArray, FloatArray]:
-    """Light samples, a quarter at rest, as response and calibration foretell them: (n, n_in) [Ω], (n, n_out) [N].
-
-    In each, none to `MAX_TOUCHED` forces are up to `TOUCH` of the largest that training has of them.
-    """
-    assert untrained.inverse is not None
-    assert untrained.calibration is not None
+    if excess.mean() > MAX_UNEXPLAINED * columns_ohm[:, readable].var(axis=0).mean():
+        return columns_ohm, force_n, 0
     generator = np.random.default_rng(0)
     n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
     touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
-    least, most = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
-    light_n = touched * TOUCH * generator.uniform(least, most, (n, n_forces))
-    ohms = untrained.calibration.shown(untrained.inverse.forward.resistances(light_n))
-    return measured(ohms, noise, bits, generator), light_n
+    low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
+    light_n = touched * TOUCH * generator.uniform(low, high, (n, n_forces))
+    light_ohm = calibration.shown(inverse.forward.resistances(light_n))
+    light_ohm = measured(light_ohm, data.noise, data.bits, generator)
+    return np.concatenate([columns_ohm, light_ohm]), np.concatenate([force_n, light_n]), n
 
 
 @contextmanager
@@ -228,63 +223,15 @@ def _one_torch_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-@torch.no_grad()
-def _varpro(
-    model: Network,
-    samples: TrainingSet,
-    load: NDArray[np.int64],
-    ridge: float,
-    training: TrainingConfig,
-    progress: Progress,
-) -> tuple[Point, Outcome]:
-    # files may be sorted by load; readings of one load stay together, on one side of what is held out
-    order = np.argsort(np.random.default_rng(training.seed).permutation(load.max() + 1).argsort()[load], kind="stable")
-    mixed, sorted_load = samples[torch.from_numpy(order)], load[order]
-    held_out = int(training.held_out * len(load)) if model.skip else 0  # a plain net has no linear map to fall back on
-    while 0 < held_out < len(load) and sorted_load[-held_out] == sorted_load[-held_out - 1]:
+def _mixed(load: NDArray[np.int64], training: TrainingConfig) -> NDArray[np.int64]:
+    """A random order of the samples in which readings of one load stay together; files may be sorted by load."""
+    by_load = np.random.default_rng(training.seed).permutation(load.max() + 1).argsort()
+    return np.argsort(by_load[load], kind="stable")
+
+
+def _n_held_out(load: NDArray[np.int64], training: TrainingConfig) -> int:
+    """How many samples, the last of those in order of load, only judge the hidden layer; no load is split."""
+    held_out = int(training.held_out * len(load))
+    while 0 < held_out < len(load) and load[-held_out] == load[-held_out - 1]:
         held_out -= 1
-    return train_varpro(mixed, model.hidden.detach(), ridge, held_out, training, progress)
-
-
-@torch.no_grad()
-def _lm(
-    model: Network,
-    samples: TrainingSet,
-    load: NDArray[np.int64],
-    ridge: float,
-    training: TrainingConfig,
-    progress: Progress,
-) -> tuple[Point, Outcome]:
-    return train_lm(samples, model.hidden.detach(), model.output.detach(), training, progress)
-
-
-def _momentum(
-    model: Network,
-    samples: TrainingSet,
-    load: NDArray[np.int64],
-    ridge: float,
-    training: TrainingConfig,
-    progress: Progress,
-) -> tuple[Point, Outcome]:
-    optimizer = Momentum(model.parameters(), training.learning_rate, training.momentum)
-    stop, iteration = Stop(training), 0
-    while True:
-        optimizer.zero_grad()
-        loss = torch.mean((model(samples.X[:, :-1]) - samples.targets) ** 2)
-        mse = loss.item()
-        progress(iteration, mse)
-        if not mse < 1e6:
-            raise TrainingError(
-                f"the momentum rule ran away (mean squared error {mse:.1e} after {iteration} iterations): "
-                f"learning_rate was {training.learning_rate:g}, lower it."
-            )
-        reason = stop.reason(mse)
-        if reason is not None:
-            weights = model.hidden.detach(), model.output.detach()
-            return Point(*weights, mse, mse), Outcome(iteration, mse, reason)
-        loss.backward()
-        optimizer.step()
-        iteration += 1
-
-
-_TRAINERS = {"varpro": _varpro, "lm": _lm, "momentum": _momentum}
+    return held_out

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from decoupler.model.settings import TrainingConfig
 from decoupler.training.damping import Outcome, Point, Progress, minimise
-from decoupler.training.gauss_newton import TrainingSet
+from decoupler.training.network import TrainingSet
 
 RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
 SCARCE_RIDGE = 1e-4  #: of plain nets with no more samples than output weights; halves their error on new samples
@@ -22,7 +22,7 @@ class Projected:
     -----
     Golub & Pereyra's functional with Kaufman's approximation of its Jacobian (BIT 15, 1975): with the output weights
     W₂(W₁) = argmin ½‖A W₂ᵀ − T‖² + ½ λ‖W₂‖², the gradient over W₁ is exact, and JᵀJ = K ∘ (ZᵀZ − C M⁻¹ Cᵀ) is the
-    Schur complement of the full matrix (see `gauss_newton`) with M = AᵀA + λI. Its product with a direction V
+    Schur complement of the full matrix (see `levenberg_marquardt`) with M = AᵀA + λI. Its product with a direction V
     (n_hidden, n_in+1) takes four thin products: D = (X Vᵀ) ∘ s, what A can follow taken from D, times K, then
     (· ∘ s)ᵀ X. Its diagonal blocks, one a hidden node, precondition conjugate gradients that stop early: a third of
     the time of a factored step at 36 nodes and 36 inputs, and as many steps.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.model.calibration import MIN_OHM, Calibration
+from decoupler.data.scaling import MIN_CALIBRATED_OHM, Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
@@ -123,7 +123,7 @@ class SensorCalibration:
         return ohms
 
     def _calibrated(self, measured_ohm: FloatArray) -> FloatArray:
-        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_OHM)
+        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_CALIBRATED_OHM)
 
     def require_for(self, info: Info, source: str = "the calibration") -> None:
         """Refuse a board that this was not made with."""

@@ -38,7 +38,7 @@ class Forces:
 
         Computed when first asked for, which takes ten times as long as the forces.
         """
-        return None if self.model is None else self.model.deviations(self.resistance_ohm)[0]
+        return None if self.model is None else self.model.half_widths(self.resistance_ohm)[0]
 
 
 class ForceReader:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray

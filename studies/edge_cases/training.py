@@ -11,16 +11,15 @@ import torch
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
-from decoupler.data.components import force_columns, pillar_columns, readable_columns
+from decoupler.data.columns import force_columns, pillar_columns, readable_columns
 from decoupler.data.scaling import Scaling
 from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import LINEAR
 from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
 from decoupler.training.damping import Point
-from decoupler.training.gauss_newton import TrainingSet
 from decoupler.training.levenberg_marquardt import train_lm
-from decoupler.training.network import Network
+from decoupler.training.network import Network, TrainingSet
 from decoupler.training.trainer import LIGHT, train
 from decoupler.training.varpro import RIDGE, train_varpro
 from fem.array.response import ArrayResponse
@@ -159,7 +158,7 @@ def ten_samples_stated(kind: Kind) -> Outcome:
     """What a net of ten samples says of its own error on new ones is of the right size, or too much."""
     new = samples(seed=2)
     model, _ = trained(kind, samples(n=10))
-    stated, _ = model.deviations(new.resistance_ohm)
+    stated, _ = model.half_widths(new.resistance_ohm)
     error = evaluate(model, new)["fz"].rmse_n / float(np.sqrt(np.mean(stated**2)))
     return Outcome(error=error, allowed=DECADE, against="its own deviations")
 

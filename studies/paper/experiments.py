@@ -12,10 +12,9 @@ import numpy as np
 from dataset import Samples
 from dataset.resistance import pillar_strains
 from dataset.simulation import DatasetSettings, dataset_recipe, simulate
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, split_folds
-from decoupler.evaluation.floor import pca_floor
-from decoupler.evaluation.metrics import ForceErrors, component_errors
+from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.model_file import METHOD
 from decoupler.model.settings import NetworkConfig, TrainingConfig

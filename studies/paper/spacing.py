@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from fem.array.layer import decay_length_mm, layer_mean_compliance

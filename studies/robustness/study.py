@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named, fine_tune
-from decoupler.data.components import force_columns, readable_columns
+from decoupler.data.columns import force_columns, readable_columns
 from decoupler.evaluation.crossval import in_parallel
 from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.forward_model import ForwardModel

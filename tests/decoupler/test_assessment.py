@@ -15,7 +15,7 @@ from decoupler import (
     evaluate,
     train,
 )
-from decoupler.data.components import force_columns
+from decoupler.data.columns import force_columns
 from decoupler.evaluation.assessment import as_plain
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao

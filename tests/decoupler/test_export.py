@@ -14,13 +14,12 @@ import onnxruntime
 import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, train, write_model
-from decoupler.data.errors import ExportError
+from decoupler.data.scaling import Calibration
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, c_header, compiled_forces
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
-from decoupler.export.portable import output_weights_n
-from decoupler.model.calibration import Calibration
+from decoupler.export.portable import ExportError, output_weights_n
 from geometry import DesignError
 from geometry.storage.files import digest
 from tests.decoupler.rounding import float_rounding_n

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune, train
-from decoupler.model.calibration import Calibration
+from decoupler.data.scaling import Calibration
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
@@ -69,8 +69,8 @@ def test_pairs_fewer_than_weights_do_not_spoil_the_output_layer():
 def test_uncertainty_grows_with_few_pairs():
     model = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
     few, many = (fine_tune(model, PAIRS[:n], RESPONSE) for n in (2, 100))
-    assert few.deviations(TEST.resistance_ohm)[0].mean() > many.deviations(TEST.resistance_ohm)[0].mean()
-    inside = np.abs(many.forces(TEST.resistance_ohm) - TEST.force_n) <= many.deviations(TEST.resistance_ohm)[0]
+    assert few.half_widths(TEST.resistance_ohm)[0].mean() > many.half_widths(TEST.resistance_ohm)[0].mean()
+    inside = np.abs(many.forces(TEST.resistance_ohm) - TEST.force_n) <= many.half_widths(TEST.resistance_ohm)[0]
     assert 0.6 < inside.mean() < 0.76  # 1800 forces, a hundred at a time from one load: 68 % to a few percent
 
 
@@ -80,7 +80,7 @@ def test_pairs_given_ten_times_are_ten_times_the_same():
     once, often = (fine_tune(model, few[np.tile(np.arange(12), k)], RESPONSE) for k in (1, 10))
     R = TEST.resistance_ohm
     assert np.array_equal(once.forces(R), often.forces(R))
-    assert np.array_equal(once.deviations(R), often.deviations(R))
+    assert np.array_equal(once.half_widths(R), often.half_widths(R))
 
 
 @pytest.mark.parametrize("n", [5, 100])

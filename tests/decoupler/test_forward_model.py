@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from decoupler import component_named
-from decoupler.data.components import force_columns, pillar_columns
+from decoupler.data.columns import force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 

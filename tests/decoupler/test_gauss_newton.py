@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from decoupler.model.settings import NetworkConfig
-from decoupler.training.gauss_newton import GaussNewton, TrainingSet
-from decoupler.training.network import Network
+from decoupler.training.levenberg_marquardt import GaussNewton
+from decoupler.training.network import Network, TrainingSet
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 40, 4, 3, 5
 

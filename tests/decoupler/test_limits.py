@@ -5,9 +5,9 @@ import pytest
 
 from dataset.measurement import reading_deviation
 from decoupler import SampleError, component_named
-from decoupler.data.components import force_columns, pillar_columns
+from decoupler.data.columns import force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.limits import bayes, cramer_rao, model_inverse
+from decoupler.inverse.limits import bayes, cramer_rao, exact_inverse
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -30,14 +30,14 @@ def test_bound_is_the_inverse_of_the_information_in_resistances():
 
 def test_model_inverse_is_exact_without_noise():
     """1e-9 of the largest force: rounding times the condition."""
-    found = model_inverse(FORWARD, COLUMNS, FORCES.mean(axis=0))
+    found = exact_inverse(FORWARD, COLUMNS, FORCES.mean(axis=0))
     np.testing.assert_allclose(found, FORCES, rtol=0, atol=1e-9 * np.abs(FORCES).max())
 
 
 def test_model_inverse_meets_the_bound_with_noise():
     """Of 2700 errors the root mean square is known to 1.4 %; curvature adds a part in a thousand."""
     noisy = COLUMNS * (1.0 + NOISE * np.random.default_rng(1).standard_normal(COLUMNS.shape))
-    errors = model_inverse(FORWARD, noisy, FORCES.mean(axis=0)) - FORCES
+    errors = exact_inverse(FORWARD, noisy, FORCES.mean(axis=0)) - FORCES
     ratio = errors / cramer_rao(FORWARD, FORCES, NOISE, None)
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.05)
 
@@ -68,4 +68,4 @@ def test_resistances_that_no_forces_cause_are_refused():
     impossible = COLUMNS[:2].copy()
     impossible[1] *= np.where(np.arange(impossible.shape[1]) % 3 == 0, 1e-6, 1.0)  # z pillars of 10 µm
     with pytest.raises(SampleError, match=r"1 of 2 samples .* the first is sample 1"):
-        model_inverse(FORWARD, impossible, FORCES.mean(axis=0))
+        exact_inverse(FORWARD, impossible, FORCES.mean(axis=0))

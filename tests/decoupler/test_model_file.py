@@ -54,7 +54,7 @@ def test_all_that_a_model_may_hold_comes_back(tmp_path):
     again = read_model(tmp_path / "model.safetensors")
     R = DATA.resistance_ohm
     np.testing.assert_array_equal(again.forces(R), model.forces(R))
-    np.testing.assert_array_equal(again.deviations(R), model.deviations(R))
+    np.testing.assert_array_equal(again.half_widths(R), model.half_widths(R))
     np.testing.assert_array_equal(again.least_squares.forces(R), model.least_squares.forces(R))
     assert again.untrusted() == model.untrusted()
 

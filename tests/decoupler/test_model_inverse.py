@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
-from decoupler.data.components import force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import ModelInverse, explaining
+from decoupler.data.columns import force_columns, pillar_columns
+from decoupler.inverse.forward_model import ForwardModel, explaining
+from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.training.suited import suited_feature
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset import Imperfections
-from decoupler.data.components import COMPONENTS, component_named
+from decoupler.data.columns import COMPONENTS, component_named
 from decoupler.evaluation.plausibility import disturbance, doubt, explained, nothing_to_learn
 from decoupler.inverse.forward_model import ForwardModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from decoupler.training.ridge import RIDGES, best_ridge
+from decoupler.training.error_bars import best_ridge
+from decoupler.training.network import RIDGES
 
 
 def scores(A, T):

@@ -18,7 +18,7 @@ from decoupler import (
     pca_floor,
     train,
 )
-from decoupler.data.components import force_columns, pillar_columns
+from decoupler.data.columns import force_columns, pillar_columns
 from decoupler.training import trainer
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -217,7 +217,7 @@ def test_only_a_response_that_explains_the_readings_is_asked_about_rest():
     asked = {}
     for name, given in {"own": own, "other": other}.items():
         untrained = trainer._untrained(TRAIN, FX, network, columns, forces, given)
-        asked[name] = trainer._foretells(untrained, columns, forces, TRAIN.noise, TRAIN.bits)
+        asked[name] = trainer._light_samples_too(untrained, columns, forces, TRAIN)[2] > 0
         decoupler = train(TRAIN, "fx", network, config, response=given)
         assert decoupler.made_from["n_samples"] == len(TRAIN.force_n)
     assert asked == {"own": True, "other": False}

@@ -25,7 +25,7 @@ def test_coverage_of_unseen_samples(feature, noise):
     training, test = noisy(noise)
     model = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
     missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
-    one, two = model.deviations(test.resistance_ohm)
+    one, two = model.half_widths(test.resistance_ohm)
     assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
     assert np.mean(missed <= two) == pytest.approx(0.9545, abs=0.02)
 
@@ -99,7 +99,7 @@ def test_a_pillar_stuck_in_training_is_masked_and_its_unit_named(feature, noise,
     assert np.array_equal(forces, model.forces(later))
     missed = np.abs(forces - test.force_n)
     assert missed.max() < 576
-    one, two = model.deviations(test.resistance_ohm)
+    one, two = model.half_widths(test.resistance_ohm)
     assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
     assert np.mean(missed <= two) == pytest.approx(0.9545, abs=0.02)
 
@@ -116,7 +116,7 @@ def test_samples_given_ten_times_are_known_no_better(feature, noise):
     )
     R = test.resistance_ohm
     assert np.array_equal(often.forces(R), once.forces(R))
-    assert np.array_equal(often.deviations(R), once.deviations(R))
+    assert np.array_equal(often.half_widths(R), once.half_widths(R))
 
 
 @pytest.mark.parametrize("feature", ["inverse", "root"])
@@ -133,7 +133,7 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
     training = replace(EXACT, force_n=F, resistance_ohm=R, noise=noise)
     model = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
     missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
-    one, two = model.deviations(test.resistance_ohm)
+    one, two = model.half_widths(test.resistance_ohm)
     assert np.mean(missed <= one) > 0.6827 - 0.04
     assert np.mean(missed <= two) > 0.9545 - 0.02
     assert np.median(one) < np.ptp(EXACT.force_n, axis=(0, 1, 2)).max()
@@ -149,7 +149,7 @@ def test_a_model_without_it_says_so():
     training, test = noisy(0.0)
     model = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
     with pytest.raises(SampleError, match="knows no uncertainty"):
-        replace(model, uncertainty=None).deviations(test.resistance_ohm)
+        replace(model, uncertainty=None).half_widths(test.resistance_ohm)
 
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm"])
@@ -161,6 +161,6 @@ def test_few_samples_are_not_called_sure(trainer, net, n):
     few = training[:n]
     model = train(few, "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
     missed = np.sqrt(np.mean((model.forces(test.resistance_ohm) - test.force_n) ** 2, axis=(0, 1, 2)))
-    deviation = np.sqrt(np.mean(model.deviations(test.resistance_ohm)[0] ** 2, axis=(0, 1, 2)))
+    deviation = np.sqrt(np.mean(model.half_widths(test.resistance_ohm)[0] ** 2, axis=(0, 1, 2)))
     assert (missed < 10 * deviation).all()
     assert (deviation < 2 * np.ptp(training.force_n, axis=(0, 1, 2))).all()

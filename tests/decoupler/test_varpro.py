@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.training.gauss_newton import TrainingSet
-from decoupler.training.network import Network
+from decoupler.training.network import Network, TrainingSet
 from decoupler.training.varpro import Projected, projected, train_varpro
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 60, 4, 3, 5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import Imperfections
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from geometry import Array, SensorDesign
 from geometry.errors import FileFormatError

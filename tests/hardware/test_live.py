@@ -30,7 +30,7 @@ class Shares:
 
     def read_by(self, noise):
         wider = Shares(self.knows_rest)
-        wider.deviations = lambda resistance_ohm: (noise * resistance_ohm, 2 * noise * resistance_ohm)
+        wider.half_widths = lambda resistance_ohm: (noise * resistance_ohm, 2 * noise * resistance_ohm)
         return wider
 
     def __init__(self, knows_rest=True):
@@ -130,7 +130,7 @@ def test_deviations_are_given_where_the_model_knows_them():
     counts = counts_of([0.0])
     assert ForceReader(INFO, model).forces(counts).deviation_n is None
     model.knows_uncertainty, model.reading_noise = True, 0.1
-    model.deviations = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
+    model.half_widths = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
     reader = ForceReader(INFO, model)
     found = reader.forces(counts)
     assert found.deviation_n == pytest.approx(0.1 * found.resistance_ohm)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset import Imperfections
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao
 from fem.array.solving import ResponseSettings, solve_response

@@ -171,7 +171,7 @@ def train(
     """Train a network that turns resistances into forces; write a model file."""
     require_other(out, data, design)
     from dataset import read_samples
-    from decoupler.data.components import component_named
+    from decoupler.data.columns import component_named
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.model_file import write_model
@@ -277,7 +277,7 @@ def crossval(
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
     from dataset import read_samples
-    from decoupler.data.components import component_named
+    from decoupler.data.columns import component_named
     from decoupler.evaluation.crossval import cross_validate, split_folds, summary
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.settings import NetworkConfig, TrainingConfig

@@ -13,9 +13,9 @@ import numpy as np
 
 from dataset import DatasetSettings, Samples, measured_again, simulate
 from dataset.resistance import pillar_resistances
-from decoupler.data.components import component_named, force_columns, pillar_columns
+from decoupler.data.columns import component_named, force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.limits import model_inverse
+from decoupler.inverse.limits import exact_inverse
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.methods.solving import solve_scene
@@ -81,7 +81,7 @@ def forces_back_from_resistances() -> float:
     data = _samples("three-axis", 4)
     component = component_named("all")
     force_n = force_columns(data.force_n, component)
-    again = model_inverse(forward, pillar_columns(data.resistance_ohm, component), force_n.mean(axis=0))
+    again = exact_inverse(forward, pillar_columns(data.resistance_ohm, component), force_n.mean(axis=0))
     return float(np.abs(again - force_n).max() / np.abs(force_n).max())
 
 

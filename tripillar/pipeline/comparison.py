@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from dataset import Imperfections, Samples
-from decoupler.data.components import COMPONENTS, Component
-from decoupler.evaluation.floor import pca_floor
-from decoupler.evaluation.light_touch import light_touch
-from decoupler.evaluation.metrics import ForceErrors, component_errors
+from decoupler.data.columns import COMPONENTS, Component
+from decoupler.evaluation.assessment import light_touches
+from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
@@ -98,7 +97,7 @@ def compare(
         for ohm in (test.resistance_ohm, read_ohm)
     )
     forward = ForwardModel.of(response, component)
-    at_rest = {label: light_touch(model, forward, 0.0, None)[name].at_rest_rmse_n for label, model in models.items()}
+    at_rest = {label: light_touches(model, forward, 0.0, None)[name].at_rest_rmse_n for label, model in models.items()}
     made = errors_as_made(models, truth, response, protocol, len(test.force_n))
     return Comparison(
         protocol=protocol,

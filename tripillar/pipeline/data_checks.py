@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import cast
 
 from dataset import SampleError, Samples
-from decoupler.data.components import COMPONENTS, Component, component_named
-from decoupler.data.selection import distinct
+from decoupler.data.columns import COMPONENTS, Component, component_named, distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import MIN_EXPLAINED
+from decoupler.inverse.forward_model import MIN_EXPLAINED, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import Feature, Net, NetworkConfig
 from decoupler.training.suited import suited_feature

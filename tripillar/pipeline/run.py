@@ -14,7 +14,7 @@ import numpy as np
 
 from dataset.samples import Samples, is_current, read_samples
 from dataset.simulation import DatasetSettings, dataset_recipe, simulate
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_recipe, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig

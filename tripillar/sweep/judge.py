@@ -5,7 +5,7 @@ from time import perf_counter
 
 import numpy as np
 
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response

@@ -10,7 +10,7 @@ from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances
 from dataset.simulation import displacements, forces
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao

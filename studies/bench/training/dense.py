@@ -6,8 +6,8 @@ from torch.func import functional_call, jacrev
 from torch.nn.utils import parameters_to_vector
 
 from decoupler.training.damping import FIRST_DAMPING
-from decoupler.training.gauss_newton import GaussNewton, TrainingSet
-from decoupler.training.network import Network
+from decoupler.training.levenberg_marquardt import GaussNewton
+from decoupler.training.network import Network, TrainingSet
 from geometry.layout import FloatArray
 from studies.bench.training.problem import Problem, Scaled
 

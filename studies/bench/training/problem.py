@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from dataset import Samples
-from decoupler.data.components import component_named, force_columns, pillar_columns
+from decoupler.data.columns import component_named, force_columns, pillar_columns
 from decoupler.data.scaling import Scaling
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.data.scaling import Scaling
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig

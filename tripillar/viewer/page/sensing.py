@@ -9,7 +9,7 @@ from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances, pillar_strains
 from dataset.simulation import displacements, forces
-from decoupler.data.components import component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.decoupler import Decoupler

@@ -1,4 +1,4 @@
-"""Which pillars and which forces a network connects: one axis alone, as in the paper, or all jointly."""
+"""Columns of resistances and forces: which of them a network connects, and which samples say something of their own."""
 
 import math
 from dataclasses import dataclass
@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.samples import MAX_N, MAX_OHM, MIN_OHM, SampleError
+from dataset.samples import MAX_N, MAX_OHM, MIN_OHM, SampleError, Samples
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 
 DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ever sees it
+ROWS_AT_ONCE = 4  #: rows multiplied together; four cost little more than one, and more gain little
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,3 +107,47 @@ def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
             "leave that sample out."
         )
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
+
+
+def distinct(data: Samples, component: Component) -> Samples:
+    """The samples without those that repeat an earlier one to the bit, in what the component takes and gives.
+
+    A repetition tells nothing new, and where one copy is left out of training the other gives its answer away: errors
+    on samples left out would be those of training, and deviations far too small.
+    """
+    columns = pillar_columns(data.resistance_ohm, component, data.dead)
+    forces = force_columns(data.force_n, component)
+    keys = [hash(ohm.tobytes() + newton.tobytes()) for ohm, newton in zip(columns, forces, strict=True)]
+    first = np.unique(keys, return_index=True)[1]
+    return data if len(first) == len(keys) else data[np.sort(first)]
+
+
+def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
+    """Which load each sample (n, ...) was taken under, shape (n,), counted from 0 as they first appear.
+
+    Several readings of one load share what the network gets wrong about it: they must be left out together.
+    """
+    numbers: dict[bytes, int] = {}
+    return np.array([numbers.setdefault(sample.tobytes(), len(numbers)) for sample in force_n])
+
+
+def over_loads(values: FloatArray, load: NDArray[np.int64]) -> FloatArray:
+    """For each sample (n,) the sum of values (n,) over all samples of its load."""
+    return np.bincount(load, values)[load].astype(np.float64, copy=False)
+
+
+def in_blocks(samples: FloatArray) -> FloatArray:
+    """Samples (n, k) with the last one repeated until they fill whole blocks."""
+    missing = -len(samples) % ROWS_AT_ONCE
+    return np.concatenate([samples, *[samples[-1:]] * missing]) if missing else samples
+
+
+def rowwise(samples: FloatArray, matrix: FloatArray) -> FloatArray:
+    """``samples @ matrix``, (n, k) and (k, m) -> (n, m), the same bits for a sample alone and in any batch.
+
+    One product of all would round by the size of the batch. Blocks of always the same size do not.
+    """
+    n, k = samples.shape
+    if n % ROWS_AT_ONCE:
+        return rowwise(in_blocks(samples), matrix)[:n]
+    return np.matmul(samples.reshape(-1, ROWS_AT_ONCE, k), matrix).reshape(n, -1)

@@ -1,0 +1,141 @@
+"""Errors that a model will make on new samples: the ridge that promises the least, and the uncertainty of its forces.
+
+Both come from the errors on its training set, or on measured pairs, had each sample been left out. Loads no torch.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoupler.data.columns import over_loads
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
+from geometry.layout import FloatArray
+
+RIDGES = np.logspace(-10, 3, 27)  #: per sample, of inputs and targets scaled to [-1, 1]
+ENOUGH_SAMPLES = 500  #: for the effect of noise and for the widths; of each every unit counts
+MIN_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
+LIGHT = 0.05  #: share of the training samples that bear less than what counts as load
+MIN_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
+
+
+def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> float:
+    """The λ of min ‖A W − T‖² + λ‖W‖² that promises the least error on new samples.
+
+    Parameters
+    ----------
+    A : array, shape (n_samples, n_features)
+    targets : array, shape (n_samples, n_out)
+    readings : float
+        Samples a load, in the mean: they share their misfit, so all of a load count as left out together.
+
+    Notes
+    -----
+    Generalised cross-validation (Golub, Heath & Wahba, Technometrics 21, 1979): the λ with the least
+    ‖residual‖²/(n − readings · effective number of weights)², from one eigendecomposition of AᵀA.
+    """
+    n = len(A)
+    energies, directions = np.linalg.eigh(A.T @ A)
+    energies = np.maximum(energies, 1e-15 * energies[-1])
+    fitted = ((directions.T @ (A.T @ targets)) ** 2).sum(axis=1) / energies  # explained by each direction
+    unfitted = max(float((targets**2).sum() - fitted.sum()), 0.0)
+    kept = energies / (energies + RIDGES[:, None] * n)  # (n_ridges, n_features)
+    residual = unfitted + ((1.0 - kept) ** 2 * fitted).sum(axis=1)
+    score = residual / np.maximum(n - readings * kept.sum(axis=1), 0.5) ** 2
+    return float(RIDGES[score.argmin()] * n)
+
+
+def fitted_uncertainty(
+    decoupler: Decoupler,
+    columns_ohm: FloatArray,
+    force_n: FloatArray,
+    noise: float,
+    bits: int | None,
+    ridge: float,
+    load: NDArray[np.int64],
+    n_light: int = 0,
+) -> Uncertainty:
+    """The uncertainty of a model, from its training set.
+
+    Parameters
+    ----------
+    decoupler : Decoupler
+    columns_ohm, force_n : arrays, shapes (n, n_in) and (n, n_out)
+        Readings [Ω] and forces [N]; the last `n_light` samples are light.
+    noise, bits
+        Of the readings, as `dataset.measurement.reading_deviation` takes them.
+    ridge : float
+        λ on the output weights.
+    load : array, shape (n,)
+        Number of each sample's load, as `load_numbers` counts them.
+
+    Notes
+    -----
+    A training sample's own error is divided by 1 − leverage: its error if it had been left out (the PRESS
+    residual of linear regression); the hidden weights, shared by all outputs, add their share to every leverage.
+    Readings of one load are left out together: their leverages add up, which is exact where they are alike. A
+    sample that the network meets whatever its force is (fewer samples than weights) has none; it is taken to be as
+    unknown as before training.
+    """
+    A = decoupler.activations(columns_ohm)
+    M = A.T @ A
+    M.flat[:: len(M) + 1] += ridge
+    G = np.linalg.inv(M).astype(np.float64)
+    of_weights = leverage(A, G).clip(0.0, 1.0)
+    shared = np.count_nonzero(decoupler.hidden_weights) / force_n.size
+    freedom = 1.0 - over_loads(of_weights + shared, load)
+    errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
+    errors = np.where((freedom > MIN_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
+    n = len(A) - n_light
+    unexplained = (errors[:n] ** 2).mean(axis=0)
+    n_axes = len(decoupler.component.axes)
+    smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
+    parts = [np.arange(n), np.arange(n, len(A)) if n_light else np.arange(n)]
+    misfits, ratios = [], []
+    for part in parts:
+        some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
+        through = decoupler.noise_variance(columns_ohm[some], noise, bits)
+        left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
+        if part[0]:  # few outputs are touched often: all of an axis together tell more
+            left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
+        misfits.append(left + smallest)
+        weights_n2 = np.minimum(unexplained * of_weights[some, None], decoupler.output_scaling.half_range**2)
+        deviation = np.sqrt(through + misfits[-1] + weights_n2)
+        ratios.append(np.abs(errors[some] / deviation).reshape(-1, n_axes))
+    widths = [
+        np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
+    ]
+    return Uncertainty(
+        noise=noise,
+        bits=bits,
+        inverse_matrix=G,
+        misfit_n2=misfits[0],
+        unexplained_n2=unexplained,
+        widths=widths[0],
+        misfit_at_rest_n2=misfits[1],
+        widths_at_rest=widths[1],
+        light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
+    )
+
+
+def widened(
+    decoupler: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
+) -> Decoupler:
+    """The model with its uncertainty for another sensor and its noise, wider if the sensor's pairs say so.
+
+    Pairs are readings (n, n_in) [Ω] and forces (n, n_out) [N]. A model that knows no uncertainty stays as it is.
+    """
+    if decoupler.uncertainty is None:
+        return decoupler
+    one = np.ones_like(decoupler.uncertainty.widths)
+    changed = replace(decoupler.uncertainty, noise=noise, bits=bits, widths=one, widths_at_rest=one)
+    errors = np.abs(decoupler.outputs(columns_ohm) - force_n)
+    scales = [
+        np.quantile((errors / width).reshape(-1, one.shape[1]), share, axis=0)
+        for share, width in zip(
+            WITHIN, replace(decoupler, uncertainty=changed).half_widths_of(columns_ohm), strict=True
+        )
+    ]
+    wider = np.maximum(np.stack(scales), 1.0)
+    return replace(decoupler, uncertainty=replace(changed, widths=wider, widths_at_rest=wider))
