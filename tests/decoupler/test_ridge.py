@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from decoupler.training.error_bars import best_ridge
-from decoupler.training.network import RIDGES
+from decoupler.training.error_bars import RIDGES, best_ridge
 
 
 def scores(A, T):
