@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -13,6 +14,16 @@ from tripillar.cli.app import app
 from tripillar.terminal.entry import run
 
 SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
+
+
+def run_here(words: Iterable[str], folder: Path, environment: Mapping[str, str], out: StringIO, err: StringIO) -> int:
+    """Run a command in this process, in a folder; its exit code."""
+    typed = patch.object(sys, "argv", ["tripillar", *words])
+    with chdir(folder), patch.dict(os.environ, environment), typed, redirect_stdout(out), redirect_stderr(err):
+        try:
+            run(app)
+        except SystemExit as end:
+            return int(end.code or 0)
 
 
 class House:
@@ -26,19 +37,8 @@ class House:
 
     def tripillar(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Run a command in this process, which has most libraries loaded."""
-        code, out, err = 0, StringIO(), StringIO()
-        typed = patch.object(sys, "argv", ["tripillar", *words])
-        with (
-            chdir(self.folder),
-            patch.dict(os.environ, self.environment),
-            typed,
-            redirect_stdout(out),
-            redirect_stderr(err),
-        ):
-            try:
-                run(app)
-            except SystemExit as end:
-                code = int(end.code or 0)
+        out, err = StringIO(), StringIO()
+        code = run_here(words, self.folder, self.environment, out, err)
         return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
     def command(self, *words: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""What pages of the documentation say to type, a shell to type it into, and what they promise it prints."""
+"""Commands that pages of the documentation say to type, a place to type them, and what they promise to print."""
 
 import os
 import re
@@ -7,7 +7,10 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
+
+from tests.house import run_here
 
 ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.]*\w)")
@@ -24,7 +27,7 @@ class Command:
 
 
 def console_commands(page: Path) -> list[Command]:
-    """Every command of a page's ``console`` blocks, in order."""
+    """List every command of a page's ``console`` blocks, in order."""
     commands: list[Command] = []
     for block in re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
         for line in block.splitlines():
@@ -38,66 +41,62 @@ def console_commands(page: Path) -> list[Command]:
 
 
 def indented_commands(page: Path, *programs: str) -> list[str]:
-    """Commands of a page's indented blocks that begin with one of the programs, comments left out."""
+    """List the commands of a page's indented blocks that begin with one of the programs, comments left out."""
     lines = re.findall(r"^    (\S.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     typed = (re.sub(r"\s+#.*$", "", line).strip() for line in lines)
     return [line for line in typed if line.split()[0] in programs]
 
 
 class Terminal:
-    """A shell in a folder of its own, where `tripillar` is this working tree's, and jobs can be left running."""
+    """A folder in which commands are typed: they run in this process, or in one of their own if they end in ``&``."""
 
     def __init__(self, folder: Path, cache: Path) -> None:
-        self.folder = folder
-        programs = folder / ".programs"
-        programs.mkdir(parents=True)
-        (programs / "tripillar").write_text(f'#!/bin/sh\nexec {sys.executable} -m tripillar "$@"\n')
-        (programs / "tripillar").chmod(0o755)
-        environment = os.environ | {
-            "PATH": f"{programs}:{os.environ['PATH']}",
-            "TRIPILLAR_CACHE": str(cache),
-            "COLUMNS": "200",
-            "PYTHONPATH": str(ROOT),
-        }
-        self._typed = 0
-        self._shell = subprocess.Popen(
-            ["bash", "-m"], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=folder, env=environment
-        )
+        folder.mkdir(exist_ok=True)
+        self.folder, self._jobs = folder, list[subprocess.Popen]()
+        self._environment = os.environ | {"TRIPILLAR_CACHE": str(cache), "COLUMNS": "200", "PYTHONPATH": str(ROOT)}
 
     def __enter__(self) -> "Terminal":
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the shell, and whatever it has left running."""
-        assert self._shell.stdin
-        self._shell.stdin.write("kill $(jobs -p) 2>/dev/null; wait\n")
-        self._shell.stdin.close()
-        self._shell.wait(timeout=GIVE_UP_S)
+        """End whatever is left running."""
+        for job in self._jobs:
+            job.kill()
+            job.wait()
 
     def type(self, command: Command) -> str:
         """Run a command to its end, or until it has printed what it promised if it ends in ``&``; what it printed."""
-        assert self._shell.stdin
-        self._typed += 1
-        name = str(self.folder / ".programs" / str(self._typed))
-        said, ended = Path(f"{name}.said"), Path(f"{name}.ended")
-        line = command.line.removesuffix("&")
-        runs = f"{{ {line} & }}" if line != command.line else f"{{ {line} ; }}"
-        self._shell.stdin.write(f"{runs} > {shlex.quote(str(said))} 2>&1 < /dev/null\n")
-        self._shell.stdin.write(f"echo $? > {shlex.quote(str(ended))}\n")
-        self._shell.stdin.flush()
+        program, *words = shlex.split(command.line.removesuffix("&"))
+        if program == "kill":
+            for number in words:
+                job = self._jobs[int(number.removeprefix("%")) - 1]
+                job.terminate()
+                assert job.wait(GIVE_UP_S) == 0
+            return ""
+        assert program == "tripillar"
+        if command.line.endswith("&"):
+            return self._leave_running(words, command)
+        said = StringIO()
+        code = run_here(words, self.folder, self._environment, said, said)
+        assert code == 0, f"{command.line}\nended with {code}:\n{said.getvalue()}"
+        return said.getvalue()
+
+    def _leave_running(self, words: list[str], command: Command) -> str:
+        printed = self.folder / f".job-{len(self._jobs)}"
+        with printed.open("w") as out:
+            program = [sys.executable, "-m", "tripillar", *words]
+            job = subprocess.Popen(program, stdout=out, stderr=out, cwd=self.folder, env=self._environment)
+        self._jobs.append(job)
         end_s = time.monotonic() + GIVE_UP_S
-        while time.monotonic() < end_s:
-            status = ended.read_text().strip() if ended.exists() else ""
-            if status not in ("", "0"):
-                raise AssertionError(f"{command.line}\nended with {status}:\n{said.read_text()}")
-            if status and (line == command.line or not missing(command.promised, said.read_text())):
-                return said.read_text()
-            time.sleep(0.02)
-        raise AssertionError(f"{command.line}\ndid not do what it promised:\n{said.read_text()}")
+        while missing(command.promised, printed.read_text()):
+            assert time.monotonic() < end_s, f"{command.line}\ndid not do what it promised:\n{printed.read_text()}"
+            assert job.poll() is None, f"{command.line}\nended:\n{printed.read_text()}"
+            time.sleep(0.05)
+        return printed.read_text()
 
 
 def missing(promised: list[str], printed: str) -> list[str]:
-    """Promised lines that are not printed in their order, the first of them first; other lines may come between."""
+    """List the promised lines from the first that is not printed in its order; other lines may come between."""
     lines = iter(printed.replace("\r", "\n").splitlines())
     for k, line in enumerate(promised):
         if line.strip() and not any(agrees(line, other) for other in lines):
@@ -106,7 +105,7 @@ def missing(promised: list[str], printed: str) -> list[str]:
 
 
 def agrees(promised: str, printed: str) -> bool:
-    """Whether a line is the promised one: … stands for anything, numbers agree to 2 % or one in their last digit."""
+    """Compare a line with the promised one: … stands for anything, numbers agree to 2 % or one in their last digit."""
     promised, printed = (" ".join(line.split()) for line in (promised, printed))
     pattern = ".*".join(NUMBER.sub("\0", part) for part in promised.split("…"))
     pattern = "".join(".*" if part == ".*" else re.escape(part) for part in re.split(r"(\.\*)", pattern))
@@ -118,7 +117,7 @@ def agrees(promised: str, printed: str) -> bool:
 
 
 def last_digit(number: str) -> float:
-    """What one more in its last digit adds to a number, 0 to a whole one.
+    """Give what one more in its last digit adds to a number, 0 for a whole one.
 
     >>> last_digit("0.38"), last_digit("8.9e-04"), last_digit("136")
     (0.01, 1e-05, 0.0)

@@ -1,9 +1,7 @@
 """The scripts of examples/ run, and what they print is so."""
 
-import os
 import re
-import subprocess
-import sys
+import runpy
 
 import pytest
 
@@ -12,18 +10,22 @@ from tripillar.sweep.sampling import samples_of
 from tripillar.sweep.sweep_file import read_sweep
 
 
-def printed_by(name, folder):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / name)],
-        cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def printed_by(tmp_path, pages_cache, monkeypatch, capsys):
+    """Run a script in this process; what it printed."""
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(pages_cache))
+    monkeypatch.chdir(tmp_path)
+
+    def printed_by(name):
+        runpy.run_path(str(ROOT / "examples" / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return printed_by
 
 
-def test_a_sweep_gives_the_best_design_within_bounds(tmp_path):
+def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     """Designs are listed by their error; the net of the first errs by what the readings allow, or less."""
-    first, _, *lines = printed_by("sweep_to_choice.py", tmp_path).splitlines()
+    first, _, *lines = printed_by("sweep_to_choice.py").splitlines()
     within, judged = map(int, re.match(r"(\d+) of (\d+) designs", first).groups())
     rows = [[float(value) for value in re.findall(r"[\d.]+", line)] for line in lines[:within]]
     assert 0 < within < judged
@@ -42,9 +44,9 @@ def test_sweep_files_make_sense(name):
     assert samples_of(read_sweep(ROOT / "examples" / name))
 
 
-def test_a_design_gives_forces_near_their_limit(tmp_path):
+def test_a_design_gives_forces_near_their_limit(printed_by):
     """Within what the project promises of joint nets, and far nearer than each pillar alone."""
-    lines = printed_by("design_to_forces.py", tmp_path).splitlines()
+    lines = printed_by("design_to_forces.py").splitlines()
     errors = [re.fullmatch(r"(f[xyz]) +([\d.]+) N +([\d.]+) N +([\d.]+) +([\d.]+) N", line) for line in lines]
     found = {row[1]: [float(value) for value in row.groups()[1:]] for row in errors if row}
     assert set(found) == {"fx", "fy", "fz"}

@@ -13,6 +13,7 @@ from tests.house import SMALL
 from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.cli.app import main
 from tripillar.pipeline import run as pipeline
+from tripillar.viewer import saving
 
 resource = pytest.importorskip("resource")
 
@@ -59,7 +60,7 @@ ROOM = 1000  #: bytes that a limited file may have; a full disk has none
 
 
 @pytest.fixture
-def inputs(tmp_path, monkeypatch):
+def inputs(tmp_path, shared_cache, monkeypatch):
     """A folder with something to work on, in which the command runs."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
@@ -88,7 +89,7 @@ def full(tmp_path):
 
 
 def said_by(words, capsys, monkeypatch):
-    """The one line of a command that must fail."""
+    """Run a command that must fail; its one line."""
     monkeypatch.setattr(sys, "argv", ["tripillar", *words])
     with pytest.raises(SystemExit) as end:
         main()
@@ -101,8 +102,6 @@ def said_by(words, capsys, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def few_frames(monkeypatch):
-    from tripillar.viewer import saving
-
     monkeypatch.setattr(saving, "FRAMES", 2)
     monkeypatch.setattr(saving, "HELD", 1)
 
