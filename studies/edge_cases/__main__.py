@@ -1,4 +1,4 @@
-"""``python -m studies.edge_cases``: scenes and trainings at the edge of what can be done, and what comes of each.
+"""``python -m studies.edge_cases``: scenes and trainings at the edge of what can be done, and the verdict on each.
 
 Every trial either gets an answer that something independent of it confirms (a closed form, a scaled twin, another
 element, a tighter solve, a linear map), or is refused with a reason. An answer further off than its tolerance or its
@@ -6,7 +6,6 @@ own estimate allows is WRONG, and makes the exit status 1.
 """
 
 import os
-import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -20,7 +19,7 @@ from rich.table import Table
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.training import training_trials
 from studies.edge_cases.trials import Finding, Trial, tried
-from tripillar.terminal.console import wrote
+from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 from tripillar.terminal.writing import write_json
@@ -34,28 +33,15 @@ def all_trials() -> list[Trial]:
 def edge_table(findings: Iterable[Finding]) -> Table:
     """Every trial with its verdict."""
     table = Table(title="At the edge: error, and what it may be")
-    table.add_column("trial")
-    table.add_column("value")
-    for header in ("residual", "error", "allowed"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("against")
-    table.add_column("seconds", justify="right")
-    table.add_column("verdict")
+    for header in ("trial", "value", "residual", "error", "allowed", "against", "seconds", "verdict"):
+        numeric = header in ("residual", "error", "allowed", "seconds")
+        table.add_column(header, justify="right" if numeric else "left", no_wrap=numeric)
     last = None
     for one in findings:
         numbers = ("" if x is None else f"{x:.1e}" for x in (one.residual, one.error, one.allowed))
-        name = one.name if one.name != last else ""
-        last = one.name
-        wrong = one.verdict.startswith("WRONG")
-        table.add_row(
-            name,
-            one.value,
-            *numbers,
-            one.against,
-            f"{one.seconds:.1f}",
-            escape(one.verdict),
-            style="red" if wrong else "",
-        )
+        name, last = "" if one.name == last else one.name, one.name
+        style = "red" if one.is_wrong else ""
+        table.add_row(name, one.value, *numbers, one.against, f"{one.seconds:.1f}", escape(one.verdict), style=style)
     return table
 
 
@@ -73,14 +59,14 @@ def judge_all(
     with tempfile.TemporaryDirectory(prefix="edge-cases-") as cache:
         os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
         for trial in trials:
-            if only and trial.name not in only:
-                continue
-            findings.append(tried(trial))
-            print(f"{trial.name}, {trial.value}: {findings[-1].verdict}, {findings[-1].seconds:.1f} s", file=sys.stderr)
+            if not only or trial.name in only:
+                found = tried(trial)
+                findings.append(found)
+                say(f"{found.name}, {found.value}: {found.verdict}, {found.seconds:.1f} s")
     show(edge_table(findings))
     write_json([asdict(one) for one in findings], out / "edge-cases.json")
     wrote([out / "edge-cases.json"])
-    if any(one.verdict.startswith("WRONG") for one in findings):
+    if any(one.is_wrong for one in findings):
         raise typer.Exit(1)
 
 

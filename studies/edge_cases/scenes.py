@@ -21,7 +21,7 @@ from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh
 from geometry.quality import quality
 from studies.bench.scenes import response_scenes
-from studies.edge_cases.trials import NotTriedError, Outcome, Trial
+from studies.edge_cases.trials import Judged, NotTriedError, Trial
 
 YOUNG_MPA = 6.1
 RUBBER = Material(young_mpa=YOUNG_MPA, poisson=0.49)
@@ -35,10 +35,10 @@ PATCH_TEST = 1e-8  #: of linear fields, which quadratic elements hold exactly
 SPREAD = 3e-3  #: of a probe over meshes of the same body
 
 
-def compared(scene: Scene, found: Solution, probes: dict[str, FloatArray], slack: float, against: str) -> Outcome:
+def compared(scene: Scene, found: Solution, probes: dict[str, FloatArray], slack: float, against: str) -> Judged:
     """A scene's solution held against probes that are known to within a slack."""
     missed = found.error_estimate > scene.tolerance
-    return Outcome(
+    return Judged(
         residual=found.residual,
         error=largest_error(found.probes, probes),
         allowed=slack + max(scene.tolerance, found.error_estimate),
@@ -47,7 +47,7 @@ def compared(scene: Scene, found: Solution, probes: dict[str, FloatArray], slack
     )
 
 
-def compared_with_tighter(scene: Scene) -> Outcome:
+def compared_with_tighter(scene: Scene) -> Judged:
     """A scene solved, and solved again on a finer grid."""
     found, _ = solve_scene(scene)
     wanted = min(scene.tolerance, found.error_estimate) / TIGHTER  # or the first solve would do for the second too
@@ -111,12 +111,12 @@ def pillar(width_mm: float, height_mm: float, traction_mpa: Triple) -> Scene:
 # trials
 
 
-def poisson(nu: float) -> Outcome:
+def poisson(nu: float) -> Judged:
     """A patch on a block at any Poisson's ratio, against a tighter solve."""
     return compared_with_tighter(block(Material(young_mpa=YOUNG_MPA, poisson=nu)))
 
 
-def poisson_by_elements(nu: float, element: str, tolerance: float) -> Outcome:
+def poisson_by_elements(nu: float, element: str, tolerance: float) -> Judged:
     """The same scene by two unlike elements."""
     scene = block(Material(young_mpa=YOUNG_MPA, poisson=nu), tolerance=tolerance)
     found, _ = solve_scene(scene, element=element)
@@ -124,14 +124,14 @@ def poisson_by_elements(nu: float, element: str, tolerance: float) -> Outcome:
     return compared(scene, found, reference.probes, reference.error_estimate, f"{element} beside Qp")
 
 
-def hooke() -> Outcome:
+def hooke() -> Judged:
     """At ν = 0 the clamped base holds nothing back: the top sinks by p h / E."""
     scene = block(Material(young_mpa=YOUNG_MPA, poisson=0.0), patch_mm=(10.0, 10.0))
     exact = {"patch": np.array([0.0, 0.0, -5.0 / YOUNG_MPA])}
     return replace(compared(scene, solve_scene(scene)[0], exact, 0.0, "−p h/E"), allowed=ROUNDED)
 
 
-def confined(nu: float) -> Outcome:
+def confined(nu: float) -> Judged:
     """Far from its sides a flat block under pressure sinks by p h / (λ + 2μ)."""
     material = Material(young_mpa=YOUNG_MPA, poisson=nu)
     whole = block(material, (200.0, 200.0, 4.0), (200.0, 200.0))
@@ -142,14 +142,14 @@ def confined(nu: float) -> Outcome:
     return compared(scene, solve_scene(scene)[0], exact, 0.0, "confined: −p h/(λ + 2μ)")
 
 
-def modulus_ratio(ratio: float) -> Outcome:
+def modulus_ratio(ratio: float) -> Judged:
     """An upright pillar in a block `ratio` times as stiff."""
     inside = Material(young_mpa=YOUNG_MPA / ratio, poisson=0.49)
     upright = Inclusion(base_mm=(5.0, 5.0, 0.0), top_mm=(5.0, 5.0, 5.0), section_mm=(2.0, 2.0), material=inside)
     return compared_with_tighter(block(RUBBER, inclusions=(upright,), tolerance=2e-2))
 
 
-def slender(width_mm: float, height_mm: float, tangential: bool) -> Outcome:
+def slender(width_mm: float, height_mm: float, tangential: bool) -> Judged:
     """A pillar pressed or dragged, against rod and beam; its clamped end makes it a little stiffer."""
     p = 1e-3
     G = YOUNG_MPA / 2.6
@@ -166,7 +166,7 @@ def slender(width_mm: float, height_mm: float, tangential: bool) -> Outcome:
     return compared(scene, solve_scene(scene)[0], {"top": exact}, slack, f"{against}, to {END:g} w/L")
 
 
-def small_patch(ratio: float, traction_mpa: Triple) -> Outcome:
+def small_patch(ratio: float, traction_mpa: Triple) -> Judged:
     """A patch so small that its block is a half-space to it, but for a/h."""
     size, a = 30.0, 30.0 / ratio
     material = Material(young_mpa=YOUNG_MPA, poisson=0.3)
@@ -207,7 +207,7 @@ def signed_volumes(points: FloatArray, cells: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.det(edges.transpose(2, 1, 0)) / 6)
 
 
-def flat_cells(smallest_deg: float, form: str, nu: float) -> Outcome:
+def flat_cells(smallest_deg: float, form: str, nu: float) -> Judged:
     """A linear field, driven by its tractions, on a mesh with nearly flat cells: exact on any mesh."""
     mesh, _ = flattened(smallest_deg)
     materials, region = [Material(young_mpa=YOUNG_MPA, poisson=nu)], np.zeros(mesh.nelements, dtype=np.int64)
@@ -226,10 +226,10 @@ def flat_cells(smallest_deg: float, form: str, nu: float) -> Outcome:
     found = body.displacements(x).reshape(-1, 3)
     exact = np.outer(body.basis.doflocs[2], gradient[:, 2])
     error = float(np.abs(found - exact).max() / np.abs(exact).max())
-    return Outcome(residual=residual, error=error, allowed=PATCH_TEST, against="a linear field")
+    return Judged(residual=residual, error=error, allowed=PATCH_TEST, against="a linear field")
 
 
-def meshed_again(times: int, tolerance: float) -> Outcome:
+def meshed_again(times: int, tolerance: float) -> Judged:
     """Greatest less least of every probe over meshes of the same body, relative: the mesher is not deterministic."""
     scene = leaning_inclusion(tolerance)
     found = [solve_scene(scene, no_skip=["cache"])[0] for _ in range(times)]
@@ -237,10 +237,10 @@ def meshed_again(times: int, tolerance: float) -> Outcome:
     size = np.linalg.norm(probes.mean(axis=0), axis=-1)
     spread = float((np.linalg.norm(np.ptp(probes, axis=0), axis=-1) / size).max())
     residual = max(solution.residual for solution in found)
-    return Outcome(residual=residual, error=spread, allowed=SPREAD, against=f"spread of {times} meshes")
+    return Judged(residual=residual, error=spread, allowed=SPREAD, against=f"spread of {times} meshes")
 
 
-def scaled_load(scale: float, tetrahedra: bool) -> Outcome:
+def scaled_load(scale: float, tetrahedra: bool) -> Judged:
     """`scale` times the load bends `scale` times as far."""
     scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
     push = (0.0, 0.0, -scale)
@@ -248,19 +248,19 @@ def scaled_load(scale: float, tetrahedra: bool) -> Outcome:
     many, _ = solve_scene(replace(scene, loads=(replace(scene.loads[0], traction_mpa=push),)))
     scaled = {name: u / scale for name, u in many.probes.items()}
     error = largest_error(scaled, one.probes)
-    return Outcome(residual=many.residual, error=error, allowed=EXACT, against="load 1, scaled")
+    return Judged(residual=many.residual, error=error, allowed=EXACT, against="load 1, scaled")
 
 
-def zero_load(skipped: bool, tetrahedra: bool) -> Outcome:
+def zero_load(skipped: bool, tetrahedra: bool) -> Judged:
     """Nothing moves where nothing loads, computed or not."""
     scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
     unloaded = replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, 0.0, 0.0)),))
     found, _ = solve_scene(unloaded, no_skip=() if skipped else ["zero-load"])
     moved = max(float(np.abs(u).max()) for u in found.probes.values())
-    return Outcome(residual=found.residual, error=moved, allowed=0.0, against="0 exactly")
+    return Judged(residual=found.residual, error=moved, allowed=0.0, against="0 exactly")
 
 
-def threads(tetrahedra: bool) -> Outcome:
+def threads(tetrahedra: bool) -> Judged:
     """The same answer by one thread as by two."""
     scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
     solutions = []
@@ -269,7 +269,7 @@ def threads(tetrahedra: bool) -> Outcome:
             solutions.append(solve_scene(scene)[0])
     one, two = solutions
     error = largest_error(two.probes, one.probes)
-    return Outcome(residual=two.residual, error=error, allowed=EXACT, against="1 thread")
+    return Judged(residual=two.residual, error=error, allowed=EXACT, against="1 thread")
 
 
 def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
@@ -280,7 +280,7 @@ def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
     )
 
 
-def array_of(pitch_mm: float, height_mm: float) -> Outcome:
+def array_of(pitch_mm: float, height_mm: float) -> Judged:
     """Columns of an array's response by cells against the slab as one scene, over the loaded unit's own block."""
     design = small_array(pitch_mm, height_mm)
     found = solve_response(design, ResponseSettings(tolerance=ARRAY_TOLERANCE))
@@ -293,7 +293,7 @@ def array_of(pitch_mm: float, height_mm: float) -> Outcome:
     expected = np.stack(columns, axis=-1).reshape(2, 2, -1, 3)
     influence = found.influence_mm_per_n.reshape(2, 2, -1, 2, 2, 3)[:, :, :, 1, 1]
     error = np.linalg.norm(influence - expected, axis=(2, 3)).max() / np.linalg.norm(expected[1, 1])
-    return Outcome(
+    return Judged(
         residual=found.residual,
         error=float(error),
         allowed=max(ARRAY_TOLERANCE, found.error_estimate) + slack,
@@ -302,7 +302,7 @@ def array_of(pitch_mm: float, height_mm: float) -> Outcome:
     )
 
 
-def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
+def reciprocity(pitch_mm: float, height_mm: float) -> Judged:
     """Pads move each other alike (Betti), and no load does negative work."""
     design = small_array(pitch_mm, height_mm)
     cell, _ = condensed_cell(design, 2, 4, pad_squares(lone_unit(design)))
@@ -311,14 +311,14 @@ def reciprocity(pitch_mm: float, height_mm: float) -> Outcome:
     error = float(np.abs(matrix - matrix.T).max() / np.abs(matrix).max())
     if not np.linalg.eigvalsh(matrix + matrix.T).min() > 0:
         error = np.inf
-    return Outcome(residual=max(cell.residual, misfit), error=error, allowed=ROUNDED, against="Betti's reciprocity")
+    return Judged(residual=max(cell.residual, misfit), error=error, allowed=ROUNDED, against="Betti's reciprocity")
 
 
 def scene_trials() -> list[Trial]:
     """Every line of the table, cheap ones first within each kind."""
     trials: list[Trial] = []
 
-    def add(name: str, value: str, run: Callable[..., Outcome], *arguments: object) -> None:
+    def add(name: str, value: str, run: Callable[..., Judged], *arguments: object) -> None:
         trials.append(Trial(name=name, value=value, run=lambda: run(*arguments)))
 
     add("poisson", "ν = 0, whole top", hooke)

@@ -1,10 +1,10 @@
 """Trainings at the edge of what can be trained."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from resource import RUSAGE_SELF, getrusage
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from studies.edge_cases.trials import Outcome, Trial
+from studies.edge_cases.trials import Judged, Trial
 
 SAMPLES = 400
 HIDDEN = 12  #: more nodes than the 9 outputs, so that a plain net can hold any linear map too
@@ -40,8 +40,7 @@ DECADE = 10.0  #: times the median; another minimum costs some of it, a training
 MANY = 100_000
 
 
-@dataclass(frozen=True, kw_only=True)
-class Kind:
+class Kind(NamedTuple):
     """One way of training."""
 
     trainer: Trainer
@@ -51,8 +50,8 @@ class Kind:
         return f"{self.trainer} {self.net}"
 
 
-SECOND_ORDER = [Kind(trainer=trainer, net=net) for trainer in ("varpro", "lm") for net in get_args(Net)]
-ALL_KINDS = [*SECOND_ORDER, *(Kind(trainer="momentum", net=net) for net in get_args(Net))]
+SECOND_ORDER = [Kind(trainer, net) for trainer in ("varpro", "lm") for net in get_args(Net)]
+ALL_KINDS = [*SECOND_ORDER, *(Kind("momentum", net) for net in get_args(Net))]
 
 
 # data
@@ -81,20 +80,15 @@ def with_input(data: Samples, values_ohm: FloatArray | float) -> Samples:
     return replace(data, resistance_ohm=resistance_ohm)
 
 
-def constant(data: Samples) -> Samples:
-    return with_input(data, 1e4)
+#: an input that says nothing new, by the name of its trial; collinear: a root is the mean of two others'
+DEGENERATE: dict[str, Callable[[FloatArray], FloatArray | float]] = {
+    "constant": lambda ohm: 1e4,
+    "duplicated": lambda ohm: ohm[:, 0, 1, 0],
+    "collinear": lambda ohm: np.sqrt(ohm[:, 0, 1:, 0]).mean(axis=1) ** 2,
+}
 
 
-def duplicated(data: Samples) -> Samples:
-    return with_input(data, data.resistance_ohm[:, 0, 1, 0])
-
-
-def collinear(data: Samples) -> Samples:
-    """The root of one resistance is the mean of two others'."""
-    return with_input(data, np.sqrt(data.resistance_ohm[:, 0, 1:, 0]).mean(axis=1) ** 2)
-
-
-# what trainings are held against
+# marks that trainings are held against
 
 
 def scaled(data: Samples, component: str = "fz") -> tuple[FloatArray, FloatArray]:
@@ -124,9 +118,9 @@ def trained(kind: Kind, data: Samples, hidden: int = HIDDEN, **training: object)
     return model, model.made_from["outcome"]["mse"]
 
 
-def no_worse(mse: float, bound: float, against: str, note: str = "") -> Outcome:
+def no_worse(mse: float, bound: float, against: str, note: str = "") -> Judged:
     """A training's error as a share of one that it must not exceed."""
-    return Outcome(error=mse / bound, allowed=1.0 + RIDGED, against=against, note=note)
+    return Judged(error=mse / bound, allowed=1.0 + RIDGED, against=against, note=note)
 
 
 def difference(one: FloatArray, other: FloatArray) -> float:
@@ -137,16 +131,16 @@ def difference(one: FloatArray, other: FloatArray) -> float:
 # trials
 
 
-def degenerate(kind: Kind, change: Callable[[Samples], Samples]) -> Outcome:
+def degenerate(kind: Kind, name: str) -> Judged:
     """An input that says nothing new: the net still fits as well as a linear map. The momentum rule, slow, beats 1."""
-    data = change(samples())
+    data = with_input(samples(), DEGENERATE[name](samples().resistance_ohm))
     _, mse = trained(kind, data)
     if kind.trainer == "momentum":
         return no_worse(mse, mean_mse(data), "the mean force")
     return no_worse(mse, linear_mse(data), LINEAR)
 
 
-def ten_samples(kind: Kind) -> Outcome:
+def ten_samples(kind: Kind) -> Judged:
     """Ten samples for 9 inputs: on new ones the net knows no less than the mean of the ten."""
     few, new = samples(n=10), samples(seed=2)
     model, _ = trained(kind, few)
@@ -154,20 +148,20 @@ def ten_samples(kind: Kind) -> Outcome:
     return no_worse(evaluate(model, new)["fz"].rmse_n, blind, "the mean of the ten")
 
 
-def ten_samples_stated(kind: Kind) -> Outcome:
+def ten_samples_stated(kind: Kind) -> Judged:
     """What a net of ten samples says of its own error on new ones is of the right size, or too much."""
     new = samples(seed=2)
     model, _ = trained(kind, samples(n=10))
     stated, _ = model.half_widths(new.resistance_ohm)
     error = evaluate(model, new)["fz"].rmse_n / float(np.sqrt(np.mean(stated**2)))
-    return Outcome(error=error, allowed=DECADE, against="its own deviations")
+    return Judged(error=error, allowed=DECADE, against="its own deviations")
 
 
-def many_samples(kind: Kind) -> Outcome:
+def many_samples(kind: Kind) -> Judged:
     """One sample a hundredfold, 36 inputs: the same training as once, in a process of its own whose memory is read."""
     few, _ = repeated(kind, 1)
     many, peak_mib = in_parallel([(repeated, kind, 100)], lambda _: None)[0]
-    return Outcome(error=abs(many / few - 1.0), allowed=ROUNDED, against="each sample once", note=f"{peak_mib:.0f} MiB")
+    return Judged(error=abs(many / few - 1.0), allowed=ROUNDED, against="each sample once", note=f"{peak_mib:.0f} MiB")
 
 
 def repeated(kind: Kind, times: int) -> tuple[float, float]:
@@ -178,17 +172,17 @@ def repeated(kind: Kind, times: int) -> tuple[float, float]:
     return mse, getrusage(RUSAGE_SELF).ru_maxrss / 1024
 
 
-def scaled_targets(kind: Kind, scale: float, iterations: int) -> Outcome:
+def scaled_targets(kind: Kind, scale: float, iterations: int) -> Judged:
     """Forces `scale` times as large: predictions `scale` times as large. A power of two rounds alike: to the bit."""
     data = samples()
     one, _ = trained(kind, data, max_iterations=iterations)
     other, _ = trained(kind, replace(data, force_n=scale * data.force_n), max_iterations=iterations)
     error = difference(other.forces(data.resistance_ohm) / scale, one.forces(data.resistance_ohm))
     allowed = 0.0 if np.frexp(scale)[0] == 0.5 else ROUNDED
-    return Outcome(error=error, allowed=allowed, against="scale 1")
+    return Judged(error=error, allowed=allowed, against="scale 1")
 
 
-def single_precision(kind: Kind) -> Outcome:
+def single_precision(kind: Kind) -> Judged:
     """Float32 arrays train like float64 ones that hold the same values."""
     rounded = [array.astype(np.float32) for array in (samples().resistance_ohm, samples().force_n)]
     models = []
@@ -197,15 +191,15 @@ def single_precision(kind: Kind) -> Outcome:
         data = replace(samples(), **arrays)  # type: ignore[arg-type]  # of single precision on purpose
         models.append(trained(kind, data, max_iterations=50)[0])
     single, double = (model.forces(samples().resistance_ohm) for model in models)
-    return Outcome(error=difference(single, double), allowed=0.0, against="the same values as float64")
+    return Judged(error=difference(single, double), allowed=0.0, against="the same values as float64")
 
 
-def saturated(kind: Kind) -> Outcome:
+def saturated(kind: Kind) -> Judged:
     """A start whose hidden weights are 100 times too large: nodes are ±1, their slope 0."""
     given, start = _start(kind, samples(), HIDDEN)
     point = _from(kind, given, 100.0 * start.hidden.detach(), start, TrainingConfig(trainer=kind.trainer))
     if not all(torch.isfinite(weights).all() for weights in (point.hidden, point.output)):
-        return Outcome(error=np.inf, allowed=0.0, against="finite weights")
+        return Judged(error=np.inf, allowed=0.0, against="finite weights")
     if kind.net == "plain":
         return no_worse(point.mse, mean_mse(samples()), "the mean force")
     return no_worse(point.mse, linear_mse(samples()), LINEAR)
@@ -228,7 +222,7 @@ def _from(kind: Kind, given: TrainingSet, hidden: torch.Tensor, start: Network, 
     return train_lm(given, hidden, start.output.detach(), config, lambda i, mse: None)[0]
 
 
-def refused(kind: Kind, ohm: float) -> Outcome:
+def refused(kind: Kind, ohm: float) -> Judged:
     """One resistance that is none: only a `SampleError` is right."""
     resistance_ohm = samples().resistance_ohm.copy()
     resistance_ohm[7, 1, 2, 0] = ohm
@@ -237,36 +231,36 @@ def refused(kind: Kind, ohm: float) -> Outcome:
     except TriPillarError as error:
         if isinstance(error, SampleError):
             raise
-    return Outcome(error=np.inf, allowed=0.0, against="SampleError")
+    return Judged(error=np.inf, allowed=0.0, against="SampleError")
 
 
-def seeds(kind: Kind) -> Outcome:
+def seeds(kind: Kind) -> Judged:
     """The worst of several random starts, over the median."""
     errors = [trained(kind, samples(), seed=seed)[1] for seed in range(SEEDS)]
     spread = max(errors) / float(np.median(errors))
-    return Outcome(error=spread, allowed=DECADE, against=f"median of {SEEDS} seeds")
+    return Judged(error=spread, allowed=DECADE, against=f"median of {SEEDS} seeds")
 
 
-def noisy(kind: Kind) -> Outcome:
+def noisy(kind: Kind) -> Judged:
     """Readings that are a tenth off: the net fits them as well as a linear map."""
     data = samples(noise=0.1)
     return no_worse(trained(kind, data)[1], linear_mse(data), LINEAR)
 
 
-def noisy_ahead() -> Outcome:
+def noisy_ahead() -> Judged:
     """The same on new samples, for variable projection, which holds samples out in order not to fit the noise.
 
     Allowed: three deviations of the squared error of the 40 × 9 values it judges by, √(2/360) of it each.
     """
     data, new = samples(noise=0.1), samples(seed=2, noise=0.1)
-    model, _ = trained(Kind(trainer="varpro", net="skip"), data)
+    model, _ = trained(Kind("varpro", "skip"), data)
     assert model.least_squares is not None
     linear_n = model.least_squares.forces(new.resistance_ohm)[..., 0] - new.force_n[..., 2]
     error = evaluate(model, new)["fz"].rmse_n ** 2 / float(np.mean(linear_n**2))
-    return Outcome(error=error, allowed=1.0 + 3.0 * np.sqrt(2.0 / 360.0), against=f"{LINEAR}, new samples")
+    return Judged(error=error, allowed=1.0 + 3.0 * np.sqrt(2.0 / 360.0), against=f"{LINEAR}, new samples")
 
 
-def dead_wire(kind: Kind) -> Outcome:
+def dead_wire(kind: Kind) -> Judged:
     """Whatever stands in the place of what cannot be read, the net is the same, to the bit."""
     data = samples(dead_cols=(2,))
     assert data.dead is not None
@@ -278,25 +272,16 @@ def dead_wire(kind: Kind) -> Outcome:
     error = difference(one.forces(data.resistance_ohm), other_model.forces(data.resistance_ohm))
     if kind.trainer != "momentum" and mse > (1.0 + RIDGED) * linear_mse(data):
         error = np.inf
-    return Outcome(error=error, allowed=0.0, against=f"NaN and 1 Ω there, and {LINEAR}")
+    return Judged(error=error, allowed=0.0, against=f"NaN and 1 Ω there, and {LINEAR}")
 
 
-def dead_wire_known_response() -> Outcome:
-    """A dead column wire takes pillars from a joint net that starts from the response: no worse than a linear map."""
-    return _joint(small_response(), dead_cols=(2,))
+def joint(pad_mm: float, dead_cols: tuple[int, ...] = ()) -> Judged:
+    """A joint net that starts from the response of a sensor with some pad, on new samples, against a linear map.
 
-
-def other_response(pad_mm: float) -> Outcome:
-    """The response of a sensor with another pad as a start: the net mends it, or it is refused."""
-    return _joint(small_response(pad_mm=pad_mm))
-
-
-def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
-    """A joint net that starts from a response, on new samples, against a linear map with the same samples.
-
-    A tenth of what both are judged by is rest, as of what such a net is taught; where pillars are dead, knowing of rest
-    costs it a little under load.
+    A net that starts from another pad's response mends it, or is refused. A tenth of the samples that judge both is
+    rest, as of those that teach such a net; where pillars are dead, knowing of rest costs it a little under load.
     """
+    response = small_response(pad_mm=pad_mm)
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")
     data = samples(protocol="three-axis", dead_cols=dead_cols)
     model = train(data, "all", network, TrainingConfig(), response=response)
@@ -305,7 +290,7 @@ def _joint(response: ArrayResponse, dead_cols: tuple[int, ...] = ()) -> Outcome:
     found, linear = (each.forces(new.resistance_ohm) - new.force_n for each in (model, model.least_squares))
     size = new.force_n.std(axis=(0, 1, 2))
     error = float(np.sqrt(((found / size) ** 2).mean() / ((linear / size) ** 2).mean()))
-    return Outcome(error=error, allowed=1.0, against=f"{LINEAR}, new samples and rest")
+    return Judged(error=error, allowed=1.0, against=f"{LINEAR}, new samples and rest")
 
 
 def _with_rest(data: Samples) -> Samples:
@@ -320,7 +305,7 @@ def _with_rest(data: Samples) -> Samples:
     )
 
 
-def one_pair() -> Outcome:
+def one_pair() -> Judged:
     """One measured pair of a specimen whose gains differ by 20 % is worth more than none."""
     response = small_response()
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")
@@ -329,10 +314,10 @@ def one_pair() -> Outcome:
     tuned = fine_tune(model, specimen[:1], response)
     before, after = (evaluate(one, specimen[1:]) for one in (model, tuned))
     error = max(after[name].rmse_n / before[name].rmse_n for name in after)
-    return Outcome(error=error, allowed=1.0, against="the untouched model")
+    return Judged(error=error, allowed=1.0, against="the untouched model")
 
 
-def gradient_at_the_end(kind: Kind) -> Outcome:
+def gradient_at_the_end(kind: Kind) -> Judged:
     """Where a training that may not stop early ends, autograd finds no slope; over that of the start."""
     forever = TrainingConfig(
         trainer=kind.trainer, goal_mse=0.0, max_iterations=2000, patience=2000, least_gain=0.0, held_out=0.0
@@ -351,7 +336,7 @@ def gradient_at_the_end(kind: Kind) -> Outcome:
     with torch.no_grad():
         start.hidden.copy_(point.hidden)
         start.output.copy_(point.output)
-    return Outcome(error=slope(start) / before, allowed=FLAT, against="autograd's slope at the start")
+    return Judged(error=slope(start) / before, allowed=FLAT, against="autograd's slope at the start")
 
 
 def _taught(skip: bool) -> TrainingSet:
@@ -365,33 +350,41 @@ def _taught(skip: bool) -> TrainingSet:
 
 def training_trials() -> list[Trial]:
     """Every line of the table that trains a network."""
-    trials: list[Trial] = []
-
-    def add(name: str, value: str, run: Callable[..., Outcome], *arguments: object) -> None:
-        trials.append(Trial(name=f"training, {name}", value=value, run=lambda: run(*arguments)))
-
-    for kind in ALL_KINDS:
-        for change in (constant, duplicated, collinear):
-            add(f"{change.__name__} input", f"{kind}", degenerate, kind, change)
-        add("10 samples", f"{kind}", ten_samples, kind)
-        add("10 samples", f"{kind}, stated", ten_samples_stated, kind)
-        add("float32", f"{kind}", single_precision, kind)
-        add("dead column wire", f"{kind}", dead_wire, kind)
-        for scale in (2.0**-20, 2.0**20):
-            add("forces scaled", f"{kind}, {scale:.0e}, to the bit", scaled_targets, kind, scale, 50)
-        for scale in (1e-6, 1e6):
-            add("forces scaled", f"{kind}, {scale:g}, 5 iterations", scaled_targets, kind, scale, 5)
-    for kind in SECOND_ORDER:
-        add("saturated start", f"{kind}", saturated, kind)
-        add("20 seeds", f"{kind}", seeds, kind)
-        add("noise 10 %", f"{kind}", noisy, kind)
-        add("slope at the end", f"{kind}", gradient_at_the_end, kind)
-        add("100,000 samples", f"{kind}", many_samples, kind)
-    add("noise 10 %", "varpro skip, new samples", noisy_ahead)
-    for ohm in (np.nan, np.inf, 0.0, -1.0):
-        add("no resistance", f"{ohm:g} Ω", refused, SECOND_ORDER[0], ohm)
-    add("dead column wire", "joint, from the response", dead_wire_known_response)
-    for pad_mm in (10.0, 8.0, 4.0):
-        add("other response", f"pad {pad_mm:g} mm", other_response, pad_mm)
-    add("one pair", "gains ± 20 %", one_pair)
+    every: dict[str, Callable[[Kind], Judged]] = {
+        **{f"{name} input, {{}}": partial(degenerate, name=name) for name in DEGENERATE},
+        "10 samples, {}": ten_samples,
+        "10 samples, {}, stated": ten_samples_stated,
+        "float32, {}": single_precision,
+        "dead column wire, {}": dead_wire,
+        **{
+            f"forces scaled, {{}}, {scale:.0e}, to the bit": partial(scaled_targets, scale=scale, iterations=50)
+            for scale in (2.0**-20, 2.0**20)
+        },
+        **{
+            f"forces scaled, {{}}, {scale:g}, 5 iterations": partial(scaled_targets, scale=scale, iterations=5)
+            for scale in (1e-6, 1e6)
+        },
+    }
+    second_order: dict[str, Callable[[Kind], Judged]] = {
+        "saturated start, {}": saturated,
+        "20 seeds, {}": seeds,
+        "noise 10 %, {}": noisy,
+        "slope at the end, {}": gradient_at_the_end,
+        "100,000 samples, {}": many_samples,
+    }
+    runs: dict[str, Callable[[], Judged]] = {
+        label.format(kind): partial(run, kind)
+        for kinds, table in ((ALL_KINDS, every), (SECOND_ORDER, second_order))
+        for kind in kinds
+        for label, run in table.items()
+    }
+    runs["noise 10 %, varpro skip, new samples"] = noisy_ahead
+    runs |= {f"no resistance, {ohm:g} Ω": partial(refused, SECOND_ORDER[0], ohm) for ohm in (np.nan, np.inf, 0.0, -1.0)}
+    runs["dead column wire, joint, from the response"] = partial(joint, 12.0, dead_cols=(2,))
+    runs |= {f"other response, pad {pad_mm:g} mm": partial(joint, pad_mm) for pad_mm in (10.0, 8.0, 4.0)}
+    runs["one pair, gains ± 20 %"] = one_pair
+    trials = []
+    for label, run in runs.items():
+        name, _, value = label.partition(", ")
+        trials.append(Trial(name=f"training, {name}", value=value, run=run))
     return sorted(trials, key=lambda trial: trial.name)

@@ -1,4 +1,4 @@
-"""Trials and how they are judged."""
+"""Trials and their verdicts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,14 +8,14 @@ from geometry.errors import TriPillarError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a trial found."""
+class Judged:
+    """An answer and the error that it may have."""
 
     residual: float | None = None  #: relative, of the linear systems; None where there are none
     error: float
     allowed: float  #: largest error that is right
     against: str  #: what the error is measured against
-    note: str = ""  #: what else is to be said
+    note: str = ""  #: put behind the verdict
     short_of: float | None = None  #: the tolerance, where the answer says itself that it misses it
 
 
@@ -25,7 +25,7 @@ class Trial:
 
     name: str
     value: str
-    run: Callable[[], Outcome]
+    run: Callable[[], Judged]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +34,16 @@ class Finding:
 
     name: str
     value: str
-    residual: float | None
-    error: float | None
-    allowed: float | None
-    against: str
+    residual: float | None = None
+    error: float | None = None
+    allowed: float | None = None
+    against: str = ""
     seconds: float
     verdict: str  #: "right", "refused: why", "not tried: why" or "WRONG"; after a colon, what else is to be said
+
+    @property
+    def is_wrong(self) -> bool:
+        return self.verdict.startswith("WRONG")
 
 
 class NotTriedError(TriPillarError):
@@ -48,28 +52,19 @@ class NotTriedError(TriPillarError):
 
 def tried(trial: Trial) -> Finding:
     """Run a trial and judge it. A refusal is an error that the package itself raises; any other is WRONG."""
-    start = perf_counter()
-    outcome, verdict = None, ""
+    start, numbers = perf_counter(), {}
     try:
-        outcome = trial.run()
-        verdict = "right" if outcome.error <= outcome.allowed else "WRONG"  # NaN is WRONG
-        if outcome.short_of is not None:
-            verdict += f": as estimated, short of its tolerance {outcome.short_of:g}"
-        if outcome.note:
-            verdict += f": {outcome.note}"
+        found = trial.run()
+        verdict = "right" if found.error <= found.allowed else "WRONG"  # NaN is WRONG
+        if found.short_of is not None:
+            verdict += f": as estimated, short of its tolerance {found.short_of:g}"
+        if found.note:
+            verdict += f": {found.note}"
+        numbers = {name: getattr(found, name) for name in ("residual", "error", "allowed", "against")}
     except NotTriedError as error:
         verdict = f"not tried: {error}"
     except TriPillarError as error:
         verdict = f"refused: {error}"
     except Exception as error:  # whatever it is, a study of crashes reports it and goes on
         verdict = f"WRONG: {type(error).__name__}: {error}"
-    return Finding(
-        name=trial.name,
-        value=trial.value,
-        residual=outcome.residual if outcome else None,
-        error=outcome.error if outcome else None,
-        allowed=outcome.allowed if outcome else None,
-        against=outcome.against if outcome else "",
-        seconds=perf_counter() - start,
-        verdict=verdict,
-    )
+    return Finding(name=trial.name, value=trial.value, seconds=perf_counter() - start, verdict=verdict, **numbers)
