@@ -11,7 +11,7 @@ from geometry import design_from_toml
 from tripillar.sweep.judge import row_of
 from tripillar.sweep.sampling import samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.table import ranked
+from tripillar.sweep.trade_offs import ranked
 
 NOISE, BITS = 0.001, 12  # of the readings
 
@@ -37,7 +37,7 @@ print(f"{len(best)} of {len(rows)} designs are small and strong enough:")
 print("pitch  height   pad    error   range   crosstalk")
 for row in best:
     pitch_mm, height_mm, pad_mm = row.values.values()
-    error_n, range_n, talk = (row.figures[name] for name in ("error_n", "range_n", "crosstalk_1"))
+    error_n, range_n, talk = (row.metrics[name] for name in ("error_n", "range_n", "crosstalk_1"))
     print(f"{pitch_mm:5.1f} {height_mm:6.1f} {pad_mm:6.1f} mm {error_n:5.2f} N {range_n:5.0f} N   {talk:5.2f}")
 
 # 4. The choice, trained on loads of a few indenters. It learns what loads are usual, and so may pass the limit of the

@@ -16,7 +16,7 @@ from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from tripillar.terminal.entry import run_alone
-from tripillar.viewer.page.loads import Indenter, PadLoad
+from tripillar.viewer.page.controls import Indenter, PadLoad
 from tripillar.viewer.sights import panels_of
 
 STEP = 5  #: of 255 levels of a colour: nobody sees it, and a PNG is half as large

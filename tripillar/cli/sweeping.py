@@ -61,24 +61,23 @@ def sweep(
     """
     require_counts(workers=count, best=best)
     require_packages("pyarrow", "matplotlib", *(["dask", "distributed"] if scheduler else []))
-    from tripillar.sweep.rows import flat, write_parquet, write_rows_netcdf
+    from tripillar.sweep.rows import write_parquet, write_rows_netcdf
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of
-    from tripillar.sweep.table import best_table, ranked, reasons
-    from tripillar.sweep.trade_offs import draw_parallel, draw_pareto
-    from tripillar.sweep.workers import workers
+    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.sweep.workers import open_workers
     from tripillar.terminal.tables import show
 
     asked = chosen(file, train)
     samples = samples_of(asked)
     folder = out / f"{file.stem}-rows"
     found = kept_rows(samples, folder, retry)
-    missing = [sample for sample in samples if sample.recipe not in found]
+    missing = [sample for sample in samples if sample.cache_key not in found]
     if missing:
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(verbosity) as bars, workers(count, scheduler, log) as judges:
+        with stoppable(folder), progress_bars(verbosity) as bars, open_workers(count, scheduler, log) as judges:
             found |= judge_all(missing, asked.judging, judges, folder, shown(bars, "designs", len(missing)))
-    rows = [found[sample.recipe] for sample in samples]
+    rows = [found[sample.cache_key] for sample in samples]
     files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
     write_parquet(rows, files[0])
     write_rows_netcdf(rows, files[1])
@@ -88,7 +87,7 @@ def sweep(
         draw_parallel(rows, asked, files[3])
     failed = reasons(rows)
     if json_:
-        best_rows = [flat(row) for row in ranked(rows, asked)[:best]]
+        best_rows = [row.flat() for row in ranked(rows, asked)[:best]]
         counts = {
             "designs": len(rows),
             "judged_now": len(missing),
@@ -121,10 +120,9 @@ def optimize(
     require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
     from geometry.storage.files import replacing
     from tripillar.sweep.optimize import finished, open_study, search, written
-    from tripillar.sweep.rows import flat
     from tripillar.sweep.run import kept_rows
-    from tripillar.sweep.table import best_table, ranked
-    from tripillar.sweep.workers import workers
+    from tripillar.sweep.trade_offs import best_table, ranked
+    from tripillar.sweep.workers import open_workers
     from tripillar.terminal.tables import show
 
     asked = chosen(file, train=False)
@@ -138,13 +136,13 @@ def optimize(
     kept = kept_rows(done, folder)
     rows = list(kept.values())
     left = max(0, asked.samples - len(done))
-    if left or len(kept) < len({sample.recipe for sample in done}):
+    if left or len(kept) < len({sample.cache_key for sample in done}):
         log = out / f"{file.stem}-workers.log"
         with (
             written(journal),
             stoppable(folder),
             progress_bars(verbosity) as bars,
-            workers(count, scheduler, log) as judges,
+            open_workers(count, scheduler, log) as judges,
         ):
             rows = search(asked, study, judges, folder, shown(bars, "trials", left))
     best = ranked(rows, asked)
@@ -157,7 +155,7 @@ def optimize(
         temporary.write_text(best[0].design or "", encoding="utf-8")
     if json_:
         counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
-        show_json(counts | {"best": flat(best[0]), "file": str(path)})
+        show_json(counts | {"best": best[0].flat(), "file": str(path)})
     else:
         show(best_table(rows, asked, 5))
     wrote([path])
@@ -180,7 +178,7 @@ def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:
     """Progress of rows as a bar."""
     advance = bars.begin(what, total=total)
     advance(0, "workers begin")
-    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.figures['seconds']:.1f} s")
+    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.metrics['seconds']:.1f} s")
 
 
 def require_counts(**counts: int | None) -> None:

@@ -22,7 +22,7 @@ from tripillar.terminal.console import (
     show_json,
     wrote,
 )
-from tripillar.viewer.page.options import (
+from tripillar.viewer.page.opening import (
     HTTP_PORT,
     LOOPBACK,
     HostOption,

@@ -1,4 +1,4 @@
-"""The best design under given bounds, by a search whose every trial is kept: TPE of optuna, seeded and resumable."""
+"""The search for the best design within bounds: TPE of optuna, seeded; every trial is kept, so it can be resumed."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -89,7 +89,7 @@ def search(
     rows = kept_rows(done, folder)
 
     def judged(samples: list[Sample]) -> None:
-        missing = {sample.recipe: sample for sample in samples if sample.recipe not in rows}
+        missing = {sample.cache_key: sample for sample in samples if sample.cache_key not in rows}
         rows.update(judge_all(list(missing.values()), sweep.judging, workers, folder))
 
     judged(done)
@@ -99,19 +99,19 @@ def search(
         batch = [_sample(sweep, trial.params) for trial in trials]
         judged(batch)
         for trial, sample in zip(trials, batch, strict=True):
-            study.tell(trial, value(rows[sample.recipe], sweep))
+            study.tell(trial, value(rows[sample.cache_key], sweep))
             done.append(sample)
-            progress(rows[sample.recipe])
+            progress(rows[sample.cache_key])
     return list(rows.values())
 
 
 def value(row: Row, sweep: Sweep) -> float:
-    """What the search lessens: the sweep's figure within the bounds, `OUTSIDE` and more where they are left."""
-    figure = row.figures.get(sweep.least)
-    excess = sweep.excess(row.figures)
-    if row.failed or figure is None:
+    """The number that the search minimises: the sweep's metric within the bounds, `OUTSIDE` and more beyond them."""
+    metric = row.metrics.get(sweep.least)
+    excess = sweep.excess(row.metrics)
+    if row.failed or metric is None:
         return 1e3 * OUTSIDE
-    return OUTSIDE * (1.0 + min(excess, 100.0)) if excess else figure
+    return OUTSIDE * (1.0 + min(excess, 100.0)) if excess else metric
 
 
 def _sample(sweep: Sweep, shares: dict[str, float]) -> Sample:

@@ -18,9 +18,9 @@ QUIET_S = 120.0  #: how long no design may end before it is said why
 
 
 def kept_rows(samples: Sequence[Sample], folder: Path, retry: bool = False) -> dict[str, Row]:
-    """Rows of earlier runs by recipe; with `retry`, without those that failed."""
-    found = {sample.recipe: read_row(folder, sample.recipe) for sample in samples}
-    return {recipe: row for recipe, row in found.items() if row is not None and not (retry and row.failed)}
+    """Rows of earlier runs by cache_key; with `retry`, without those that failed."""
+    found = {sample.cache_key: read_row(folder, sample.cache_key) for sample in samples}
+    return {cache_key: row for cache_key, row in found.items() if row is not None and not (retry and row.failed)}
 
 
 def judge_all(
@@ -30,7 +30,7 @@ def judge_all(
     folder: Path,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> dict[str, Row]:
-    """Have designs judged; every row is written as it comes. Returns the rows by recipe.
+    """Have designs judged; every row is written as it comes. Returns the rows by cache_key.
 
     Raises
     ------
@@ -42,26 +42,26 @@ def judge_all(
     rows = {}
     for row in _judged(samples, judging, workers):
         write_row(row, folder)
-        rows[row.recipe] = row
+        rows[row.cache_key] = row
         progress(row)
     return rows
 
 
 def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> Iterator[Row]:
     """Rows as they finish. A design waits while another one makes a stage that both need: none is made twice."""
-    waiting = {sample.recipe: sample for sample in samples}
-    stages = {sample.recipe: shared_stages(sample, judging) for sample in samples}
+    waiting = {sample.cache_key: sample for sample in samples}
+    stages = {sample.cache_key: shared_stages(sample, judging) for sample in samples}
     made: set[str] = set()
-    making: dict[str, set[str]] = {}  #: stages of the designs in work, by recipe
+    making: dict[str, set[str]] = {}  #: stages of the designs in work, by cache_key
     while waiting or making:
         count = workers.count
-        for recipe in list(waiting):
-            own = stages[recipe] - made
+        for cache_key in list(waiting):
+            own = stages[cache_key] - made
             if len(making) < count and own.isdisjoint(set().union(*making.values())):
-                making[recipe] = own
-                workers.give(waiting.pop(recipe), judging)
+                making[cache_key] = own
+                workers.give(waiting.pop(cache_key), judging)
         row = _next_row(workers)
-        made |= making.pop(row.recipe)
+        made |= making.pop(row.cache_key)
         yield row
 
 

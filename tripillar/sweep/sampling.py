@@ -15,14 +15,14 @@ from geometry.storage.files import digest
 from tripillar.sweep.sweep_file import Judging, Sweep
 from tripillar.sweep.variables import plain, value_of, with_values
 
-VERSION = 1  #: raise when the same design and settings give other figures, so that kept rows are not reused
+VERSION = 1  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
     """One design of a sweep, or why there is none of these numbers."""
 
-    recipe: str  #: hash of the design and of how it is judged
+    cache_key: str  #: hash of the design and of how it is judged
     values: dict[str, float]  #: of the varied keys
     design: SensorDesign | None
     reason: str = ""  #: why there is no design
@@ -33,7 +33,7 @@ def samples_of(sweep: Sweep) -> list[Sample]:
     found: dict[str, Sample] = {}
     for numbers in points_of(sweep):
         sample = sample_at(sweep, numbers)
-        found.setdefault(sample.recipe, sample)
+        found.setdefault(sample.cache_key, sample)
     return list(found.values())
 
 
@@ -57,12 +57,12 @@ def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
     try:
         design = design_from_dict(table, "not a design")
     except DesignError as error:
-        recipe = digest("row", VERSION, table, sweep.judging)
-        return Sample(recipe=recipe, values=values, design=None, reason=str(error))
-    return Sample(recipe=row_recipe(design, sweep.judging), values=values, design=design)
+        cache_key = digest("row", VERSION, table, sweep.judging)
+        return Sample(cache_key=cache_key, values=values, design=None, reason=str(error))
+    return Sample(cache_key=row_key(design, sweep.judging), values=values, design=design)
 
 
-def row_recipe(design: SensorDesign, judging: Judging) -> str:
+def row_key(design: SensorDesign, judging: Judging) -> str:
     """Hash of all that a design's row depends on."""
     response = response_recipe(design, ResponseSettings(tolerance=judging.tolerance))
     return digest("row", VERSION, response, design, judging)

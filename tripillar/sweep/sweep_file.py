@@ -13,7 +13,7 @@ from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.storage.text_file import read_text, tables_of
-from tripillar.sweep.merits import FIGURES
+from tripillar.sweep.rows import METRICS
 from tripillar.sweep.variables import Variable
 
 SAMPLINGS = ("sobol", "latin-hypercube", "grid")
@@ -42,7 +42,7 @@ class Judging:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Limits of a figure, for designs to be acceptable."""
+    """Limits of a metric, for designs to be acceptable."""
 
     least: float = -math.inf
     most: float = math.inf
@@ -71,9 +71,9 @@ class Sweep:
     sampling: Literal["sobol", "latin-hypercube", "grid"] = "sobol"
     samples: int = 64  #: designs, but for a grid, which has as many as its values make; trials of `optimize`
     seed: int = 0
-    least: str = "error_n"  #: the figure whose least value makes a design the best
+    least: str = "error_n"  #: the metric to minimise
     judging: Judging = field(default_factory=Judging)
-    bounds: dict[str, Bound] = field(default_factory=dict)  #: by figure
+    bounds: dict[str, Bound] = field(default_factory=dict)  #: by metric
 
     def __post_init__(self) -> None:
         if not self.variables:
@@ -93,8 +93,8 @@ class Sweep:
         if not _whole(self.seed) or not 0 <= self.seed < 2**32:
             raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
         for name in (self.least, *self.bounds):
-            if not isinstance(name, str) or name not in FIGURES:
-                raise DesignError(f"no figure {name!r}; known are {', '.join(FIGURES)}.")
+            if not isinstance(name, str) or name not in METRICS:
+                raise DesignError(f"no metric {name!r}; known are {', '.join(METRICS)}.")
         if self.sampling == "grid":
             count = math.prod(len(variable.grid()) for variable in self.variables)
             if count > MAX_SAMPLES:
@@ -104,9 +104,9 @@ class Sweep:
             if gridded is not None:
                 raise DesignError(f"{gridded.name}: steps belong to sampling = 'grid'.")
 
-    def excess(self, figures: dict[str, float | None]) -> float:
-        """How far a design's figures are out of bounds, summed; 0 if all are within."""
-        return sum(bound.excess(figures.get(name)) for name, bound in self.bounds.items())
+    def excess(self, metrics: dict[str, float | None]) -> float:
+        """Sum of how far a design's metrics are out of bounds; 0 if all are within."""
+        return sum(bound.excess(metrics.get(name)) for name, bound in self.bounds.items())
 
 
 def read_sweep(path: Path) -> Sweep:

@@ -1,4 +1,4 @@
-"""Pictures of a sweep: what an accurate sensor costs in range and in size, and where the good designs lie."""
+"""The results of a sweep for people: a table of the best designs, and pictures of error against range and size."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,25 +6,57 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.markup import escape
+from rich.table import Table
 from scipy.stats import spearmanr
 
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
-from tripillar.sweep.merits import figure_label
-from tripillar.sweep.rows import Row
+from tripillar.sweep.rows import Row, metric_label
 from tripillar.sweep.sweep_file import Sweep
-from tripillar.sweep.table import ranked
 from tripillar.sweep.variables import Variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
 GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front, and how many are drawn thick
-AGAINST = (("range_n", True), ("area_cm2", False))  #: figures of the Pareto picture, and whether more is better
-BESIDE = ("range_n", "crosstalk_1", "condition")  #: figures of the parallel axes, after the keys
+AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
+BESIDE = ("range_n", "crosstalk_1", "condition")  #: metrics of the parallel axes, after the keys
 HOPELESS = 100.0  #: times the least error (or another figure) from which designs are drawn at the edge: no good anyhow
 PALE = 0.55  #: strength of colour of the lines that are not among the best
 WIDE = 20.0  #: ratio of the largest to the least value from which an axis is logarithmic
+
+
+def ranked(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
+    """Rows within the sweep's bounds, the best first."""
+    sound = [row for row in rows if not row.failed and not sweep.excess(row.metrics)]
+    return sorted(sound, key=lambda row: row.metric(sweep.least))
+
+
+def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
+    """The best designs within the bounds, a line each."""
+    best = ranked(rows, sweep)
+    failed = sum(row.failed for row in rows)
+    sound = len(rows) - failed
+    least = escape(metric_label(sweep.least))
+    outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
+    table = Table(title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed")
+    for label in (*(variable.label for variable in sweep.variables), *map(metric_label, SHOWN)):
+        table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
+    for row in best[:count]:
+        values = (f"{row.values[variable.name]:.4g}" for variable in sweep.variables)
+        table.add_row(*values, *(f"{row.metric(name):.3g}" for name in SHOWN))
+    return table
+
+
+def reasons(rows: Sequence[Row]) -> dict[str, list[str]]:
+    """Why designs failed, a reason a design, by the kind of the error."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        if row.failed:
+            found.setdefault(row.reason.split(":")[0], []).append(row.reason)
+    return found
 
 
 def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
@@ -33,7 +65,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
-    within = np.array([not sweep.excess(row.figures) for row in sound])
+    within = np.array([not sweep.excess(row.metrics) for row in sound])
     whole = _column(sound, sweep.least)
     error = _clipped(whole)
     variable = telling_variable(sound, sweep)
@@ -64,11 +96,11 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
             label=label,
         )
         axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
-        axes.set(xlabel=f"{figure_label(name)}, {'more' if more else 'less'} is better")
+        axes.set(xlabel=f"{metric_label(name)}, {'more' if more else 'less'} is better")
         _scale(axes, "x", other)
         _scale(axes, "y", error)
         axes.grid(visible=True, which="major", alpha=0.25)
-    figure.axes[0].set_ylabel(f"{figure_label(sweep.least)}, less is better")
+    figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
     figure.axes[1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
     counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int((error < whole).sum())}
@@ -79,20 +111,20 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
 
 def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
-    """Write a PNG of parallel coordinates: a line a design through its keys and figures, the best ones thick."""
+    """Write a PNG of parallel coordinates: a line a design through its keys and metrics, the best ones thick."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
-    best = {row.recipe: place for place, row in enumerate(ranked(rows, sweep)[:BEST])}
-    figures = [sweep.least, *(name for name in BESIDE if name != sweep.least)]
-    labels = [*(variable.label for variable in sweep.variables), *map(figure_label, figures)]
+    best = {row.cache_key: place for place, row in enumerate(ranked(rows, sweep)[:BEST])}
+    metrics = [sweep.least, *(name for name in BESIDE if name != sweep.least)]
+    labels = [*(variable.label for variable in sweep.variables), *map(metric_label, metrics)]
     columns = [np.array([row.values[variable.name] for row in sound]) for variable in sweep.variables]
-    columns += [_clipped(_column(sound, name)) for name in figures]
+    columns += [_clipped(_column(sound, name)) for name in metrics]
     cut = [False] * len(sweep.variables) + [
-        bool((_column(sound, name) > HOPELESS * _least(sound, name)).any()) for name in figures
+        bool((_column(sound, name) > HOPELESS * _least(sound, name)).any()) for name in metrics
     ]
     axis = zip(labels, columns, cut, strict=True)
     kept = [(label, column, ends) for label, column, ends in axis if np.isfinite(column).any()]
@@ -103,8 +135,8 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     axes = figure.subplots()
     places = np.arange(len(kept))
     for k in np.argsort(-goal):  # the best are drawn last, on top
-        thick = sound[k].recipe in best
-        colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].figures) else to_rgb(GREY))
+        thick = sound[k].cache_key in best
+        colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].metrics) else to_rgb(GREY))
         paler = colour if thick else 1.0 - PALE * (1.0 - colour)
         axes.plot(places, heights[:, k], color=tuple(paler), linewidth=2.6 if thick else 1.0, zorder=3 if thick else 2)
     for place, (_, column, ends) in enumerate(kept):
@@ -122,7 +154,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
     grey = "; grey: out of bounds" if sweep.bounds else ""
-    bar.set_label(f"{figure_label(sweep.least)}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
+    bar.set_label(f"{metric_label(sweep.least)}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -159,7 +191,7 @@ def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
 
 
 def _column(rows: Sequence[Row], name: str) -> FloatArray:
-    found = [row.figures.get(name) for row in rows]
+    found = [row.metrics.get(name) for row in rows]
     return np.array([np.nan if value is None else value for value in found])
 
 

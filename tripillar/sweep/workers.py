@@ -1,36 +1,69 @@
-"""Who judges designs: processes of this machine, or the workers of a Dask scheduler that runs already."""
+"""Workers that judge designs: processes of this machine, or the workers of a Dask scheduler that runs already.
 
+A process of this machine is at the end of a pipe that nobody else can reach: no port is opened. A scheduler's address
+and, by Dask's own configuration, its certificates are the user's.
+"""
+
+import logging
 import os
+import signal
+import sys
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker, util
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Protocol
+from queue import Empty, SimpleQueue
+from threading import Thread
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
+import psutil
+
+from decoupler.evaluation.crossval import deaf_to_interrupts, one_thread_each
 from geometry.errors import DesignError
+from geometry.storage.files import cache_folder, scratch
+from geometry.storage.unfinished import remove_at_end
+from tripillar.sweep.judge import failed_row, row_of
 from tripillar.sweep.rows import Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
+from tripillar.terminal import interrupts
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+MEMORY_BYTES = 4 * 2**30  #: a worker that takes more is ended
+LIMIT_S = 3600.0  #: a worker that judges a design for longer is ended: its mesher hangs
+TRIES = 4  #: workers that a design may end before it counts as failed
+KILLS = 20  #: the same with workers that were killed, which is rarely the design's fault
+LOOK_S = 0.5  #: how often memory and time of a worker are looked at
+STOP_S = 0.4  #: how long workers may take to end, half-written files removed, before they are killed
+CONNECT_S = 15  #: how long a scheduler is waited for, and then its first worker
 
 
 class Workers(Protocol):
-    """What a sweep asks of its workers."""
+    """Workers as a sweep uses them."""
 
     @property
     def count(self) -> int:
-        """How many designs they judge at a time."""
+        """Number of designs that they judge at a time."""
 
     def give(self, sample: Sample, judging: Judging) -> None:
-        """Have a design judged."""
+        """Give them a design to judge."""
 
     def row(self, wait_s: float) -> Row | None:
-        """The row of a design that was given, as soon as there is one; None if there is none for `wait_s`."""
+        """The row of a design that was given, as soon as one is ready; None if none is within `wait_s`."""
 
     def state(self) -> str:
-        """What they are at, for a user who waits."""
+        """Their state in words, for a user who waits."""
 
 
 @contextmanager
-def workers(count: int | None, scheduler: str | None, log: Path) -> Iterator[Workers]:
+def open_workers(count: int | None, scheduler: str | None, log: Path) -> Iterator[Workers]:
     """Workers, ended when the context is left.
 
     Parameters
@@ -49,14 +82,257 @@ def workers(count: int | None, scheduler: str | None, log: Path) -> Iterator[Wor
         If both are given, there is no scheduler at the address, or it has no workers.
     """
     if scheduler is None:
-        from tripillar.sweep.local import LocalWorkers
-
         with LocalWorkers(count or os.cpu_count() or 1, log) as local:
             yield local
         return
     if count is not None:
         raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
-    from tripillar.sweep.cluster import connected
-
     with connected(scheduler) as cluster:
         yield cluster
+
+
+# processes of this machine
+
+
+class WorkerLost(Exception):
+    """A worker process ended, or was ended, before it gave a row."""
+
+    def __init__(self, why: str, killed: bool = False) -> None:
+        super().__init__(f"its worker {why}")
+        self.killed = killed  #: by somebody else
+
+
+class LocalWorkers:
+    """Processes that judge a design at a time each; see `Workers`. One that ends is replaced, its design tried again.
+
+    Each is attended by a thread, in which it is begun: the main thread is free to answer Ctrl-C at once.
+    """
+
+    def __init__(self, count: int, log: Path) -> None:
+        self.count = count
+        self._log = log
+        self._memory_bytes = min(MEMORY_BYTES, psutil.virtual_memory().total // count)
+        self._tasks: SimpleQueue[tuple[Sample, Judging]] = SimpleQueue()
+        self._ended: SimpleQueue[Row | Exception] = SimpleQueue()
+        self._begun: dict[str, float] = {}  #: of the designs in work, by cache_key
+        self._processes: set[BaseProcess] = set()
+        self._losses: list[str] = []
+        self._closed = False
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._log.parent.mkdir(parents=True, exist_ok=True)
+        self._log.touch()
+        self._scratch = self._stack.enter_context(scratch())
+        self._stack.enter_context(one_thread_each())
+        for _ in range(self.count):
+            Thread(target=self._attend, daemon=True).start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._closed = True
+        processes = list(self._processes)
+        for process in processes:
+            process.terminate()
+        until = monotonic() + STOP_S
+        for process in processes:
+            process.join(max(0.0, until - monotonic()))
+            process.kill()
+        self._stack.close()
+
+    def give(self, sample: Sample, judging: Judging) -> None:
+        self._tasks.put((sample, judging))
+
+    def row(self, wait_s: float) -> Row | None:
+        """See `Workers`; raises what is not the design's fault, such as the `OSError` of a full disk."""
+        try:
+            ended = self._ended.get(timeout=wait_s)
+        except Empty:
+            return None
+        if isinstance(ended, Exception):
+            raise ended
+        return ended
+
+    def state(self) -> str:
+        now = monotonic()
+        spent = sorted((now - begun for begun in list(self._begun.values())), reverse=True)
+        work = f"{len(spent)} designs are in work, the longest for {spent[0]:.0f} s" if spent else "none is in work"
+        lost = f"; {len(self._losses)} workers were lost, the last one: {self._losses[-1]}" if self._losses else ""
+        return f"{work}{lost}; what they print is in {self._log}"
+
+    def _attend(self) -> None:
+        """Keep a worker at work; in a thread of its own."""
+        resource_tracker.ensure_running()  # lets Ctrl-C through again, so before the line that stops it
+        with deaf_to_interrupts():
+            worker = None
+            while not self._closed:
+                sample, judging = self._tasks.get()
+                self._begun[sample.cache_key] = monotonic()
+                result: Row | Exception | None = None
+                lost: list[WorkerLost] = []
+                while result is None and not self._closed:
+                    try:
+                        worker = worker or self._start()
+                        result = self._judged(worker, sample, judging)
+                    except WorkerLost as error:
+                        if interrupts.ending():
+                            return
+                        worker = None
+                        lost.append(error)
+                        self._losses.append(str(error))
+                        if len(lost) == KILLS or sum(not each.killed for each in lost) == TRIES:
+                            result = failed_row(sample, error, f", the last of {len(lost)}")
+                    except Exception as error:  # nobody sees what a thread raises: the main one is to raise it
+                        result = error
+                del self._begun[sample.cache_key]
+                self._ended.put(result)
+
+    def _start(self) -> "_Worker":
+        """Begin a process; a copy of one that has loaded the packages already, where the system can."""
+        context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
+        if context.get_start_method() == "forkserver":
+            context.set_forkserver_preload(["__main__", __name__, "xarray", "netCDF4"])
+            remove_at_end(Path(util.get_temp_dir()))  # where the server's socket will be
+        ours, theirs = context.Pipe()
+        environment = {"TRIPILLAR_CACHE": str(cache_folder().absolute()), "TMPDIR": str(self._scratch)}
+        process = context.Process(target=_serve, args=(theirs, self._log.absolute(), environment), daemon=True)
+        try:
+            process.start()
+        except (EOFError, ConnectionError):
+            raise WorkerLost("could not be begun", killed=True) from None
+        theirs.close()
+        self._processes.add(process)
+        if self._closed:
+            process.kill()
+        return _Worker(process, ours)
+
+    def _judged(self, worker: "_Worker", sample: Sample, judging: Judging) -> Row | OSError:
+        begun = monotonic()
+        try:
+            worker.pipe.send((sample, judging))
+            while not worker.pipe.poll(LOOK_S):
+                if _memory_bytes(worker.process) > self._memory_bytes:
+                    raise self._lost(worker, f"took more than {self._memory_bytes / 2**30:.1f} GiB")
+                if monotonic() - begun > LIMIT_S:
+                    raise self._lost(worker, f"took more than {LIMIT_S:.0f} s")
+            result: Row | OSError = worker.pipe.recv()
+            return result
+        except (EOFError, ConnectionError, psutil.NoSuchProcess):
+            worker.process.join(1.0)
+            code = worker.process.exitcode or 0
+            number = -code if code < 0 else code - 128
+            by_signal = number in signal.valid_signals()
+            why = f"ended by {signal.Signals(number).name}" if by_signal else f"ended with exit code {code}"
+            raise self._lost(worker, why, killed=number in (signal.SIGKILL, signal.SIGTERM)) from None
+
+    def _lost(self, worker: "_Worker", why: str, killed: bool = False) -> WorkerLost:
+        worker.process.kill()
+        worker.pipe.close()
+        self._processes.discard(worker.process)
+        return WorkerLost(why, killed)
+
+
+@dataclass
+class _Worker:
+    process: BaseProcess
+    pipe: Connection
+
+
+def _memory_bytes(process: BaseProcess) -> int:
+    """Memory of a worker and of its mesher, a process of its own."""
+    worker = psutil.Process(process.pid)
+    taken: int = worker.memory_info().rss
+    for child in worker.children():
+        with suppress(psutil.NoSuchProcess):
+            taken += child.memory_info().rss
+    return taken
+
+
+def _serve(pipe: Connection, log: Path, environment: dict[str, str]) -> None:
+    """Run a worker: take designs from its pipe and return their rows, until it is ended or its parent is gone."""
+    interrupts.install()  # to remove half-written files when it is ended
+    Thread(target=_end_with_parent, daemon=True).start()
+    os.environ.update(environment)
+    tempfile.tempdir = None  # it is looked up once, and that was before
+    kept = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        os.dup2(kept, stream.fileno())
+    while True:
+        sample, judging = pipe.recv()
+        try:
+            result: Row | OSError = row_of(sample, judging)
+        except OSError as error:
+            result = error
+        except Exception as error:  # whatever it is, it is this design's, and the others go on
+            result = failed_row(sample, error)
+        pipe.send(result)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+    os._exit(1)
+
+
+# a Dask scheduler
+
+
+class ClusterWorkers:
+    """The workers of a client's scheduler; see `Workers`. Dask gives a lost worker's design to another, thrice."""
+
+    def __init__(self, client: "Client") -> None:
+        self._client = client
+        self._ended: SimpleQueue[Future] = SimpleQueue()
+        self._flying: dict[Future, Sample] = {}
+
+    @property
+    def count(self) -> int:
+        return max(1, sum(self._client.nthreads().values()))
+
+    def give(self, sample: Sample, judging: Judging) -> None:
+        future = self._client.submit(row_of, sample, judging, pure=False)
+        self._flying[future] = sample
+        future.add_done_callback(self._ended.put)
+
+    def row(self, wait_s: float) -> Row | None:
+        """See `Workers`; `DesignError` if the scheduler is lost, `OSError` if a worker's disk is full or the like."""
+        try:
+            future = self._ended.get(timeout=wait_s)
+        except Empty:
+            return None
+        sample = self._flying.pop(future)
+        if future.cancelled():
+            raise DesignError("the scheduler is gone; rows that came are kept: give the same command again to go on.")
+        error = future.exception()
+        if isinstance(error, OSError):
+            raise error
+        row: Row = future.result() if error is None else failed_row(sample, error)
+        return row
+
+    def state(self) -> str:
+        threads = self._client.nthreads()
+        if not threads:
+            return f"the scheduler has lost its workers: start some by 'dask worker {self._client.scheduler.address}'"
+        return f"{len(self._flying)} designs are with {len(threads)} workers of the scheduler"
+
+
+@contextmanager
+def connected(scheduler: str) -> Iterator[ClusterWorkers]:
+    """The workers of the scheduler at an address; errors as in `open_workers`."""
+    from distributed import Client
+    from distributed.utils import silence_logging_cmgr
+
+    try:
+        client = Client(scheduler, timeout=CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:  # TypeError: no certificates for tls://
+        raise DesignError(f"no scheduler at {scheduler} ({error}): start one by 'dask scheduler'.") from None
+    with silence_logging_cmgr(logging.CRITICAL), client:  # a lost scheduler is one line, not its traceback
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise DesignError(
+                f"the scheduler at {scheduler} has no workers: start some by 'dask worker {scheduler}'."
+            ) from None
+        yield ClusterWorkers(client)

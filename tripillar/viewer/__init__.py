@@ -1,4 +1,5 @@
-"""Looking at loaded sensors and scenes: `tripillar view`, its pictures, films and files for other viewers.
+"""Pictures of loaded sensors and scenes for `tripillar view`.
 
-Open `command.py` first; `sights.py` says what is shown, `saving.py` how it becomes a file.
+In: a design with pressures, or a scene. `sights.py` solves for the panels, `saving.py` writes them as a picture, a
+page, a film or a file for other viewers; `page/` serves an array live to browsers.
 """

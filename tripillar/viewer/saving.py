@@ -1,8 +1,10 @@
-"""A picture as a file: PNG, a page, a film, or parts with their fields for ParaView."""
+"""Files of a picture: PNG, a page for any browser, a film, or parts with their fields for ParaView."""
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
+from html import escape
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,13 +13,34 @@ import pyvista as pv
 
 from fem.fields.deformed import Parts
 from fem.fields.stress import pressure, von_mises
+from fem.pictures.colours import Bar
 from fem.pictures.deformation import DeformedPicture, Medium, grid_of
 from geometry.errors import NotWrittenError
 from geometry.storage.files import replacing, scratch, write_bytes
 from geometry.storage.vtk_file import vtk_content
-from tripillar.viewer.saved_page import own_page
 
-FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those of them that hold the whole load, and how many a second
+FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those at its end under the whole load, and frames a second
+STYLE = Path(__file__).with_name("saved.css").read_text(encoding="utf-8")  #: of the saved page
+#: places pictures one below the other where the window is higher than wide
+STACKED = """
+const many = matchMedia('(max-aspect-ratio: 1)');
+function stack() {
+  const all = window.global.renderWindow?.getRenderers() ?? [];
+  const renderers = all.filter(one => one.getActors().length);
+  const n = renderers.length;
+  if (n < +getComputedStyle(document.querySelector('main')).getPropertyValue('--n')) return setTimeout(stack, 50);
+  renderers.forEach((one, k) => one.setViewport(
+    ...(many.matches ? [0, 1 - (k + 1) / n, 1, 1 - k / n] : [k / n, 0, (k + 1) / n, 1])));
+  window.global.renderWindow.render();
+}
+many.addEventListener('change', stack);
+stack();
+"""
+#: the policy of the saved page: nothing is loaded from anywhere but the file itself
+NOTHING_FROM_OUTSIDE = (
+    "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'unsafe-inline'; "
+    "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:\">"
+)
 
 
 def save_png(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
@@ -28,7 +51,7 @@ def save_png(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> 
 
 
 def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
-    """Write a page to turn the picture in, with all that it needs inside: it opens without a network."""
+    """Write a page in which the picture can be turned; it opens without a network."""
     import asyncio
 
     from trame.app import get_server
@@ -38,7 +61,7 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     vtk.initialize(server)
 
     async def exported() -> str:
-        """The page, as a server on loopback that nobody else is told of makes it."""
+        """The page of PyVista's own exporter, which needs a server on loopback."""
         server.start(
             exec_mode="task", host="127.0.0.1", port=0, open_browser=False, show_connection_info=False,
             disable_logging=True, timeout=0, backend="aiohttp",
@@ -55,8 +78,42 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     done()
 
 
+def own_page(page: str, picture: DeformedPicture) -> str:
+    """The viewer's page with our title, names and colour bars; it loads nothing, its icons included."""
+    head = f"<title>TriPillar: {escape(', '.join(picture.names))}</title>{NOTHING_FROM_OUTSIDE}<style>{STYLE}</style>"
+    page = re.sub("<title>.*?</title>", lambda _: head, page, count=1)
+    page = re.sub(r"https://[^`\"']*/favicon-[^`\"']*", "data:,", page)
+    start, end, rest = page.rpartition("</body>")
+    return start + _stage(picture) + end + rest
+
+
+def _stage(picture: DeformedPicture) -> str:
+    """HTML of the place that the viewer fills, with names above its pictures and colour bars below."""
+    names = "".join(f"<span>{escape(name)}</span>" for name in picture.names)
+    bars = "".join(_bar(bar) for bar in picture.bars)
+    return (
+        f'<main style="--n: {len(picture.names)}; --aspect: {picture.aspect:.3f}"><div class="stage">'
+        f'<div class="frame"><div class="content"></div><div class="names">{names}</div></div></div>'
+        f'<div class="legend">{bars}<div>{picture.note}<br><span class="dim">drag to turn, scroll or pinch to zoom'
+        f"</span></div></div></main><script>{STACKED}</script>"
+    )
+
+
+def _bar(bar: Bar) -> str:
+    """HTML of a colour bar."""
+    labels = "".join(
+        f'<span style="left:{100 * (value - bar.low) / (bar.high - bar.low):.2f}%">{words}</span>'
+        for value, words in bar.labels.items()
+    )
+    gradient = ", ".join(bar.colours[::6] + bar.colours[-1:])
+    return (
+        f'<div class="bar">{bar.title}<div style="background:linear-gradient(to right, {gradient})"></div>'
+        f'<div class="labels">{labels}</div></div>'
+    )
+
+
 def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) -> None:
-    """Write an MP4 of the load rising from nothing; `done` is called after each frame."""
+    """Write an MP4 of the load rising from zero; `done` is called after each frame."""
     import imageio
 
     with scratch() as folder:
@@ -80,7 +137,7 @@ def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
 
 
 def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
-    """Parts at rest with displacement and stress at their points, as VTM and a folder of the same name."""
+    """Write parts at rest with displacement and stress at their points: a VTM file and a folder of the same name."""
     blocks = pv.MultiBlock({name: pv.MultiBlock(_datasets(parts)) for name, parts in panels.items()})
     if len(panels) == 1:
         blocks = blocks[0]
@@ -97,7 +154,7 @@ def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
 
 
 def _write_blocks(blocks: pv.MultiBlock, parent: ElementTree.Element, parts: Path, folder: str) -> None:
-    """Write each grid as a file into `parts` and its name, as one in `folder`, under the XML element `parent`."""
+    """Write each grid as a file into `parts`, and a reference to it in `folder` under the XML element `parent`."""
     for number, name in enumerate(blocks.keys()):
         block = blocks[number]
         if isinstance(block, pv.MultiBlock):
@@ -111,6 +168,7 @@ def _write_blocks(blocks: pv.MultiBlock, parent: ElementTree.Element, parts: Pat
 
 
 def _datasets(parts: Parts) -> dict[str, pv.DataSet]:
+    """Grids of parts with their fields."""
     found = {}
     for name, part in parts.items():
         grid = grid_of(part)
@@ -125,7 +183,7 @@ def _datasets(parts: Parts) -> dict[str, pv.DataSet]:
     return found
 
 
-#: what a picture for each kind of file is drawn for, and what writes it
+#: by suffix of the file: the medium that the picture is drawn for, and the function that writes it
 SAVERS: dict[str, tuple[Medium, Callable[[DeformedPicture, Path, Callable[[], None]], None]]] = {
     ".png": ("file", save_png),
     ".html": ("page", save_html),

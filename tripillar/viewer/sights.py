@@ -1,4 +1,4 @@
-"""What is looked at: a design under pressures, or a scene under its own loads."""
+"""The panels of a picture: a design under pressures, or a scene under its own loads."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,12 +17,12 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.text_file import read_text, tables_of
 
-AUTO = 0.2  #: of the body's height, which the largest displacement takes where its scale is chosen
+AUTO = 0.2  #: of the body's height: the largest displacement as drawn at the automatic scale
 ROUND = (1.0, 2.0, 5.0)
 
 
 def read_body(path: Path) -> SensorDesign | Scene:
-    """A scene if the file has a table [body], else a design; errors as those of their readers."""
+    """Read a scene if the file has a table [body], else a design; errors as of their readers."""
     text = read_text(path, "give a scene or a design", DesignError)
     tables = tables_of(text, path, DesignError)
     return scene_from_dict(tables, str(path)) if "body" in tables else whole_design(text, path)
@@ -35,7 +35,7 @@ def panels_of(
     stress: bool,
     progress: Callable[[str], None] = lambda step: None,
 ) -> dict[str, Parts]:
-    """Solve for what is shown: one panel for each pressure of a design, one for a scene, by the name of its load."""
+    """Solve for the panels, by name of the load: one for each pressure of a design, one for a scene."""
     if isinstance(body, Scene):
         return {"the scene's load": scene_parts(body, stress, progress)}
     field = array_field(body, progress)

@@ -10,13 +10,13 @@ from threading import Thread
 import psutil
 import pytest
 
-from tripillar.sweep import local
+from tripillar.sweep import workers as local
 from tripillar.sweep.judge import row_of
-from tripillar.sweep.local import LocalWorkers
 from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all
 from tripillar.sweep.sampling import samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
+from tripillar.sweep.workers import LocalWorkers
 
 SWEEP = sweep_from_dict(
     {
@@ -57,9 +57,9 @@ def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
 
         rows = judge_all(SAMPLES, SWEEP.judging, judges, tmp_path / "rows", kill)
         left = workers_of(psutil.Process())
-    assert [rows[sample.recipe].reason for sample in SAMPLES] == [""] * 4
-    assert rows[SAMPLES[0].recipe].figures["error_n"] == pytest.approx(
-        row_of(SAMPLES[0], SWEEP.judging).figures["error_n"], rel=1e-9
+    assert [rows[sample.cache_key].reason for sample in SAMPLES] == [""] * 4
+    assert rows[SAMPLES[0].cache_key].metrics["error_n"] == pytest.approx(
+        row_of(SAMPLES[0], SWEEP.judging).metrics["error_n"], rel=1e-9
     )
     psutil.wait_procs(left, timeout=5)
     assert not workers_of(psutil.Process())
@@ -69,20 +69,20 @@ def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
 def test_a_design_that_ends_every_worker_fails_with_a_word_and_the_others_go_on(tmp_path, monkeypatch):
     """The first design is given a limit of no time: its workers are ended one after the other."""
     tried = []
-    outcome = LocalWorkers._outcome
+    outcome = LocalWorkers._judged
 
     def hurried(self, worker, sample, judging):
-        tried.append(sample.recipe)
+        tried.append(sample.cache_key)
         monkeypatch.setattr(local, "LIMIT_S", 0.0 if sample is SAMPLES[0] else 3600.0)
         return outcome(self, worker, sample, judging)
 
     monkeypatch.setattr(local, "LOOK_S", 0.01)
-    monkeypatch.setattr(LocalWorkers, "_outcome", hurried)
+    monkeypatch.setattr(LocalWorkers, "_judged", hurried)
     with LocalWorkers(1, tmp_path / "log") as judges:
         rows = judge_all(SAMPLES[:2], SWEEP.judging, judges, tmp_path / "rows")
-    assert rows[SAMPLES[0].recipe].reason == "WorkerLost: its worker took more than 0 s, the last of 4"
-    assert tried.count(SAMPLES[0].recipe) == 4
-    assert not rows[SAMPLES[1].recipe].failed
+    assert rows[SAMPLES[0].cache_key].reason == "WorkerLost: its worker took more than 0 s, the last of 4"
+    assert tried.count(SAMPLES[0].cache_key) == 4
+    assert not rows[SAMPLES[1].cache_key].failed
 
 
 def test_a_worker_that_takes_too_much_memory_is_ended(tmp_path, monkeypatch):
@@ -96,7 +96,7 @@ def test_a_worker_that_takes_too_much_memory_is_ended(tmp_path, monkeypatch):
 def test_a_full_disk_ends_the_sweep_instead_of_failing_its_designs(tmp_path, monkeypatch):
     """What a worker meets that is not the design's fault."""
     with LocalWorkers(1, tmp_path / "log") as judges:
-        monkeypatch.setattr(judges, "_outcome", lambda *_: OSError(28, "No space left on device", "cell.npz"))
+        monkeypatch.setattr(judges, "_judged", lambda *_: OSError(28, "No space left on device", "cell.npz"))
         with pytest.raises(OSError, match="No space left"):
             judge_all(SAMPLES[:1], SWEEP.judging, judges, tmp_path / "rows")
     assert not (tmp_path / "rows").exists()
@@ -131,7 +131,7 @@ class Stuck:
         time.sleep(wait_s)
         if self.looks < 3:
             return None
-        return Row(recipe=self.given.recipe, values={}, design="x")
+        return Row(cache_key=self.given.cache_key, values={}, design="x")
 
     def state(self):
         return "1 design is in work"

@@ -9,7 +9,7 @@ from geometry.errors import NotWrittenError
 from tripillar.sweep.optimize import open_study, search, written
 from tripillar.sweep.rows import Row
 from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.table import best_table
+from tripillar.sweep.trade_offs import best_table
 
 
 class Prompt:
@@ -25,8 +25,8 @@ class Prompt:
 
     def row(self, wait_s):
         sample = self.given.pop()
-        figures = {"error_n": sample.values["array.rows"]}
-        return Row(recipe=sample.recipe, values=sample.values, design="x", figures=figures)
+        metrics = {"error_n": sample.values["array.rows"]}
+        return Row(cache_key=sample.cache_key, values=sample.values, design="x", metrics=metrics)
 
     def state(self):
         return ""

@@ -5,7 +5,7 @@ import pytest
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from tripillar.sweep.sampling import points_of, row_recipe, sample_at, samples_of
+from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of
 from tripillar.sweep.sweep_file import Bound, Judging, read_sweep, sweep_from_dict
 from tripillar.sweep.variables import KEYS, Variable, plain, value_of, with_values
 
@@ -67,11 +67,11 @@ def test_numbers_that_make_no_design_give_a_sample_with_the_reason():
 
 
 def test_a_row_is_known_by_its_design_and_how_it_is_judged():
-    same = row_recipe(SensorDesign(), Judging())
-    assert same == row_recipe(SensorDesign(), Judging())
+    same = row_key(SensorDesign(), Judging())
+    assert same == row_key(SensorDesign(), Judging())
     other = [Judging(noise=2e-3), Judging(bits=12), Judging(tolerance=2e-2), Judging(cap=0.2), Judging(train=True)]
-    found = {row_recipe(SensorDesign(), judging) for judging in other}
-    found.add(row_recipe(SensorDesign(resistivity_ohm_mm=3000.0), Judging()))
+    found = {row_key(SensorDesign(), judging) for judging in other}
+    found.add(row_key(SensorDesign(resistivity_ohm_mm=3000.0), Judging()))
     assert len(found | {same}) == 7
 
 
@@ -95,7 +95,7 @@ def test_excess_is_relative_to_the_bound():
         ({"vary": [PITCH | {"low": True}]}, "finite"),
         ({"vary": [PITCH | {"log": "yes"}]}, "true or false"),
         ({"vary": [PITCH | {"of": ["pad.size_mm"]}]}, "unknown key"),
-        ({"vary": [PITCH], "sweep": {"least": []}}, "no figure"),
+        ({"vary": [PITCH], "sweep": {"least": []}}, "no metric"),
         ({"vary": [PITCH | {"values": [1.0]}]}, "either values, or low and high"),
         ({"vary": [PITCH | {"low": -1.0, "log": True}]}, "above 0"),
         ({"vary": [PITCH | {"steps": 3}]}, "sampling = 'grid'"),
@@ -107,7 +107,7 @@ def test_excess_is_relative_to_the_bound():
         ({"vary": [PITCH], "sweep": {"noise": 0.0}}, "leave no error"),
         ({"vary": [PITCH], "sweep": {"tolerance": "fine"}}, "finite number"),
         ({"vary": [PITCH], "sweep": {"sampling": "random"}}, "choose sobol"),
-        ({"vary": [PITCH], "sweep": {"least": "cost"}}, "no figure 'cost'; known are error_n"),
+        ({"vary": [PITCH], "sweep": {"least": "cost"}}, "no metric 'cost'; known are error_n"),
         ({"vary": [PITCH], "bounds": {"range_n": 5}}, "must be written"),
         ({"vary": [PITCH], "bounds": {"range_n": {"least": 2, "most": 1}}}, "above most"),
         ({"vary": [PITCH], "design": {"pad": {"size_mm": 99.0}}}, "pads may touch"),

@@ -12,13 +12,12 @@ import pytest
 from fem import ResponseSettings, solve_response
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
-from tripillar.sweep.judge import row_of
-from tripillar.sweep.merits import merits
+from tripillar.sweep.judge import metrics_of, row_of
 from tripillar.sweep.rows import Row, read_row, to_xarray, write_parquet, write_row
 from tripillar.sweep.run import judge_all, kept_rows, shared_stages
-from tripillar.sweep.sampling import Sample, row_recipe, samples_of
+from tripillar.sweep.sampling import Sample, row_key, samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.workers import workers
+from tripillar.sweep.workers import open_workers
 
 ROOT = Path(__file__).parents[3]
 SMALL = {"array": {"rows": 1, "cols": 2}}
@@ -35,19 +34,19 @@ SWEEP = sweep_from_dict(
 
 
 def sample(design):
-    return Sample(recipe=row_recipe(design, SWEEP.judging), values={}, design=design)
+    return Sample(cache_key=row_key(design, SWEEP.judging), values={}, design=design)
 
 
 def known(row):
-    """A row's texts, and its figures without what they cost."""
+    """A row's texts, and its metrics without what they cost."""
     costs = ("seconds", "peak")
-    figures = {name: value for name, value in row.figures.items() if value is not None and not name.startswith(costs)}
-    return (row.recipe, row.values, row.design, row.reason), figures
+    metrics = {name: value for name, value in row.metrics.items() if value is not None and not name.startswith(costs)}
+    return (row.cache_key, row.values, row.design, row.reason), metrics
 
 
 def test_a_row_survives_its_file_and_a_torn_one_is_made_again(tmp_path):
     row = Row(
-        recipe="ab", values={"pad.size_mm": 9.0}, design="x", figures={"error_n": 1.5}, sensitivity_per_n=[[[1.0]]]
+        cache_key="ab", values={"pad.size_mm": 9.0}, design="x", metrics={"error_n": 1.5}, sensitivity_per_n=[[[1.0]]]
     )
     write_row(row, tmp_path)
     assert read_row(tmp_path, "ab") == row
@@ -58,13 +57,13 @@ def test_a_row_survives_its_file_and_a_torn_one_is_made_again(tmp_path):
     assert read_row(tmp_path, "ef") is None
 
 
-def test_tables_hold_every_figure_and_the_failed_ones(tmp_path):
+def test_tables_hold_every_metric_and_the_failed_ones(tmp_path):
     import pyarrow.parquet as pq
 
     good = Row(
-        recipe="a", values={"array.cols": 2.0}, design="x", figures={"error_n": 1.5}, sensitivity_per_n=[[[1.0] * 3]]
+        cache_key="a", values={"array.cols": 2.0}, design="x", metrics={"error_n": 1.5}, sensitivity_per_n=[[[1.0] * 3]]
     )
-    bad = Row(recipe="b", values={"array.cols": 3.0}, design=None, reason="DesignError: no")
+    bad = Row(cache_key="b", values={"array.cols": 3.0}, design=None, reason="DesignError: no")
     write_parquet([good, bad], tmp_path / "rows.parquet")
     table = pq.read_table(tmp_path / "rows.parquet")
     assert table["error_n"].to_pylist() == [1.5, None]
@@ -83,7 +82,7 @@ def test_a_design_fails_as_a_row(monkeypatch):
     monkeypatch.setattr("tripillar.sweep.judge.array_response", broken)
     row = row_of(sample(SensorDesign()), SWEEP.judging)
     assert row.reason == "DesignError: the mesher gave up"
-    assert row.figures["seconds"] >= 0
+    assert row.metrics["seconds"] >= 0
     assert row.design is not None
 
 
@@ -109,20 +108,20 @@ def test_designs_know_the_stages_they_share():
 
 def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
     first = row_of(sample(SensorDesign(array=Array(rows=3, cols=3))), SWEEP.judging)
-    assert first.figures["seconds_condense"] > 0
+    assert first.metrics["seconds_condense"] > 0
     monkeypatch.setattr("fem.array.substructured._refined_cell", None)  # nobody condenses again
     larger = row_of(sample(SensorDesign(array=Array(rows=3, cols=5))), SWEEP.judging)
-    assert larger.figures["seconds_condense"] == 0
-    assert larger.figures["error_estimate"] == first.figures["error_estimate"]
+    assert larger.metrics["seconds_condense"] == 0
+    assert larger.metrics["error_estimate"] == first.metrics["error_estimate"]
     monkeypatch.undo()
     fresh = solve_response(SensorDesign(array=Array(rows=3, cols=5)), ResponseSettings(tolerance=2e-2))
-    anew = merits(fresh, SWEEP.judging.noise, SWEEP.judging.bits, SWEEP.judging.cap)
-    assert {name: larger.figures[name] for name in anew} == pytest.approx(anew, rel=1e-9)
+    anew = metrics_of(fresh, SWEEP.judging.noise, SWEEP.judging.bits, SWEEP.judging.cap)
+    assert {name: larger.metrics[name] for name in anew} == pytest.approx(anew, rel=1e-9)
 
 
 def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
     """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right."""
-    monkeypatch.setattr("tripillar.sweep.cluster.CONNECT_S", 60)
+    monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 60)
     samples = samples_of(SWEEP)
     file = tmp_path / "scheduler.json"
     environment = os.environ | {
@@ -140,7 +139,7 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
         ]
         try:
             address = _address(file)
-            with workers(None, address, tmp_path / "unused.log") as judges:
+            with open_workers(None, address, tmp_path / "unused.log") as judges:
                 until = time.monotonic() + 60
                 while judges.count < 2 and time.monotonic() < until:
                     time.sleep(0.1)
@@ -160,18 +159,18 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
     assert kept_rows(samples, tmp_path / "rows") == rows
     failed = [row for row in rows.values() if row.failed]
     assert [row.reason.split(":")[0] for row in failed] == ["not a design"] * 2
-    solved = [row for row in rows.values() if "seconds_condense" in row.figures]
+    solved = [row for row in rows.values() if "seconds_condense" in row.metrics]
     assert len(solved) <= 2  # one a pad: the other resistivity waits for the response, whichever worker makes it
     for one in samples:  # by this process, from a cache of its own
-        (texts, figures), (expected, anew) = known(rows[one.recipe]), known(row_of(one, SWEEP.judging))
+        (texts, metrics), (expected, anew) = known(rows[one.cache_key]), known(row_of(one, SWEEP.judging))
         assert texts == expected
-        assert figures == pytest.approx(anew, rel=1e-6)  # sums in another order, through condition numbers of up to 1e4
+        assert metrics == pytest.approx(anew, rel=1e-6)  # sums in another order, through condition numbers of up to 1e4
 
 
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("tripillar.sweep.cluster.CONNECT_S", 1)
+    monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 1)
     with pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"):
-        workers(None, "tcp://127.0.0.1:9", tmp_path / "log").__enter__()
+        open_workers(None, "tcp://127.0.0.1:9", tmp_path / "log").__enter__()
 
 
 def _address(file):

@@ -1,4 +1,4 @@
-"""What a page without a command around it shows."""
+"""A page's array of two units without a command around it."""
 
 import pytest
 
@@ -6,23 +6,14 @@ from fem.array.solving import array_response
 from fem.fields.array_field import array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer.page.page import Subject
+from tripillar.viewer.page.scene import Superposition
 from tripillar.viewer.page.sensing import SensorModel
-from tripillar.viewer.page.superposition import Superposition
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 
 
-class Echo:
-    """No decoupler: the forces are the resistances."""
-
-    name = "nothing"
-
-    def forces(self, resistance_ohm):
-        return resistance_ohm
-
-
 @pytest.fixture(scope="session")
 def subject():
-    """An array of two units, as a browser's page takes it."""
-    response, _, _ = array_response(DESIGN)
-    return Subject(loads=Superposition(array_field(DESIGN)), sensor=SensorModel(response), source=Echo())
+    """An array of two units; no decoupler: the forces are the resistances."""
+    sensor = SensorModel(array_response(DESIGN)[0], lambda resistance_ohm: resistance_ohm)
+    return Subject(loads=Superposition(array_field(DESIGN)), sensor=sensor, decoupler="nothing")

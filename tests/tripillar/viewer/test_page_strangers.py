@@ -6,9 +6,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 from aiohttp import web
-
 from tests.tripillar.viewer.test_page_security import Visitor
-from tripillar.viewer.page.serving import Server
+
+from tripillar.viewer.page.server import Server
 
 CHROMIUM = "/usr/bin/chromium"
 PATIENT_MS = 30_000

@@ -1,22 +1,31 @@
-"""The page's controls: what each may say. A browser's word is taken if it is one of these, and refused otherwise."""
+"""The page's controls: which values each may take, and the loads that they stand for.
 
+A browser's word is taken if a control can say it, and refused otherwise.
+"""
+
+import math
 import reprlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from dataset.protocols import FRICTION, NORMAL_MPA, TANGENTIAL_MPA
 from geometry.design import SensorDesign
-from geometry.errors import TriPillarError
-from tripillar.viewer.page.loads import MAX_PRESSURE_MPA, MAX_SHEAR_MPA
+from geometry.errors import DesignError, TriPillarError
+from geometry.layout import FloatArray, unit_centres
 from tripillar.viewer.page.scene import TITLES
 
+MAX_PRESSURE_MPA = NORMAL_MPA[1]  #: of a pad, as in the datasets
+MAX_SHEAR_MPA = TANGENTIAL_MPA[1]
 SCALES = (1, 2, 5, 10)  #: of displacements
 NOISES = {0.0: "exact", 0.001: "0.1 % noise", 0.005: "0.5 % noise", 0.01: "1 % noise"}  #: of the readings, relative
 WIDTH_MM = (5.0, 40.0)  #: of the indenter; further where the pitch is
 
 
 class ControlError(TriPillarError, ValueError):
-    """A browser said what no control of the page says."""
+    """A message of a browser that no control of the page can send."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,19 +33,13 @@ class Range:
     """A slider."""
 
     start: float
-    least: float
-    most: float
+    min: float = 0.0
+    max: float
     step: float
 
     def taken(self, name: str, value: object) -> float:
-        """The value as a number from least to most.
-
-        Raises
-        ------
-        ControlError
-            If it is none.
-        """
-        return number(name, value, self.least, self.most)
+        """The value as a number from min to max; ControlError if it is none."""
+        return number(name, value, self.min, self.max)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +51,7 @@ class Choice:
     titles: tuple[str, ...] = ()  #: as the page shows them
 
     def taken(self, name: str, value: object) -> Any:
-        """The value among those.
-
-        Raises
-        ------
-        ControlError
-            If it is none of them; true is no 1.
-        """
+        """The value among those; ControlError if it is none of them, as true is no 1."""
         for one in self.among:
             if value == one and isinstance(value, bool) == isinstance(one, bool):
                 return one
@@ -65,13 +62,13 @@ Controls = dict[str, Range | Choice]
 
 
 def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
-    """The controls for an array, with what they say before anyone has touched them."""
+    """The controls for an array, each with its start value."""
     half_x, half_y = design.slab_mm[0] / 2, design.slab_mm[1] / 2
     middle = design.array.rows // 2 * design.array.cols + design.array.cols // 2
     pitch = design.array.pitch_mm
-    pressure = Range(start=0.0, least=0.0, most=MAX_PRESSURE_MPA, step=0.05)
-    shear = Range(start=0.0, least=0.0, most=MAX_SHEAR_MPA, step=0.01)
-    angle = Range(start=0.0, least=0.0, most=360.0, step=5.0)
+    pressure = Range(start=0.0, max=MAX_PRESSURE_MPA, step=0.05)
+    shear = Range(start=0.0, max=MAX_SHEAR_MPA, step=0.01)
+    angle = Range(start=0.0, max=360.0, step=5.0)
     sources = ("pads", "indenter", "sensor") if has_sensor else ("pads", "indenter")
     return {
         "source": Choice(start=sources[-1] if has_sensor else "pads", among=sources),  # of the loads
@@ -80,10 +77,10 @@ def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
         "shear": shear,
         "angle": angle,
         "cone": Choice(start=True, among=(True, False)),  # whether shear is held within friction
-        "peak": Range(start=3.0, least=0.0, most=MAX_PRESSURE_MPA, step=0.05),
-        "at_x": Range(start=0.0, least=-half_x, most=half_x, step=0.5),
-        "at_y": Range(start=0.0, least=-half_y, most=half_y, step=0.5),
-        "width": Range(start=pitch, least=min(WIDTH_MM[0], pitch), most=max(WIDTH_MM[1], pitch), step=0.5),
+        "peak": replace(pressure, start=3.0),
+        "at_x": Range(start=0.0, min=-half_x, max=half_x, step=0.5),
+        "at_y": Range(start=0.0, min=-half_y, max=half_y, step=0.5),
+        "width": Range(start=pitch, min=min(WIDTH_MM[0], pitch), max=max(WIDTH_MM[1], pitch), step=0.5),
         "drag": shear,
         "drag_angle": angle,
         "colour": Choice(
@@ -97,13 +94,7 @@ def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
 
 
 def taken(controls: Controls, said: object) -> dict[str, Any]:
-    """Values that a browser gives controls, all of them sound.
-
-    Raises
-    ------
-    ControlError
-        If a name or a value is none of the page's; then none is taken.
-    """
+    """The values that a browser gives controls; ControlError, and none is taken, if one is not sound."""
     given = mapping("values of controls", said)
     unknown = [name for name in given if name not in controls]
     if unknown:
@@ -112,39 +103,21 @@ def taken(controls: Controls, said: object) -> dict[str, Any]:
 
 
 def mapping(name: str, value: object) -> Mapping[str, Any]:
-    """A JSON object.
-
-    Raises
-    ------
-    ControlError
-        If it is none.
-    """
+    """A JSON object; ControlError if it is none."""
     if not isinstance(value, dict):
         raise ControlError(f"{name} must be an object, not {shortened(value)}.")
     return value
 
 
 def numbers_of(name: str, value: object, count: int, least: float, most: float) -> list[float]:
-    """A list of so many numbers, each from least to most.
-
-    Raises
-    ------
-    ControlError
-        If it is none.
-    """
+    """A list of `count` numbers, each from least to most; ControlError if it is none."""
     if not isinstance(value, list) or len(value) != count:
         raise ControlError(f"{name} must be a list of {count}, not {shortened(value)}.")
     return [number(name, one, least, most) for one in value]
 
 
 def number(name: str, value: object, least: float, most: float) -> float:
-    """A number from least to most.
-
-    Raises
-    ------
-    ControlError
-        If it is none: text, true, NaN, or out of bounds.
-    """
+    """A number from least to most; ControlError if it is text, true, NaN or out of bounds."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ControlError(f"{name}={shortened(value)} must be a number.")
     if not least <= value <= most:  # no NaN is
@@ -159,3 +132,56 @@ def shortened(value: object) -> str:
     "'aaaaaaaaaaaa...aaaaaaaaaaaaa'"
     """
     return reprlib.repr(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PadLoad:
+    """Pressure and shear on one pad."""
+
+    pressure_mpa: float = 0.0
+    shear_mpa: float = 0.0  #: size of the tangential traction
+    angle_deg: float = 0.0  #: its direction from +x towards +y
+
+    def __post_init__(self) -> None:
+        for name, most in (("pressure_mpa", MAX_PRESSURE_MPA), ("shear_mpa", MAX_SHEAR_MPA)):
+            if not 0 <= getattr(self, name) <= most:
+                raise DesignError(f"{name}={getattr(self, name):g} must be from 0 to {most:g}.")
+
+    def within_cone(self, friction: float = FRICTION) -> "PadLoad":
+        """The same with no more shear than `friction` times the pressure."""
+        return replace(self, shear_mpa=min(self.shear_mpa, friction * self.pressure_mpa))
+
+    @property
+    def traction_mpa(self) -> FloatArray:
+        """Traction along x, y, z, shape (3,) [MPa]; z negative pushing down."""
+        angle = math.radians(self.angle_deg)
+        return np.array([self.shear_mpa * math.cos(angle), self.shear_mpa * math.sin(angle), -self.pressure_mpa])
+
+    @classmethod
+    def of(cls, traction_mpa: FloatArray) -> "PadLoad":
+        """The load of a traction (3,) [MPa], cut to what the page's sliders can show."""
+        tx, ty, tz = traction_mpa.tolist()
+        return cls(
+            pressure_mpa=min(max(-tz, 0.0), MAX_PRESSURE_MPA),
+            shear_mpa=min(math.hypot(tx, ty), MAX_SHEAR_MPA),
+            angle_deg=math.degrees(math.atan2(ty, tx)) % 360.0,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indenter:
+    """A round indenter that presses by a bell of pressure, p exp(−r²/2w²), and may drag, as the datasets' do."""
+
+    load: PadLoad  #: under its middle
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    width_mm: float = 15.0  #: w, standard deviation of the bell
+
+    def __post_init__(self) -> None:
+        if not self.width_mm > 0:
+            raise DesignError(f"width_mm={self.width_mm:g} must be above 0.")
+
+    def tractions(self, design: SensorDesign) -> FloatArray:
+        """Tractions on the pads, shape (n_units, 3) [MPa]."""
+        squared = ((unit_centres(design) - (self.x_mm, self.y_mm)) ** 2).sum(axis=1)
+        return np.exp(-squared / (2.0 * self.width_mm**2))[:, None] * self.load.traction_mpa

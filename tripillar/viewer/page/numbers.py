@@ -1,25 +1,42 @@
-"""Numbers as the page shows them: cells of maps with their colours, rows of tables."""
+"""The page's numbers: as text, colours and rows beside the picture, and as files that other programs take."""
 
+import csv
+import io
 import math
 from typing import Any
 
 import numpy as np
 
 from fem.pictures.colours import Bar
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.design import SensorDesign
+from geometry.design_file import design_to_toml
+from geometry.layout import AXES, PILLARS, FloatArray, unit_centres
 
 UP, DOWN = (214, 69, 65), (47, 110, 186)  #: red above, blue below 0
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 MIN_SHOWN_MPA = 0.02  #: of a pad's pressure or shear; less is not shown
+CSV_COLUMNS = (
+    *("row", "col", "x_mm", "y_mm"),
+    *(f"traction_{axis}_mpa" for axis in AXES),
+    *(f"resistance_{pillar}_ohm" for pillar in PILLARS),
+    *(f"applied_f{axis}_n" for axis in AXES),
+    *(f"decoupled_f{axis}_n" for axis in AXES),
+)
+SCENE_HEADING = """# The array as the page showed it, for `tripillar view` and `tripillar solve`
+[body]
+kind = "array"
+
+[design]
+"""
 
 
-def as_map(title: str, unit: str, values: FloatArray, least: float, digits: int = 1) -> dict[str, Any]:
+def as_map(title: str, unit: str, values: FloatArray, full_at: float, digits: int = 1) -> dict[str, Any]:
     """A map of values (rows, cols): cells from the upper left as the array lies before you, y up.
 
-    `least` is the value that is drawn full at least, so that noise at rest stays pale.
+    The strongest colour stands for the largest value, but at least for `full_at`, so that noise at rest stays pale.
     """
     finite = np.abs(values[np.isfinite(values)])
-    most = max(float(finite.max(initial=0.0)), least)
+    most = max(float(finite.max(initial=0.0)), full_at)
     rows, cols = values.shape
     cells = [
         {"unit": i * cols + j, "text": text(values[i, j], digits), "colour": colour(values[i, j] / most)}
@@ -35,8 +52,8 @@ def pad_cells(traction_mpa: FloatArray, cols: int, most_mpa: float) -> list[dict
     for i in range(len(traction_mpa) // cols - 1, -1, -1):
         for unit in range(i * cols, (i + 1) * cols):
             tx, ty, tz = traction_mpa[unit].tolist()
-            shear = math.hypot(tx, ty)
-            arrow = ARROWS[round(math.atan2(ty, tx) / (math.pi / 4)) % 8] if shear > MIN_SHOWN_MPA else ""
+            eighth = round(math.atan2(ty, tx) / (math.pi / 4)) % 8
+            arrow = ARROWS[eighth] if math.hypot(tx, ty) > MIN_SHOWN_MPA else ""
             pressed = text(-tz, 1) if abs(tz) > MIN_SHOWN_MPA else ""
             cells.append({"unit": unit, "text": pressed, "arrow": arrow, "colour": colour(-tz / most_mpa)})
     return cells
@@ -44,19 +61,18 @@ def pad_cells(traction_mpa: FloatArray, cols: int, most_mpa: float) -> list[dict
 
 def table_rows(resistance_ohm: FloatArray, applied_n: FloatArray, force_n: FloatArray, cols: int) -> list[list[str]]:
     """A row a unit: its place, three resistances [kΩ], and applied and decoupled force along each axis [N]."""
-    n = force_n.shape[0] * force_n.shape[1]
-    kilo_ohm = 1e-3 * resistance_ohm.reshape(n, -1)
-    pairs = np.stack([applied_n.reshape(n, -1), force_n.reshape(n, -1)], axis=2).reshape(n, -1)
+    kilo_ohm, applied, found = (1e-3 * resistance_ohm).reshape(-1, 3), applied_n.reshape(-1, 3), force_n.reshape(-1, 3)
+    pairs = np.stack([applied, found], axis=2).reshape(-1, 6)
     return [
         [f"{k // cols}, {k % cols}", *(text(v, 3) for v in kilo_ohm[k]), *(text(v, 1) for v in pairs[k])]
-        for k in range(n)
+        for k in range(len(pairs))
     ]
 
 
 def unit_rows(
     resistance_ohm: FloatArray, change: FloatArray, strain: FloatArray, applied_n: FloatArray, force_n: FloatArray
 ) -> dict[str, list[list[str]]]:
-    """Of one unit, all (3,): its pillars, and its forces."""
+    """Tables of the pillars and the forces of one unit; all arrays have shape (3,)."""
     pillars = [
         [name, text(1e-3 * resistance_ohm[k], 3), text(100 * change[k], 2), text(100 * strain[k], 1)]
         for k, name in enumerate(PILLARS)
@@ -65,7 +81,7 @@ def unit_rows(
         [f"F{name}", text(applied_n[k], 1), text(force_n[k], 1), text(force_n[k] - applied_n[k], 2)]
         for k, name in enumerate(AXES)
     ]
-    return {"pillars": pillars, "forces": forces}
+    return {"unit_pillars": pillars, "unit_forces": forces}
 
 
 def legend(bar: Bar) -> dict[str, Any]:
@@ -76,13 +92,13 @@ def legend(bar: Bar) -> dict[str, Any]:
 
 
 def sample(change: FloatArray, force_n: FloatArray) -> list[list[float | None]]:
-    """For a plot over time: of each unit its forces x, y, z [N] and the changes of its pillars z, x, y [%]."""
+    """For the plot over time: of each unit its forces x, y, z [N] and the changes of its pillars z, x, y [%]."""
     values = np.concatenate([force_n, 100.0 * change], axis=2).reshape(-1, 6)
     return [[None if math.isnan(number) else round(number, 3) for number in unit] for unit in values.tolist()]
 
 
 def text(value: float, digits: int) -> str:
-    """A number with so many decimals, a dash where there is none."""
+    """A number with so many decimals, a dash for NaN."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -97,3 +113,52 @@ def colour(share: float) -> str:
         return "transparent"
     red, green, blue = UP if share > 0 else DOWN
     return f"rgba({red},{green},{blue},{min(abs(share), 1.0):.3f})"
+
+
+def csv_of(
+    design: SensorDesign,
+    traction_mpa: FloatArray,
+    resistance_ohm: FloatArray,
+    applied_n: FloatArray,
+    force_n: FloatArray,
+) -> str:
+    """A CSV file with a line a unit: its place, its load, its resistances and the forces decoupled from them.
+
+    Parameters
+    ----------
+    design : SensorDesign
+    traction_mpa : array, shape (n_units, 3)
+        z negative pushing down.
+    resistance_ohm, applied_n, force_n : arrays, shape (rows, cols, 3)
+        Of the pillars z, x, y; along x, y, z, Fz positive in compression. What is not known, NaN, is left empty.
+    """
+    written = io.StringIO()
+    lines = csv.writer(written, lineterminator="\n")
+    lines.writerow(CSV_COLUMNS)
+    by_unit = [part.reshape(-1, 3) for part in (resistance_ohm, applied_n, force_n)]
+    values = np.concatenate([unit_centres(design), traction_mpa, *by_unit], axis=1)
+    for unit, numbers in enumerate(values.tolist()):
+        place = divmod(unit, design.array.cols)
+        lines.writerow([*place, *("" if np.isnan(number) else f"{number:.7g}" for number in numbers)])
+    return written.getvalue()
+
+
+def scene_of(design: SensorDesign, traction_mpa: FloatArray, chosen: int) -> str:
+    """A scene file (TOML) of the same array under the same loads, for `tripillar solve` and `view`.
+
+    Its probe is the pad of the chosen unit.
+    """
+    nested = "\n".join(
+        f"[design.{line[1:]}" if line.startswith("[") else line for line in design_to_toml(design).splitlines()[1:]
+    )
+    centres = unit_centres(design) + np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
+    square = f"size_mm = [{design.pad.size_mm!r}, {design.pad.size_mm!r}]"
+    tables = [
+        f"[[load]]\ncenter_mm = {centre.tolist()}\n{square}\ntraction_mpa = {traction.round(9).tolist()}\n"
+        for centre, traction in zip(centres, traction_mpa, strict=True)
+        if traction.any()
+    ]
+    row, col = divmod(chosen, design.array.cols)
+    probe = f'[[probe]]\nname = "pad of row {row}, col {col}"\nkind = "mean"\n'
+    tables.append(f"{probe}center_mm = {centres[chosen].tolist()}\n{square}\n")
+    return SCENE_HEADING + nested + "\n\n" + "\n".join(tables)

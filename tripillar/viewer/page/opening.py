@@ -1,25 +1,68 @@
-"""From the options of `tripillar view --serve` to a page in the browser."""
+"""The options of `tripillar view --serve`, and from them to a page in the browser."""
 
+import asyncio
 import json
 from contextlib import ExitStack
+from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from geometry.design import SensorDesign
+import typer
+
 from geometry.errors import DesignError, FileFormatError
-from geometry.storage.files import digest
-from tripillar.terminal.console import say
-from tripillar.viewer.page.address import require_free
-from tripillar.viewer.page.options import PageOptions
 
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
+    from geometry.design import SensorDesign
     from tripillar.terminal.progress import Bars
 
-NEEDED = ("aiohttp",)
+LOOPBACK = "127.0.0.1"
+HTTP_PORT = 8080
+
+ServeOption = Annotated[
+    bool, typer.Option("--serve", help="Serve a page with sliders, on which the array deforms live.")
+]
+HostOption = Annotated[
+    str | None, typer.Option(help=f"Address that --serve listens on; default: {LOOPBACK}, this machine alone.")
+]
+HttpPortOption = Annotated[
+    int | None, typer.Option(help=f"Port of the page of --serve; 0: any free one; default: {HTTP_PORT}.")
+]
+SensorOption = Annotated[
+    str | None,
+    typer.Option("--port", help="Sensor to show on the page of --serve: a port as of 'live', or a recording."),
+]
+PageModelOption = Annotated[
+    Path | None, typer.Option("--model", help="Model file that reads the forces of --port, which needs one.")
+]
+SensorCalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", help="Calibration file of the sensor on --port.")
+]
 
 
-def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", as_json: bool = False) -> None:
+@dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """Where the page is served, and what may load its array."""
+
+    host: str = LOOPBACK  #: address to listen on
+    http_port: int = HTTP_PORT  #: 0 is any free one
+    port: str | None = None  #: of a board, or a recording
+    model: Path | None = None  #: gives the forces; default: the response's own inverse
+    calibration: Path | None = None  #: of the sensor on that port
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.http_port < 2**16:
+            raise DesignError(f"--http-port {self.http_port} must be from 0 (any free one) to {2**16 - 1}.")
+        if not self.host:
+            raise DesignError(f"--host is empty: give an address of this machine, such as {LOOPBACK}.")
+        if self.port is not None and self.model is None:
+            raise DesignError("--port needs --model: the model that turns the sensor's resistances into forces.")
+        if self.port is None and self.calibration is not None:
+            raise DesignError("--calibration is of a sensor: give its --port, or a recording of it.")
+
+
+def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars", as_json: bool = False) -> None:
     """Serve the page until Ctrl-C; its address is printed on stdout once browsers can come.
 
     `design` None is the model's, if there is a model that knows it, else the paper's.
@@ -27,46 +70,49 @@ def open_page(options: PageOptions, design: SensorDesign | None, bars: "Bars", a
     Raises
     ------
     TriPillarError, OSError
-        If a package is missing, if the page's port is taken, and as reading the files and opening the sensor's port do.
+        If a package is missing or the page's port is taken, and as reading the files and opening the sensor's port do.
     """
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise DesignError(f"the page needs {', '.join(missing)}, not installed: pip install 'tripillar[page]'.")
-    require_free(options.host, options.http_port)
+    if find_spec("aiohttp") is None:
+        raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
     from decoupler.model.model_file import read_model
     from fem.fields.array_field import array_field
+    from geometry.design import SensorDesign
     from tripillar.pipeline.run import respond
-    from tripillar.viewer.page.feed import SensorFeed, SensorWatch
+    from tripillar.terminal.console import say
     from tripillar.viewer.page.page import Subject
-    from tripillar.viewer.page.sensing import ForceSource, InverseForces, NetForces, SensorModel
-    from tripillar.viewer.page.serving import serve
-    from tripillar.viewer.page.superposition import Superposition
+    from tripillar.viewer.page.scene import Superposition
+    from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, net_forces
+    from tripillar.viewer.page.server import listening_on, serve
 
+    listening_on(options.host, options.http_port).close()  # refuse a taken port before anything takes time
     model = None if options.model is None else read_model(options.model)
     if model is not None:
         design = _design_for(model, str(options.model), design)
     with ExitStack() as stack:
-        watch = None
+        feed = None
         if options.port is not None and model is not None:
-            watch = SensorWatch(stack.enter_context(SensorFeed(options.port, model, options.calibration)))
+            feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
         with bars:
             _, response = respond(design or SensorDesign(), bars)
             advance = bars.begin("page", total=2)
             field = array_field(response.design, lambda step: advance(0, step))
             advance(1, "decoupler")
-            source: ForceSource
-            source = InverseForces(response) if model is None else NetForces(model, f"the model {options.model}")
-            subject = Subject(loads=Superposition(field), sensor=SensorModel(response), source=source, watch=watch)
+            subject = Subject(
+                loads=Superposition(field),
+                sensor=SensorModel(response, inverse_forces(response) if model is None else net_forces(model)),
+                decoupler="the response's inverse" if model is None else f"the model {options.model}",
+                feed=feed,
+            )
             advance(1, "")
 
         def tell(url: str) -> None:
             print(json.dumps({"url": url}) if as_json else url, flush=True)
             say("" if as_json else "Ctrl-C ends it")
 
-        serve(subject, options.host, options.http_port, tell)
+        asyncio.run(serve(subject, options.host, options.http_port, tell))
 
 
-def _design_for(model: "Decoupler", name: str, given: SensorDesign | None) -> SensorDesign:
+def _design_for(model: "Decoupler", name: str, given: "SensorDesign | None") -> "SensorDesign":
     """The given design, else the model's, else the paper's; of as many units as the model's.
 
     Raises
@@ -74,6 +120,10 @@ def _design_for(model: "Decoupler", name: str, given: SensorDesign | None) -> Se
     FileFormatError
         If it is of an array of another size.
     """
+    from geometry.design import SensorDesign
+    from geometry.storage.files import digest
+    from tripillar.terminal.console import say
+
     design = given or model.design or SensorDesign()
     rows, cols = design.array.rows, design.array.cols
     if (model.rows, model.cols) != (rows, cols):

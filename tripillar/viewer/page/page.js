@@ -66,7 +66,7 @@ function lay(given) {
   for (const control of all("[data-control]")) {
     const name = control.dataset.control, kind = facts.kinds[name];
     if (control.type === "range") {
-      Object.assign(control, { min: kind.least, max: kind.most, step: kind.step });
+      Object.assign(control, { min: kind.min, max: kind.max, step: kind.step });
       control.oninput = () => set(name, control.valueAsNumber);
     } else if (control.type === "checkbox") {
       control.onchange = () => set(name, control.checked);
@@ -91,8 +91,8 @@ function showControls() {
   for (const control of all("[data-control]")) {
     const name = control.dataset.control, value = controls[name];
     if (control.type === "range") {
-      const { most, step } = facts.kinds[name], above = control.dataset.below;
-      const limit = above && controls.cone ? Math.min(most, facts.friction * controls[above]) : most;
+      const { max } = facts.kinds[name], above = control.dataset.below;
+      const limit = above && controls.cone ? Math.min(max, facts.friction * controls[above]) : max;
       control.max = limit;
       control.value = value;
       const output = control.parentElement.querySelector("output");

@@ -1,8 +1,8 @@
-"""The page of one browser at work: what its controls say goes to the scene and to the numbers beside it."""
+"""The page of one browser: its controls or a sensor load the array; a picture and numbers follow."""
 
 import asyncio
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,37 +14,45 @@ from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import AXES, PILLARS, FloatArray
 from tripillar.viewer.page import numbers
-from tripillar.viewer.page.controls import ControlError, Range, controls_of, mapping, numbers_of, shortened, taken
-from tripillar.viewer.page.exports import csv_of, scene_of
-from tripillar.viewer.page.feed import SensorWatch
-from tripillar.viewer.page.loads import MAX_PRESSURE_MPA, MAX_SHEAR_MPA, Indenter, PadLoad
+from tripillar.viewer.page.controls import (
+    MAX_PRESSURE_MPA,
+    MAX_SHEAR_MPA,
+    ControlError,
+    Indenter,
+    PadLoad,
+    controls_of,
+    mapping,
+    numbers_of,
+    shortened,
+    taken,
+)
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Shown
-from tripillar.viewer.page.sensing import ForceSource, Reading, SensorModel, by_unit, tractions
-from tripillar.viewer.page.superposition import Superposition
+from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Shown, Superposition
+from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel, by_unit, tractions
 
 CAP = 0.3  #: largest pillar strain of the datasets and of the paper
-LEAST = {"resistance": 2.0, "force": 10.0}  #: % and N that a map draws full at least
+FULL_AT = {"resistance": 2.0, "force": 10.0}  #: smallest % and N that a map's strongest colour stands for
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
-LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction that is put back
+LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """What all browsers look at; none changes it."""
+    """The array that all browsers look at; none changes it."""
 
     loads: Superposition
     sensor: SensorModel
-    source: ForceSource
-    watch: SensorWatch | None = None  #: of a sensor that can load the array in place of the controls
+    decoupler: str  #: name of what turns resistances into forces
+    feed: SensorFeed | None = None  #: of a sensor that can load the array in place of the controls
 
     @property
     def design(self) -> SensorDesign:
+        """The design of the array."""
         return self.loads.field.design
 
 
 class Page:
-    """State of one browser's page, and what follows from it.
+    """State of one browser's page, with its scene and its pictures.
 
     Parameters
     ----------
@@ -58,51 +66,39 @@ class Page:
         self._traction = np.zeros((self._design.n_units, 3))
         self._reading: Reading | None = None  # as it is shown
         self._generator = np.random.default_rng(0)
-        self._kinds = controls_of(self._design, subject.watch is not None)
+        self._kinds = controls_of(self._design, subject.feed is not None)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
         self.is_changed = asyncio.Event()
         self.is_changed.set()
         self.scene = ArrayScene(subject.loads)
         self.pictures = Pictures(self.scene.plotter, self.scene.fit)
-        if subject.watch is not None:
-            subject.watch.listeners.add(self.hear)
+        if subject.feed is not None:
+            subject.feed.listeners.add(self.hear)
 
     def close(self) -> None:
         """Let go of the scene and of the sensor."""
-        if self._subject.watch is not None:
-            self._subject.watch.listeners.discard(self.hear)
+        if self._subject.feed is not None:
+            self._subject.feed.listeners.discard(self.hear)
         self.scene.plotter.close()
 
     def facts(self) -> dict[str, Any]:
-        """What does not change: the array, and what each control may say."""
-        array, watch = self._design.array, self._subject.watch
-        kinds = {
-            name: {"least": kind.least, "most": kind.most, "step": kind.step}
-            if isinstance(kind, Range)
-            else {"among": kind.among, "titles": kind.titles}
-            for name, kind in self._kinds.items()
-        }
+        """What does not change: the array, and the values that each control may take."""
+        array, feed = self._design.array, self._subject.feed
         return {
             "rows": array.rows,
             "cols": array.cols,
             "pitch_mm": array.pitch_mm,
             "cap": 100 * CAP,
             "friction": FRICTION,
-            "decoupler": self._subject.source.name,
-            "sensor": None if watch is None else watch.feed.port,
-            "kinds": kinds,
+            "decoupler": self._subject.decoupler,
+            "sensor": None if feed is None else feed.port,
+            "kinds": {name: asdict(kind) for name, kind in self._kinds.items()},
         }
 
-    # what a browser can say
+    # messages of the browser
 
     def set(self, said: object) -> None:
-        """Take values of controls, {name: value}.
-
-        Raises
-        ------
-        ControlError
-            If one is not sound; then none is taken.
-        """
+        """Take values of controls, {name: value}; ControlError, and none is taken, if one is not sound."""
         given = taken(self._kinds, said)
         self.controls |= given
         if self.controls["source"] == "pads":
@@ -113,13 +109,7 @@ class Page:
         self.is_changed.set()
 
     def restore(self, said: object) -> None:
-        """Take what `update` gave as "state": all controls, and the pads' tractions.
-
-        Raises
-        ------
-        ControlError
-            If something in it is not sound; then nothing is taken.
-        """
+        """Take what `update` gave as "state": all controls, and the pads' tractions. Errors as of `set`."""
         state = mapping("a state", said)
         if state.keys() != {"controls", "traction_mpa"}:
             raise ControlError(f"a state has 'controls' and 'traction_mpa', not {shortened(list(state))}.")
@@ -143,39 +133,30 @@ class Page:
 
     def play_again(self) -> None:
         """Start a recording from its beginning, for all who look."""
-        if self._subject.watch is not None:
-            self._subject.watch.play_again()
+        if self._subject.feed is not None:
+            self._subject.feed.play_again()
 
     def hear(self) -> None:
-        """The sensor has said something."""
+        """Follow the sensor, which has something new."""
         if self.controls["source"] == "sensor":
             self.is_changed.set()
 
     def file(self, kind: object) -> dict[str, str]:
-        """What is shown as a file: its "name" and "text".
-
-        Raises
-        ------
-        ControlError
-            If there is no file of that kind, or nothing is shown yet.
-        """
+        """A file of what is shown, "name" and "text"; ControlError if there is none of that kind, or none yet."""
         if self._reading is None or kind not in ("csv", "scene"):
             raise ControlError(f"there is no file {shortened(kind)}.")
         if kind == "scene":
-            return {"name": "scene.toml", "text": scene_of(self._design, self._traction, self.controls["pad"])}
+            return {"name": "scene.toml", "text": numbers.scene_of(self._design, self._traction, self.controls["pad"])}
         reading = self._reading
-        text = csv_of(self._design, self._traction, reading.resistance_ohm, self._applied_n(), reading.force_n)
+        text = numbers.csv_of(self._design, self._traction, reading.resistance_ohm, self._applied_n(), reading.force_n)
         return {"name": "tripillar.csv", "text": text}
 
-    # what follows from it
+    # what the browser shows
 
     def update(self) -> dict[str, Any]:
-        """Bring the scene to what controls and sensor say, and have it drawn soon.
+        """Load the array, schedule its picture, and return what the page shows beside it.
 
-        Returns
-        -------
-        dict
-            What the page shows beside the picture. "trouble" alone where forces or displacements cannot be told.
+        That is "trouble" alone where forces or displacements are unknown.
         """
         start = time.perf_counter()
         try:
@@ -188,10 +169,10 @@ class Page:
         legend = self.scene.show(self._traction, change.reshape(-1, 3), shown)
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
-        watch = self._subject.watch
-        heard = {} if watch is None else {"link": watch.link, "ended": watch.ended}
+        feed = self._subject.feed
+        heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
         return self._numbers(reading, change) | heard | {
-            "trouble": "" if watch is None else watch.trouble,
+            "trouble": "" if feed is None else feed.trouble,
             "legend": [numbers.legend(bar) for bar in (legend, PADS_BAR)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
@@ -200,9 +181,9 @@ class Page:
 
     def _loaded(self) -> Reading:
         """Load the array as the controls or the sensor say, and read it."""
-        controls, sensor, watch = self.controls, self._subject.sensor, self._subject.watch
-        if controls["source"] == "sensor" and watch is not None and watch.scan is not None:
-            scan = watch.scan
+        controls, sensor, feed = self.controls, self._subject.sensor, self._subject.feed
+        if controls["source"] == "sensor" and feed is not None and feed.scan is not None:
+            scan = feed.scan
             self._traction = tractions(scan.force_n, self._design)
             _, strain = sensor.strains(self._traction)
             return Reading(resistance_ohm=scan.resistance_ohm, force_n=scan.force_n, strain=strain)
@@ -210,61 +191,55 @@ class Page:
             load = self._held("peak", "drag", "drag_angle")
             indenter = Indenter(load=load, x_mm=controls["at_x"], y_mm=controls["at_y"], width_mm=controls["width"])
             self._traction = indenter.tractions(self._design)
-        return sensor.read(self._traction, self._subject.source, controls["noise"], self._generator)
+        return sensor.read(self._traction, controls["noise"], self._generator)
 
     def _held(self, pressure: str, shear: str, angle: str) -> PadLoad:
-        """What three sliders say, within friction if that is asked for."""
+        """The load of three sliders, within friction if the page asks for that."""
         said = self.controls
         load = PadLoad(pressure_mpa=said[pressure], shear_mpa=said[shear], angle_deg=said[angle])
         return load.within_cone() if said["cone"] else load
 
     def _show_load_of_pad(self) -> None:
-        """Another pad was chosen: the sliders are to show its load."""
+        """Set the sliders to the load of the chosen pad."""
         load = PadLoad.of(self._traction[self.controls["pad"]])
         values = round(load.pressure_mpa, 2), round(load.shear_mpa, 2), float(round(load.angle_deg))
         self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
 
     def _applied_n(self) -> FloatArray:
-        """Forces on the pads, (rows, cols, 3) [N]; NaN where a sensor does not say what acts on it."""
+        """Forces on the pads, (rows, cols, 3) [N]; NaN for a sensor, of which they are unknown."""
         applied_n = by_unit(forces(self._traction, self._design), self._design)
         return np.full_like(applied_n, np.nan) if self.controls["source"] == "sensor" else applied_n
 
     def _numbers(self, reading: Reading, change: FloatArray) -> dict[str, Any]:
-        """The numbers beside the picture."""
-        controls, design = self.controls, self._design
-        cols = design.array.cols
-        applied_n = self._applied_n()
+        """The numbers beside the picture: those of the chosen tab, of the chosen unit, and of the whole array."""
+        controls, cols, applied_n = self.controls, self._design.array.cols, self._applied_n()
         row, col = divmod(controls["pad"], cols)
         if controls["tab"] == "table":
-            beside: dict[str, Any] = {
-                "rows": numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)
-            }
+            tab: dict[str, Any] = {"rows": numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)}
         elif controls["tab"] == "time":
-            beside = {"sample": numbers.sample(change, reading.force_n)}
+            tab = {"sample": numbers.sample(change, reading.force_n)}
         else:
-            maps = [
-                numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], LEAST["resistance"])
-                for k, name in enumerate(PILLARS)
-            ]
-            force_maps = [
-                numbers.as_map(f"F{name}", "N", reading.force_n[..., k], LEAST["force"], digits=0)
-                for k, name in enumerate(AXES)
-            ]
-            beside = {"resistance_maps": maps, "force_maps": force_maps}
-        shown = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
-        unit = numbers.unit_rows(*(values[row, col] for values in shown))
+            tab = {
+                "resistance_maps": [
+                    numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], FULL_AT["resistance"])
+                    for k, name in enumerate(PILLARS)
+                ],
+                "force_maps": [
+                    numbers.as_map(f"F{name}", "N", reading.force_n[..., k], FULL_AT["force"], digits=0)
+                    for k, name in enumerate(AXES)
+                ],
+            }
+        of_unit = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
         worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)
         strain = float(reading.strain[worst])
         missed = reading.force_n - applied_n
         known = missed[np.isfinite(missed)]
-        return beside | {
+        return tab | numbers.unit_rows(*(values[row, col] for values in of_unit)) | {
             "pads": numbers.pad_cells(self._traction, cols, MAX_PRESSURE_MPA),
-            "unit_pillars": unit["pillars"],
-            "unit_forces": unit["forces"],
             "unit_name": f"row {row}, col {col}",
             "strain": numbers.text(100.0 * strain, 1),
             "strain_share": min(strain / CAP, 1.0) * 100.0,
             "strain_over": strain > CAP,
             "strain_at": f"{PILLARS[worst[2]]} pillar of row {worst[0]}, col {worst[1]}",
             "rms": numbers.text(float(np.sqrt(np.mean(known**2))), 2) if known.size else "",
-        }
+        }  # fmt: skip

@@ -1,8 +1,8 @@
-"""Pictures of the scene for the browser: drawn here, sent as JPEG, as finely as there is time for.
+"""Pictures of the scene for the browser: drawn here, sent as JPEG.
 
-While something moves a picture is given less time than once all is still; what can be drawn and encoded in that time
-decides how many pixels it has, and the browser scales it to its place. So software without a graphics card keeps up, at
-a coarser picture, and a card draws every pixel, or more, which smooths edges.
+A moving picture gets less time than a still one. What can be drawn and encoded in that time decides how many pixels it
+has, and the browser scales it to its place. So software without a graphics card keeps up with a coarser picture, and a
+graphics card draws every pixel, or more, which smooths edges.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ Send = Callable[[bytes], Awaitable[None]]
 
 @dataclass
 class Grade:
-    """How good pictures are."""
+    """The time and the quality of a picture."""
 
     seconds: float  #: for one, from drawing to JPEG
     quality: int  #: of JPEG
@@ -46,12 +46,12 @@ class Grade:
 
 
 class Pictures:
-    """Pictures of one browser.
+    """The pictures of one browser.
 
     Parameters
     ----------
     plotter : pyvista.Plotter
-        What they show.
+        The scene.
     on_resize : callable
         Called once the window has another size.
     """
@@ -71,7 +71,7 @@ class Pictures:
         self.draw_ms = 0.0  #: the last moving picture took, encoding included
 
     async def run(self, send: Send) -> None:
-        """Draw and send whatever is wanted, until cancelled; what is sent slowly is drawn less often."""
+        """Draw and send a picture after each change, until cancelled; a slow connection gets fewer pictures."""
         while True:
             await self._is_wanted.wait()
             await asyncio.sleep(0.001)  # numbers go first
@@ -97,12 +97,14 @@ class Pictures:
         """A picture as JPEG."""
         start = time.perf_counter()
         image = self._rendered(grade.zoom(*self._size))
-        content = await asyncio.to_thread(_jpeg, image, grade.quality)
+        written = io.BytesIO()
+        # thin lines keep their colours without subsampling
+        await asyncio.to_thread(image.save, written, "JPEG", quality=grade.quality, subsampling=0)
         seconds = time.perf_counter() - start
         grade.learn(image.width * image.height, seconds)
         if grade is self._moving:
             self.draw_ms = 1e3 * seconds
-        return content
+        return written.getvalue()
 
     def _rendered(self, zoom: float) -> Image.Image:
         """A picture of so many pixels for one of the place's, along each side."""
@@ -115,9 +117,3 @@ class Pictures:
         cols, rows, _ = drawn.GetDimensions()
         pixels = vtk_to_numpy(drawn.GetPointData().GetScalars())
         return Image.frombytes("RGBX", (cols, rows), pixels, "raw", "RGBX", 0, -1)  # VTK's lowest row is the first
-
-
-def _jpeg(image: Image.Image, quality: int) -> bytes:
-    written = io.BytesIO()
-    image.save(written, "JPEG", quality=quality, subsampling=0)  # thin lines keep their colours
-    return written.getvalue()

@@ -1,7 +1,13 @@
-"""What the array shows under a load, and what a decoupler makes of it."""
+"""The resistances and forces that the page shows: of the array as simulated, or of a sensor live or recorded."""
 
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 
@@ -15,57 +21,22 @@ from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
+from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray, pillar_volumes
+from hardware.session import live
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
-STRAIN = 0.35  #: largest of a pillar under these loads: a little past the 30 % of the datasets
+MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
+POLL_S = 0.05  #: between two looks at a sensor
+RATE_OVER_S = 1.0  #: time over which scans are counted for their rate
 
-
-class ForceSource(Protocol):
-    """What turns resistances into forces."""
-
-    @property
-    def name(self) -> str: ...
-
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, 3) [Ω]; NaN where it gives none."""
-
-
-@dataclass(frozen=True, eq=False)
-class NetForces:
-    """Forces of a trained model."""
-
-    model: Decoupler
-    name: str
-
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        return with_all_axes(self.model.forces(resistance_ohm[None])[0], self.model.component.axes)
-
-
-class InverseForces:
-    """Forces of the response's own inverse, for where there is no trained model."""
-
-    name = "the response's inverse"
-
-    def __init__(self, response: ArrayResponse) -> None:
-        design, joint = response.design, component_named("all")
-        generator = np.random.default_rng(0)
-        tractions = np.concatenate(
-            [PROTOCOLS[name].draw(generator, LOADS, design) for name in ("contact", "three-axis")]
-        )
-        within = largest_factors(displacements(response, tractions), design.unit, STRAIN)
-        tractions *= np.minimum(within, 1.0)[:, None, None]  # where pillars turn over nothing can be inverted
-        loads = force_columns(by_unit(forces(tractions, design), design), joint)
-        forward = ForwardModel.of(response, joint)
-        self._inverse = ModelInverse.about(forward, loads, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        return self._inverse.forces(resistance_ohm.reshape(1, -1)).reshape(resistance_ohm.shape)
+#: forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, 3) [Ω]; NaN where unknown
+Decouple = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """What there is to read of the array at one moment."""
+    """Resistances, decoupled forces and strains of the array at one moment."""
 
     resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
@@ -74,9 +45,10 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """The sensor as simulated: loads to resistances, exact in the displacement."""
+    """The simulated sensor: exact resistances under loads, and what a decoupler makes of them."""
 
     response: ArrayResponse
+    decouple: Decouple
 
     def strains(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths [mm] and strains of all pillars, each (rows, cols, 3), under tractions (n_units, 3) [MPa]."""
@@ -86,15 +58,31 @@ class SensorModel:
         strains = pillar_strains(moved_mm, lengths_mm, design.unit)
         return by_unit(lengths_mm, design), by_unit(strains, design)
 
-    def read(
-        self, traction_mpa: FloatArray, source: ForceSource, noise: float, generator: np.random.Generator
-    ) -> Reading:
-        """Resistances under tractions (n_units, 3) [MPa] with relative noise, and the forces that they decouple to."""
+    def read(self, traction_mpa: FloatArray, noise: float, generator: np.random.Generator) -> Reading:
+        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
         design = self.response.design
         lengths_mm, strain = self.strains(traction_mpa)
         exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
         resistance_ohm = measured(exact_ohm, noise, None, generator)
-        return Reading(resistance_ohm=resistance_ohm, force_n=source.forces(resistance_ohm), strain=strain)
+        return Reading(resistance_ohm=resistance_ohm, force_n=self.decouple(resistance_ohm), strain=strain)
+
+
+def net_forces(model: Decoupler) -> Decouple:
+    """The forces of a trained model."""
+    return lambda resistance_ohm: with_all_axes(model.forces(resistance_ohm[None])[0], model.component.axes)
+
+
+def inverse_forces(response: ArrayResponse) -> Decouple:
+    """The forces of the response's own inverse, where there is no trained model."""
+    design, joint = response.design, component_named("all")
+    generator = np.random.default_rng(0)
+    loads = np.concatenate([PROTOCOLS[name].draw(generator, LOADS, design) for name in ("contact", "three-axis")])
+    within = largest_factors(displacements(response, loads), design.unit, MAX_STRAIN)
+    loads *= np.minimum(within, 1.0)[:, None, None]  # a pillar that turns over cannot be inverted
+    force_n = force_columns(by_unit(forces(loads, design), design), joint)
+    forward = ForwardModel.of(response, joint)
+    inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
+    return lambda resistance_ohm: inverse.forces(resistance_ohm.reshape(1, -1)).reshape(resistance_ohm.shape)
 
 
 def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:
@@ -110,5 +98,93 @@ def with_all_axes(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
 
 
 def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
-    """Tractions (n_units, 3) [MPa] that forces (rows, cols, 3) [N] on the pads are; unknown forces count as 0."""
+    """Tractions (n_units, 3) [MPa] on the pads from forces (rows, cols, 3) [N]; unknown forces count as 0."""
     return np.nan_to_num(force_n).reshape(-1, 3) / forces(np.ones(3), design)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorScan:
+    """One scan of a sensor."""
+
+    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y, as the model saw them
+    force_n: FloatArray  #: (rows, cols, 3): along x, y, z; NaN where the model gives none
+
+
+class SensorFeed:
+    """The board on a port or the frames of a recording, for all who look at the page.
+
+    Open from entering to leaving the with block; `run` keeps `scan`, `trouble`, `link` and `ended` new and calls
+    `listeners`. Parameters and errors are those of `hardware.session.live`.
+    """
+
+    def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
+        self.port, self.model = port, model
+        self.scan: SensorScan | None = None
+        self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
+        self.ended = False  #: a recording has been played to its end
+        self.listeners: set[Callable[[], None]] = set()
+        self._calibration, self._settings = calibration, settings
+        self._open = ExitStack()
+        self._times: deque[float] = deque()
+        self._saturated = 0  # pillars at an end of the converter's range in the newest scan
+
+    def __enter__(self) -> Self:
+        self._sensor = self._open.enter_context(live(self.port, self.model, self._calibration, **self._settings))
+        self._scanner = self._sensor.scanner
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._open.close()
+
+    async def run(self) -> None:
+        """Look at the sensor again and again, until cancelled."""
+        while True:
+            if self.look():
+                for tell in list(self.listeners):
+                    tell()
+            await asyncio.sleep(POLL_S)
+
+    def look(self) -> bool:
+        """Take the newest scan, if one has come, without waiting; returns whether anything is new."""
+        before = self.trouble, self.link, self.ended
+        try:
+            scan = self._newest()
+            self.trouble = "" if scan is not None else self.trouble
+        except TriPillarError as error:  # of one scan; the next may be sound
+            scan, self.trouble = None, str(error)
+        self.scan = scan or self.scan
+        self.link, self.ended = self._status(), self._scanner.ended
+        return scan is not None or before != (self.trouble, self.link, self.ended)
+
+    def play_again(self) -> None:
+        """Start a recording from its beginning."""
+        try:
+            self._open.close()
+            self.__enter__()
+        except TriPillarError as error:  # the file is gone, perhaps
+            self.trouble = str(error)
+
+    def _newest(self) -> SensorScan | None:
+        """The newest scan, decoupled; None if none has come since the last look."""
+        scan = None
+        while (later := self._scanner.get(timeout=0.0)) is not None:
+            scan = later
+            self._times.append(scan.received_s)
+        if scan is None:
+            return None
+        found = self._sensor.forces(scan)
+        self._saturated = int(found.saturated.sum())
+        force_n = with_all_axes(found.force_n, self.model.component.axes)
+        return SensorScan(resistance_ohm=found.resistance_ohm, force_n=force_n)
+
+    def _status(self) -> str:
+        """Rate, losses and saturated pillars, or why no scans come."""
+        if self._scanner.ended:
+            return "recording ended"
+        if self._scanner.trouble:
+            return self._scanner.trouble
+        now_s = time.perf_counter()
+        while self._times and self._times[0] < now_s - RATE_OVER_S:
+            self._times.popleft()
+        saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
+        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}"

@@ -1,4 +1,4 @@
-"""One browser at the page: what it says is checked, and what follows is sent to it."""
+"""One browser at the page: its messages are checked and done, and what has changed is sent back."""
 
 import asyncio
 import json
@@ -20,10 +20,10 @@ TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
 class Session:
     """A page and the web socket of the browser that shows it.
 
-    Messages are JSON objects of one name. From the browser: "set" {control: value}, "do" one of `calls`, "turn"
-    [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in pixels,
-    "restore", a state, and "file", csv or scene. To it: "facts", "show" with what has changed, "file" with "name" and
-    "text", and "refused" with the reason. Pictures are the binary messages.
+    Messages are JSON objects, usually of one name. From the browser: "set" {control: value}, "do" one of `calls`,
+    "turn" [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in
+    pixels, "restore", a state, and "file", csv or scene. To it: "facts", "show" with what has changed, "file" with
+    "name" and "text", and "refused" with the reason. Pictures are the binary messages.
     """
 
     def __init__(self, page: Page, socket: web.WebSocketResponse) -> None:
@@ -35,36 +35,37 @@ class Session:
             "home": page.look_from_the_start,
             "again": page.play_again,
         }
+        camera = page.scene.camera
         self._takers: dict[str, Callable[[Any], None]] = {
             "set": self._set,
             "do": self._do,
-            "turn": lambda said: page.scene.gestures.turn(*numbers_of("turn", said, 2, -TURN_DEG, TURN_DEG)),
-            "nearer": lambda said: page.scene.gestures.approach(*numbers_of("nearer", [said], 1, *NEARER)),
-            "move": lambda said: page.scene.gestures.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
+            "turn": lambda said: camera.turn(*numbers_of("turn", said, 2, -TURN_DEG, TURN_DEG)),
+            "nearer": lambda said: camera.approach(*numbers_of("nearer", [said], 1, *NEARER)),
+            "move": lambda said: camera.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
             "size": self._resize,
             "restore": page.restore,
             "file": lambda said: self._files.append(page.file(said)),
         }
 
     async def run(self) -> None:
-        """Until the browser leaves."""
+        """Listen, tell and draw until the browser leaves."""
         await self._send({"facts": self._page.facts()})
         working = [
-            asyncio.create_task(self._tell()),
-            asyncio.create_task(self._page.pictures.run(self._socket.send_bytes)),
+            asyncio.create_task(work)
+            for work in (self._tell(), self._page.pictures.run(self._socket.send_bytes), self._listen())
         ]
-        listening = asyncio.create_task(self._listen())
         try:
-            await asyncio.wait([*working, listening], return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (*working, listening):
+            for task in working:
                 task.cancel()
-            ended = await asyncio.gather(*working, listening, return_exceptions=True)
+            ended = await asyncio.gather(*working, return_exceptions=True)
         for error in ended:
             if isinstance(error, Exception) and not isinstance(error, ConnectionResetError):  # it left meanwhile
                 raise error
 
     async def _listen(self) -> None:
+        """Do what the browser's messages say, until it leaves."""
         next_s = 0.0
         async for message in self._socket:
             try:
@@ -83,13 +84,7 @@ class Session:
             await asyncio.sleep(max(next_s - now_s, 0.0))  # others have their turn, and a flood waits in its sender
 
     def _take(self, text: str) -> None:
-        """Do what a message says.
-
-        Raises
-        ------
-        ControlError
-            If it is none of those that `Session` names, or says what cannot be.
-        """
+        """Do what a message says; ControlError if it is none of those that `Session` names."""
         try:
             said = json.loads(text)
         except (ValueError, RecursionError):
@@ -115,15 +110,14 @@ class Session:
         self._page.pictures.resize(round(wide), round(high))
 
     async def _tell(self) -> None:
-        """Send what has changed whenever something has."""
+        """Send what has changed whenever something has, until cancelled."""
         while True:
             await self._page.is_changed.wait()
             self._page.is_changed.clear()
-            shown = self._page.update()
-            shown["controls"] = self._page.controls
+            shown = self._page.update() | {"controls": dict(self._page.controls)}
             changed = news(self._shown, shown)
             changed["controls"] = news(self._shown.get("controls", {}), shown["controls"])
-            self._shown |= shown | {"controls": dict(shown["controls"])}
+            self._shown |= shown
             await self._send({"show": changed})
 
     async def _send(self, message: Mapping[str, Any]) -> None:
@@ -131,7 +125,7 @@ class Session:
 
 
 def news(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """What of the new is not in the old.
+    """The items of `new` that `old` lacks or has otherwise.
 
     >>> news({"a": 1, "b": 2}, {"a": 1, "b": 3})
     {'b': 3}

@@ -8,7 +8,7 @@ from fem.fields.pad_loads import bell_pressure
 from geometry.design import Array, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import unit_centres
-from tripillar.viewer.page.loads import Indenter, PadLoad
+from tripillar.viewer.page.controls import Indenter, PadLoad
 
 DESIGN = SensorDesign(array=Array(rows=3, cols=3))
 

@@ -1,4 +1,4 @@
-"""Figures of merit against closed forms: an array of springs whose response is known."""
+"""Metrics against closed forms: an array of springs whose response is known."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,11 @@ from decoupler.inverse.forward_model import ForwardModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
-from tripillar.sweep.merits import (
+from tripillar.sweep.judge import (
     crosstalk,
     largest_pressures,
     loads_at_cap,
-    merits,
+    metrics_of,
     noise_limited_errors,
     relative_slopes,
     self_sensitivities,
@@ -90,7 +90,7 @@ def test_scaled_displacements_reach_the_cap_and_no_more():
 def test_loads_end_where_the_range_does():
     response = springs()
     forward = ForwardModel.of(response, component_named("all"))
-    force_n = loads_at_cap(response, 0.3, n=8, seed=0)
+    force_n = loads_at_cap(response, 0.3, n=8, seed=0)[0].reshape(8, -1)
     lengths = forward.lengths(force_n)
     assert np.abs(lengths / forward.lengths(np.zeros((1, 30))) - 1).max() == pytest.approx(0.3, rel=1e-9)
     assert force_n.reshape(8, -1, 3)[..., 2].min() > 0  # compression
@@ -98,10 +98,10 @@ def test_loads_end_where_the_range_does():
 
 def test_an_array_that_differs_in_scale_alone_has_the_same_shares():
     """A softer spring: error, range and sensitivity scale; crosstalk, condition and error in % of range do not."""
-    stiff = merits(springs(), noise=1e-3, bits=None, cap=0.3)
+    stiff = metrics_of(springs(), noise=1e-3, bits=None, cap=0.3)
     response = springs()
     soft = ArrayResponse(**{**vars(response), "influence_mm_per_n": 2 * response.influence_mm_per_n})
-    soft = merits(soft, noise=1e-3, bits=None, cap=0.3)
+    soft = metrics_of(soft, noise=1e-3, bits=None, cap=0.3)
     for name in ("error_n", "error_x_n", "range_n", "pressure_all_mpa"):
         assert soft[name] == pytest.approx(stiff[name] / 2, rel=1e-9)
     for name in ("error_pct", "crosstalk_1", "crosstalk_x_2", "condition", "area_cm2"):
@@ -115,7 +115,7 @@ def test_a_trained_net_meets_the_noise_limited_error():
     400 test samples of 2 units know an error to 3 %; the loads of both are scaled by draws of their own, 6 % apart.
     """
     response, _, _ = array_response(SensorDesign(array=Array(rows=1, cols=2)), ResponseSettings(tolerance=2e-2))
-    limit = merits(response, noise=1e-3, bits=12, cap=0.3)
+    limit = metrics_of(response, noise=1e-3, bits=12, cap=0.3)
     trained = training_errors(response, noise=1e-3, bits=12, cap=0.3)
     for axis in "xyz":
         assert trained[f"trained_{axis}_n"] == pytest.approx(limit[f"error_{axis}_n"], rel=0.15)
