@@ -28,7 +28,7 @@ sweep = sweep_from_dict({
     "bounds": {"area_cm2": {"most": 24.0}, "range_n": {"least": 450.0}},
 })  # fmt: skip
 
-# 2. Each design's figures, from its finite-element response: nothing is trained for them.
+# 2. The metrics of each design, from its finite-element response: nothing is trained for them.
 rows = [row_of(sample, sweep.judging) for sample in samples_of(sweep)]
 
 # 3. Those within the bounds, the least noise-limited error first.

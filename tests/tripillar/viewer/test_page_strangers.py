@@ -6,8 +6,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 from aiohttp import web
-from tests.tripillar.viewer.test_page_security import Visitor
 
+from tests.tripillar.viewer.test_server import Visitor
 from tripillar.viewer.page.server import Server
 
 CHROMIUM = "/usr/bin/chromium"

@@ -224,8 +224,8 @@ async def test_only_the_pages_files_are_served(visitor):
 
     assert await status("GET /page.js") == 200
     for path in (
-        "/../serving.py", "/%2e%2e/serving.py", "/..%2fserving.py", "//etc/passwd", "/serving.py",
-        "/page.js/../serving.py", "/page.js%00", "/page.html", "/.", "/static/page.js", "/socket/", "/ws",
+        "/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/server.py",
+        "/page.js/../server.py", "/page.js%00", "/page.html", "/.", "/static/page.js", "/socket/", "/ws",
         "/paraview", "http://evil.test/page.py",
     ):  # fmt: skip
         assert await status(f"GET {path}") in (400, 403, 404), path
