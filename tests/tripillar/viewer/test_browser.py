@@ -1,0 +1,431 @@
+"""The page of `view --serve` in a real browser: used, on small screens, beside another site, driven by a sensor."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+from urllib.parse import urlsplit
+
+import pytest
+from PIL import Image
+
+from dataset import DatasetSettings, measured_again, simulate
+from dataset.imperfections import Imperfections
+from decoupler import train
+from decoupler.model.model_file import write_model
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from fem.array.solving import array_response
+from geometry.design_file import read_design
+from hardware.boards.simulated import STEP_S, PressAndSlide, press_and_slide
+from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
+from hardware.link.frames import Info, ScanMode
+from hardware.readout.calibration import Electronics
+from tests.house import House
+
+api = pytest.importorskip("playwright.sync_api")
+
+CHROMIUM = "/usr/bin/chromium"
+MODEL = "model.safetensors"
+INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=100)
+SERVE = "view", "--serve", "--http-port", "0"
+PATIENT_MS = 30_000  # a busy machine may take this long for what takes a tenth of a second
+#: bytes of the picture that is shown, small enough to compare
+SHOWN = """async () => {
+  const img = document.querySelector('#picture'), canvas = new OffscreenCanvas(96, 72);
+  const context = canvas.getContext('2d');
+  context.drawImage(img, 0, 0, 96, 72);
+  return Array.from(context.getImageData(0, 0, 96, 72).data);
+}"""
+#: of another site: whatever a page can make a browser ask; each answer that it gets is a name in the list
+ATTACK = """async target => {
+  const got = [];
+  const within = (promise, name) => Promise.race([promise, new Promise(done => setTimeout(done, 5000))]).then(
+    yes => yes && got.push(name), () => {});
+  const socket = new WebSocket(target.replace("http", "ws") + "socket");
+  await within(new Promise(done => {
+    socket.onopen = () => { socket.send('{"set": {"pressure": 5}}'); done(true); };
+    socket.onerror = () => done(false);
+  }), "socket");
+  for (const mode of ["cors", "no-cors"]) for (const method of ["GET", "POST"])
+    await within(fetch(target + "page.js", { mode, method, credentials: "include" }).then(answer => answer.ok),
+      `${method} ${mode}`);
+  for (const [tag, name] of [["script", "src"], ["link", "href"], ["img", "src"]]) {
+    const element = document.createElement(tag);
+    Object.assign(element, { [name]: target + "page.js", rel: "stylesheet" });
+    await within(new Promise(done => {
+      element.onload = () => done(true);
+      element.onerror = () => done(false);
+      document.head.append(element);
+    }), tag);
+  }
+  const frame = document.body.appendChild(document.createElement("iframe"));
+  frame.src = target;
+  await new Promise(done => setTimeout(done, 500));
+  try { if (frame.contentDocument?.querySelector("#pads")) got.push("frame"); } catch {}
+  return got;
+}"""
+#: as one would try who got words of his own into the page
+INJECTED = """() => {
+  const script = document.createElement("script");
+  script.textContent = "window.got = 1";
+  document.body.append(script);
+}"""
+CONTRAST = """selectors => selectors.map(selector => {
+  const light = colour => {
+    const [r, g, b] = colour.match(/[0-9.]+/g).map(v => (v /= 255) <= 0.04 ? v / 12.9 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  let ground = document.querySelector(selector);
+  const ink = light(getComputedStyle(ground).color);
+  while (getComputedStyle(ground).backgroundColor === 'rgba(0, 0, 0, 0)') ground = ground.parentElement;
+  const behind = light(getComputedStyle(ground).backgroundColor);
+  return (Math.max(ink, behind) + 0.05) / (Math.min(ink, behind) + 0.05);
+})"""
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    house = House(tmp_path_factory.mktemp("page"))
+    house.environment |= {"OMP_NUM_THREADS": "1", "TRIPILLAR_CACHE": os.environ["TRIPILLAR_CACHE"]}
+    return house
+
+
+@pytest.fixture(scope="module")
+def motion(house):
+    """A press and slide over the small sensor; the joint net for it is written, and its response cached."""
+    response, _, _ = array_response(read_design(house.folder / "small.toml"))
+    loads = simulate(response, DatasetSettings(protocol="contact", samples=300, seed=1))
+    data = measured_again(loads, Imperfections(bits=INFO.bits), seed=1)
+    model = train(data, "all", NetworkConfig(net="skip", feature="inverse"), TrainingConfig(), response=response)
+    write_model(model, house.folder / MODEL)
+    return press_and_slide(response, PressAndSlide(seconds=2.0))
+
+
+@pytest.fixture(scope="module")
+def served(house):
+    """The address of a page without model or sensor."""
+    with running(house, *SERVE, "--design", "small.toml") as told:
+        yield told["url"]
+
+
+@contextmanager
+def running(house, *words):
+    """A command that runs until Ctrl-C; the JSON object that it prints first."""
+    command = [sys.executable, "-m", "tripillar", *words, "--json", "-q"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=house.folder, env=house.environment
+    ) as process:
+        try:
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            yield json.loads(line)
+        finally:
+            process.send_signal(signal.SIGINT)
+            printed, said = process.communicate(timeout=20)
+    assert process.returncode == 0, said
+    assert (printed, said) == ("", "")  # one object is all there is on stdout
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium; evil.test is this machine to it."""
+    if not os.path.exists(CHROMIUM):
+        pytest.skip(f"no {CHROMIUM}: install Debian's chromium")
+    flags = ["--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"]
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def looking_at(browser, url, **options):
+    """The page at an address; nothing may come from elsewhere, and nothing may fail."""
+    page = browser.new_page(**{"viewport": {"width": 1280, "height": 800}} | options)
+    page.set_default_timeout(PATIENT_MS)
+    elsewhere, errors = [], []
+    own = (url.partition("?")[0], "blob:", "ws://127.0.0.1", "data:")
+    page.on("request", lambda asked: elsewhere.append(asked.url) if not asked.url.startswith(own) else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    try:
+        page.goto(url)
+        page.wait_for_selector("#pads button")
+        page.wait_for_selector("#picture[src]")
+        yield page
+    finally:
+        page.close()
+    assert (elsewhere, errors) == ([], [])
+
+
+def shows(page, selector, text):
+    """Wait until an element says something, a pattern or a text."""
+    api.expect(page.locator(selector)).to_have_text(text, timeout=PATIENT_MS)
+
+
+def waited_for(page, condition):
+    """Wait for a condition on the page, asked from outside: the page's policy forbids evaluated words."""
+    until = time.monotonic() + PATIENT_MS / 1e3
+    while not condition():
+        assert time.monotonic() < until
+        page.wait_for_timeout(20)
+
+
+def picture_source(page):
+    return page.get_attribute("#picture", "src")
+
+
+def still_picture(page):
+    """The picture once no other has come for a while: its colours, 96 × 72 × 3."""
+    before = None
+    while (source := picture_source(page)) != before:
+        before = source
+        page.wait_for_timeout(800)  # ms: a finer picture comes 300 after the last change
+    return [value for place, value in enumerate(page.evaluate(SHOWN)) if place % 4 != 3]
+
+
+def changed(one, other):
+    """How many colours differ by more than JPEG's noise."""
+    return sum(abs(a - b) > 25 for a, b in zip(one, other, strict=True))
+
+
+def press(page, steps):
+    """Choose the first pad and press it by so many steps of the slider, of 0.05 MPa."""
+    page.click("#pad-0")
+    api.expect(page.locator("#pad-0")).to_have_class("chosen", timeout=PATIENT_MS)
+    page.focus("#pressure input")
+    for _ in range(steps):
+        page.keyboard.press("ArrowRight")
+    shows(page, "#pad-0", f"{0.05 * steps:.1f}")
+
+
+def test_a_slider_and_the_mouse_change_numbers_and_picture(served, browser):
+    with looking_at(browser, served) as page:
+        shows(page, "#strain b", "0.0 %")
+        assert "the response's inverse" in page.inner_text("#decoupler")
+        before = still_picture(page)
+        press(page, 40)
+        pressed = still_picture(page)
+        assert changed(before, pressed) > 50  # of 20,736 colours: one pad is pressed in
+        forces = [cell.inner_text() for cell in page.query_selector_all("#unit-forces tr:nth-child(3) td")]
+        assert forces[:2] == ["Fz", "288.0"]  # 2 MPa on 144 mm²
+        assert float(forces[2].replace("−", "-")) == pytest.approx(288.0, abs=3.0)  # the inverse's own error
+        assert float(page.inner_text("#unit-pillars tr:nth-child(1) td:nth-child(2)")) < 9.5  # kΩ, of 10 at rest
+        assert float(page.inner_text("#strain b").rstrip(" %")) > 2.0
+        page.click("#to-table")
+        api.expect(page.locator("#whole-table tbody tr")).to_have_count(2, timeout=PATIENT_MS)
+        box = page.locator(".middle").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 150, y, steps=10)
+        page.mouse.up()
+        assert changed(pressed, still_picture(page)) > 500
+        page.click("#by-indenter")
+        api.expect(page.locator("#pad-1")).not_to_have_text("", timeout=PATIENT_MS)
+        page.click("#reset")
+        shows(page, "#strain b", "0.0 %")
+
+
+def downloaded(page, button):
+    """The file that a button of the export menu gives."""
+    page.evaluate("document.querySelector('.export').open = true")
+    with page.expect_download(timeout=PATIENT_MS) as told:
+        page.click(button)
+    return told.value.path()
+
+
+def test_what_is_shown_can_be_taken_away_and_put_back(served, browser):
+    """The picture with its keys, numbers, a plot over time, and the state, which brings back the load."""
+    with looking_at(browser, served) as page:
+        page.click("#to-time")
+        press(page, 20)
+        still_picture(page)
+        with Image.open(downloaded(page, "#save-picture")) as picture:
+            drawn = page.evaluate("[picture.naturalWidth, picture.naturalHeight]")
+            assert picture.format == "PNG"
+            assert picture.width == drawn[0]
+            assert picture.height > drawn[1]
+        lines = list(csv.DictReader(downloaded(page, "[data-file=csv]").read_text().splitlines()))
+        assert [float(line["traction_z_mpa"]) for line in lines] == [-1.0, 0.0]
+        assert float(lines[0]["applied_fz_n"]) == pytest.approx(144.0)
+        plotted = list(csv.DictReader(downloaded(page, "#save-plot").read_text().splitlines()))
+        fz = [float(line["fz_n of row 0 col 0"]) for line in plotted]
+        assert fz[-1] == pytest.approx(144.0, abs=2.0)  # the inverse's own error
+        assert min(fz) < 30 < max(fz)
+        assert float(plotted[-1]["time_s"]) > 0
+        assert "[[load]]" in downloaded(page, "[data-file=scene]").read_text()
+        state = downloaded(page, "#save-state").read_bytes()
+        page.click("#reset")
+        shows(page, "#pad-0", "")
+        page.set_input_files("#load-state", {"name": "s.json", "mimeType": "application/json", "buffer": state})
+        shows(page, "#pad-0", "1.0")
+        page.set_input_files("#load-state", {"name": "s.json", "mimeType": "application/json", "buffer": b"no state"})
+        api.expect(page.locator("#trouble")).to_contain_text("state", timeout=PATIENT_MS)
+
+
+@pytest.mark.parametrize("size", [(390, 844), (768, 1024), (1280, 800)], ids=str)
+def test_the_page_suits_its_screen(served, browser, size):
+    """Nothing is cut off at the sides, rows and columns have numbers, text has a contrast of 4.5 and more."""
+    for scheme in ("light", "dark"):
+        options = {"viewport": {"width": size[0], "height": size[1]}, "color_scheme": scheme}
+        with looking_at(browser, served, **options) as page:
+            page.wait_for_selector("html.dark" if scheme == "dark" else "html:not(.dark)")
+            page.wait_for_selector("#legend p span")
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            for selector in ("#pads", "#picture", "#legend", "#resistance-maps", "#unit-forces", "#peak, #pressure"):
+                box = page.query_selector(selector).bounding_box()
+                assert box["x"] >= 0, selector
+                assert box["x"] + box["width"] <= size[0], selector
+                assert box["width"] > 150, selector
+            numbers = page.evaluate("[...document.querySelectorAll('.left .numbered li')].map(item => item.innerText)")
+            assert numbers == ["0", "0", "1"]  # one row, two columns
+            assert min(page.evaluate(CONTRAST, [".caption", "header b", "#legend .key", "#scale", "th", "td"])) >= 4.5
+
+
+def test_the_page_is_there_for_this_machine_alone(house, served):
+    port = urlsplit(served).port
+    with urllib.request.urlopen(served, timeout=10) as answer:
+        assert answer.status == 200
+    with open("/proc/net/tcp") as table:
+        sockets = [line.split() for line in table]
+    listening = [words[1] for words in sockets if words[3] == "0A" and words[1].endswith(f":{port:04X}")]
+    assert listening == [f"0100007F:{port:04X}"]  # 127.0.0.1, nothing else
+    taken = house.refusal("view", "--serve", "--http-port", str(port))
+    assert f"cannot listen on 127.0.0.1, port {port}" in taken
+
+
+class Blank(BaseHTTPRequestHandler):
+    """A site of somebody else."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>evil</title><body>")
+
+    def log_message(self, *_):
+        """Say nothing."""
+
+
+def test_another_site_in_the_same_browser_gets_nothing(served, browser):
+    base, token = served.split("?token=")
+    with browser.new_context() as context, ThreadingHTTPServer(("127.0.0.1", 0), Blank) as site:
+        context.set_default_timeout(PATIENT_MS)
+        page, said = context.new_page(), []
+        page.on("console", lambda message: said.append(message.text))
+        page.goto(served)
+        page.wait_for_selector("#pads button")
+        shows(page, "#strain b", "0.0 %")
+        assert page.url == base  # without the token
+        assert page.evaluate("document.cookie") == ""  # HttpOnly
+        page.reload()  # the cookie is enough
+        page.wait_for_selector("#pads button")
+        assert said == []
+        page.evaluate(INJECTED)
+        assert page.evaluate("window.got") is None
+        assert "Content Security Policy" in said[0]
+
+        Thread(target=site.serve_forever, daemon=True).start()
+        for name in ("evil.test", "127.0.0.1"):  # to cookies another port is the same site
+            stranger = context.new_page()
+            stranger.goto(f"http://{name}:{site.server_port}/")
+            assert stranger.evaluate(ATTACK, base) == []
+            stranger.close()
+        site.shutdown()
+        rebound = context.new_page()  # a name of its own for the server's address: its origin is the page's
+        own_name = f"http://evil.test:{urlsplit(base).port}/"
+        for path in ("", f"?token={token}"):
+            assert rebound.goto(own_name + path).status == 403
+        assert rebound.evaluate(ATTACK, own_name) == []
+        assert rebound.evaluate("() => fetch('page.js').then(answer => answer.status)") == 403
+        assert page.inner_text("#strain b") == "0.0 %"
+
+
+def test_a_lost_connection_goes_on_where_it_was(served, browser):
+    with browser.new_context() as context:
+        page, sockets = context.new_page(), []
+
+        def through(socket):
+            socket.connect_to_server()
+            sockets.append(socket)
+
+        page.route_web_socket("**/socket", through)
+        page.goto(served)
+        page.click("#pad-0")
+        page.fill("#pressure input", "2")
+        shows(page, "#pad-0", "2.0")
+        sockets[0].close()
+        shows(page, "#trouble", "no connection: has tripillar ended?")
+        shows(page, "#trouble", "")
+        shows(page, "#pad-0", "2.0")
+        assert len(sockets) == 2
+        page.click("#reset")
+        shows(page, "#strain b", "0.0 %")
+
+
+def test_a_board_deforms_the_array(house, motion, browser):
+    """A press and slide of 2 s, over and over: the force on a pad rises and falls, and pictures follow."""
+    counts = Electronics().crossbar(INFO).counts(motion.resistance_ohm)
+    with (
+        VirtualBoard(counts, INFO, step_s=STEP_S) as board,
+        running(house, *SERVE, "--model", MODEL, "--port", board.port) as told,
+        looking_at(browser, told["url"]) as page,
+    ):
+        assert MODEL in page.inner_text("#decoupler")
+        page.click("#pad-0")
+
+        def decoupled_n():
+            shown = page.inner_text("#unit-forces tr:nth-child(3) td:nth-child(3)")
+            return float(shown.replace("−", "-").replace("–", "nan"))
+
+        waited_for(page, lambda: decoupled_n() > 150)  # 3 MPa on 144 mm² at most
+        pressed = picture_source(page)
+        waited_for(page, lambda: abs(decoupled_n()) < 30)
+        waited_for(page, lambda: picture_source(page) != pressed)
+        assert "scans/s" in page.inner_text("#link")
+        assert page.inner_text("#unit-forces tr:nth-child(3) td:nth-child(2)") == "–"  # nobody knows what acts
+
+
+def test_a_recording_deforms_the_array(house, motion, browser):
+    stream = recording_from_resistances(motion.resistance_ohm[::2], INFO)  # 100 a second
+    (house.folder / "press.bin").write_bytes(stream)
+    with (
+        running(house, *SERVE, "--model", MODEL, "--port", "press.bin") as told,
+        looking_at(browser, told["url"]) as page,
+    ):
+        page.wait_for_selector("#play-again")
+        shows(page, "#link", "recording ended")
+        ended = picture_source(page)
+        page.click("#play-again")
+        api.expect(page.locator("#strain b")).not_to_have_text("0.0 %", timeout=PATIENT_MS)
+        waited_for(page, lambda: picture_source(page) != ended)
+        page.wait_for_selector("#play-again")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--host", "0.0.0.0"], "add --serve, whose page these are for, or leave --host out"),
+        (["--serve", "--save", "a.png"], "controls of its own: leave --save out"),
+        (["--serve", "--port", "board"], "--port needs --model"),
+        (["--serve", "--calibration", "own.json"], "--calibration is of a sensor"),
+        (["--serve", "--http-port", "70000"], "must be from 0"),
+        (["--serve", "--host", "192.0.2.1"], "cannot listen on 192.0.2.1"),  # an address for examples, nobody's
+        (["--serve", "--model", "none.safetensors"], "none.safetensors"),
+    ],
+)
+def test_what_cannot_be_served_is_refused(house, words, said):
+    assert said in house.refusal("view", *words)
+
+
+def test_a_model_of_another_array_is_refused(house, motion):
+    (house.folder / "paper.toml").write_text('extends = "paper"\n')
+    said = house.refusal(*SERVE, "--model", MODEL, "--design", "paper.toml")
+    assert "1 × 2 units, the design has 6 × 6" in said
