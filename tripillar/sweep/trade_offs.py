@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.markup import escape
@@ -16,16 +16,14 @@ from tripillar.sweep.rows import Row, metric_label
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
 GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front, and how many are drawn thick
 AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
 BESIDE = ("range_n", "crosstalk_1", "condition")  #: metrics of the parallel axes, after the keys
-HOPELESS = 100.0  #: times the least error (or another figure) from which designs are drawn at the edge: no good anyhow
+HOPELESS = 100.0  #: times the least value of a metric; worse designs are drawn at the edge
+PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}  #: behind texts
 PALE = 0.55  #: strength of colour of the lines that are not among the best
-WIDE = 20.0  #: ratio of the largest to the least value from which an axis is logarithmic
+WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
 def ranked(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
@@ -62,48 +60,40 @@ def reasons(rows: Sequence[Row]) -> dict[str, list[str]]:
 def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     """Write a PNG: error against force range and against size, with the designs that no other one beats in both."""
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm, Normalize
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
     within = np.array([not sweep.excess(row.metrics) for row in sound])
     whole = _column(sound, sweep.least)
     error = _clipped(whole)
+    is_clipped = error < whole
     variable = telling_variable(sound, sweep)
     shade = np.array([row.values[variable.name] for row in sound])
-    norm = _norm(shade)
+    norm = LogNorm() if _is_wide(shade) else Normalize()
     figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
     for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
         other = _column(sound, name)
         if not within.all():
-            axes.scatter(
-                other[~within], error[~within], s=26, facecolors="none", edgecolors=GREY, label="out of bounds"
-            )
-        for marker, those in (("o", within & (error == whole)), ("^", within & (error < whole))):
+            outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
+            axes.scatter(other[~within], error[~within], **outside)
+        for marker, those in (("o", within & ~is_clipped), ("^", within & is_clipped)):
             axes.scatter(
                 other[those], error[those], c=shade[those], s=42, marker=marker, cmap="viridis", norm=norm,
                 edgecolors="white", linewidths=0.6, zorder=3,
             )  # fmt: skip
-        front = pareto(np.where(within & (error == whole), error, np.inf), -other if more else other)
+        front = pareto(np.where(within & ~is_clipped, error, np.inf), -other if more else other)
         order = front[np.argsort(other[front])]
-        label = "beaten by no other design in both"
-        axes.step(
-            other[order],
-            error[order],
-            where="pre" if more else "post",
-            color=FRONT,
-            linewidth=1.6,
-            zorder=2,
-            label=label,
-        )
+        line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
+        axes.step(other[order], error[order], where="pre" if more else "post", **line)
         axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
         axes.set(xlabel=f"{metric_label(name)}, {'more' if more else 'less'} is better")
-        _scale(axes, "x", other)
-        _scale(axes, "y", error)
+        axes.set(**{f"{axis}scale": "log" for axis, values in (("x", other), ("y", error)) if _is_wide(values)})
         axes.grid(visible=True, which="major", alpha=0.25)
     figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
     figure.axes[1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
-    counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int((error < whole).sum())}
+    counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int(is_clipped.sum())}
     parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
     figure.suptitle("; ".join(parts), fontsize=12)
     with replacing(path) as temporary:
@@ -118,17 +108,15 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
-    best = {row.cache_key: place for place, row in enumerate(ranked(rows, sweep)[:BEST])}
-    metrics = [sweep.least, *(name for name in BESIDE if name != sweep.least)]
-    labels = [*(variable.label for variable in sweep.variables), *map(metric_label, metrics)]
-    columns = [np.array([row.values[variable.name] for row in sound]) for variable in sweep.variables]
-    columns += [_clipped(_column(sound, name)) for name in metrics]
-    cut = [False] * len(sweep.variables) + [
-        bool((_column(sound, name) > HOPELESS * _least(sound, name)).any()) for name in metrics
-    ]
-    axis = zip(labels, columns, cut, strict=True)
-    kept = [(label, column, ends) for label, column, ends in axis if np.isfinite(column).any()]
-    heights = np.array([_share(column) for _, column, _ in kept])
+    best = {row.cache_key for row in ranked(rows, sweep)[:BEST]}
+    kept: list[tuple[str, FloatArray, bool]] = []  # label, values and whether they are cut of each axis
+    for variable in sweep.variables:
+        kept.append((variable.label, np.array([row.values[variable.name] for row in sound]), False))
+    for name in dict.fromkeys((sweep.least, *BESIDE)):
+        whole = _column(sound, name)
+        if np.isfinite(whole).any():
+            kept.append((metric_label(name), _clipped(whole), bool((whole > _clipped(whole)).any())))
+    heights = np.array([_share(values) for _, values, _ in kept])
     goal = heights[len(sweep.variables)]
     shades = colormaps["viridis"]
     figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=100, layout="constrained")
@@ -139,11 +127,11 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].metrics) else to_rgb(GREY))
         paler = colour if thick else 1.0 - PALE * (1.0 - colour)
         axes.plot(places, heights[:, k], color=tuple(paler), linewidth=2.6 if thick else 1.0, zorder=3 if thick else 2)
-    for place, (_, column, ends) in enumerate(kept):
+    for place, (_, values, is_cut) in enumerate(kept):
         axes.axvline(place, color="#333333", linewidth=1.0, zorder=1)
-        for share, text in _ticks(column):
-            above = "≥ " if ends and share == 1.0 else ""
-            axes.text(place + 0.05, share, above + text, fontsize=8, va="center", zorder=5, bbox=_PAPER)
+        for share, text in _ticks(values):
+            above = "≥ " if is_cut and share == 1.0 else ""
+            axes.text(place + 0.05, share, above + text, fontsize=8, va="center", zorder=5, bbox=PAPER)
             axes.plot([place - 0.03, place + 0.03], [share, share], color="#333333", linewidth=1.0)
     axes.set_xticks(places, ["\n".join(wrap(label, 14)) for label, _, _ in kept], fontsize=9)
     axes.xaxis.set_ticks_position("top")
@@ -157,9 +145,6 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     bar.set_label(f"{metric_label(sweep.least)}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
-
-
-_PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
 
 
 def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
@@ -176,7 +161,7 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
-    """The variable that agrees best in order with the figure that is to be least, where that is not hopeless."""
+    """The variable of the strongest rank correlation with the minimised metric, hopeless designs left out."""
     error = _column(rows, sweep.least)
     sane = error == _clipped(error)
     error = error[sane]
@@ -191,12 +176,8 @@ def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
 
 
 def _column(rows: Sequence[Row], name: str) -> FloatArray:
-    found = [row.metrics.get(name) for row in rows]
-    return np.array([np.nan if value is None else value for value in found])
-
-
-def _least(rows: Sequence[Row], name: str) -> float:
-    return float(np.nanmin(_column(rows, name), initial=np.inf))
+    """A metric of all rows; NaN where it is missing."""
+    return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
 
 
 def _clipped(values: FloatArray) -> FloatArray:
@@ -206,23 +187,13 @@ def _clipped(values: FloatArray) -> FloatArray:
 
 
 def _is_wide(values: FloatArray) -> bool:
+    """Whether values are so far apart that their axis is logarithmic."""
     finite = values[np.isfinite(values)]
     return bool(len(finite) and finite.min() > 0 and finite.max() > WIDE * finite.min())
 
 
-def _scale(axes: "Axes", axis: str, values: FloatArray) -> None:
-    if _is_wide(values):
-        axes.set(**{f"{axis}scale": "log"})
-
-
-def _norm(values: FloatArray) -> Any:
-    from matplotlib.colors import LogNorm, Normalize
-
-    return LogNorm() if _is_wide(values) else Normalize()
-
-
 def _share(values: FloatArray) -> FloatArray:
-    """Where values lie between the least (0) and the largest (1), on a logarithmic axis if they are far apart."""
+    """Where values lie between the least (0) and the largest (1) on their axis."""
     on_axis = np.log(values) if _is_wide(values) else values
     low, high = np.nanmin(on_axis), np.nanmax(on_axis)
     return (on_axis - low) / (high - low) if high > low else np.full(len(values), 0.5)
@@ -230,13 +201,12 @@ def _share(values: FloatArray) -> FloatArray:
 
 def _ticks(values: FloatArray, count: int = 5) -> list[tuple[float, str]]:
     """Places and texts along an axis of the parallel coordinates."""
+
+    def text(number: float) -> str:
+        return f"{number:.3g}" if abs(number) < 1000 else f"{number:,.0f}"
+
     low, high = np.nanmin(values), np.nanmax(values)
     if not high > low:
-        return [(0.5, _text(low))]
-    wide = _is_wide(values)
-    places = np.geomspace(low, high, count) if wide else np.linspace(low, high, count)
-    return [(share, _text(place)) for share, place in zip(np.linspace(0.0, 1.0, count), places, strict=True)]
-
-
-def _text(number: float) -> str:
-    return f"{number:.3g}" if abs(number) < 1000 else f"{number:,.0f}"
+        return [(0.5, text(low))]
+    places = np.geomspace(low, high, count) if _is_wide(values) else np.linspace(low, high, count)
+    return [(share, text(place)) for share, place in zip(np.linspace(0.0, 1.0, count), places, strict=True)]
