@@ -1,7 +1,7 @@
 """How an array's response is computed: by copies of one condensed cell, unless told otherwise."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -72,7 +72,8 @@ def array_response(
 
 def response_recipe(design: SensorDesign, settings: ResponseSettings) -> str:
     """Hash of all that a response depends on: the design without its resistivity, the settings, the version."""
-    return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), settings.suited(design))
+    stated = asdict(settings.suited(design)) | {"element": "Q2", "far": True, "mesh": None}  # as in older files
+    return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
 
 
 def solve_response(

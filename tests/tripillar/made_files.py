@@ -63,7 +63,7 @@ def a_calibration(path: Path):
 
 
 def a_row(path: Path):
-    row = Row(recipe=path.stem, values={"pad.size_mm": 9.0}, design="x", figures={"error_n": 1.5})
+    row = Row(cache_key=path.stem, values={"pad.size_mm": 9.0}, design="x", metrics={"error_n": 1.5})
     write_row(row, path.parent)
     return lambda path: read_row(path.parent, path.stem)
 
