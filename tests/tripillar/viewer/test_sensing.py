@@ -8,7 +8,7 @@ import pytest
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors
 from dataset.simulation import DatasetSettings, displacements, forces, simulate
-from decoupler.data.components import component_named
+from decoupler.data.columns import component_named
 from decoupler.data.scaling import Scaling
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
