@@ -70,20 +70,3 @@ def pad_squares(design: SensorDesign) -> FloatArray:
 
 def _squares(centres: FloatArray, side_mm: float) -> FloatArray:
     return np.hstack([centres - side_mm / 2, centres + side_mm / 2])
-
-
-def inside_pillars(points_mm: FloatArray, design: SensorDesign) -> NDArray[np.bool_]:
-    """Which of the points (n, 3) lie inside a pillar of any unit, shape (n,)."""
-    unit, pitch_mm = design.unit, design.array.pitch_mm
-    # every pillar stays within its unit's share of the slab, so the nearest centre decides
-    counts = np.array([design.array.cols, design.array.rows])
-    middle = (counts - 1) / 2
-    index = np.clip(np.rint(points_mm[:, :2] / pitch_mm + middle), 0, counts - 1)
-    local = points_mm[:, :2] - (index - middle) * pitch_mm
-    share = points_mm[:, 2:] / unit.height_mm
-    between = ((share >= 0) & (share <= 1))[:, 0]
-    inside = np.zeros(len(points_mm), dtype=bool)
-    for (bottom, top), half_mm in zip(pillar_ends(unit), pillar_sections(unit) / 2, strict=True):
-        axis_mm = bottom[:2] + share * (top - bottom)[:2]
-        inside |= (np.abs(local - axis_mm) <= half_mm).all(axis=1)
-    return inside & between

@@ -22,11 +22,11 @@ from fem.discretization.hexahedra import GridBasis, grid_stiffness
 from fem.methods.richardson import error_after
 from geometry.design import SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
-from geometry.mesh import MeshSettings, TetMesh, sensor_mesh, suited_settings
+from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 
 VERSION = (
-    1  #: raise when the same design gives another refined cell, by another mesh too: cached ones are not reused then
+    2  #: raise when the same design gives another refined cell, by another mesh too: cached ones are not reused then
 )
 
 #: two levels of the grid and the degree of the port modes, dearer from stage to stage
@@ -268,7 +268,7 @@ def condensed_cell(
         meshed = perf_counter() - start
         return condense_by_parity(basis, grid_stiffness(basis, [design.matrix_material]), ports, rectangles), meshed
     alone = lone_unit(design)
-    mesh, _, _ = sensor_mesh(alone, finer(suited_settings(design), level))
+    mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
     meshed = perf_counter() - start
     return condense(elastic_body(alone, mesh), ports, rectangles), meshed
 
@@ -304,13 +304,3 @@ def cell_grid(design: SensorDesign, level: int) -> Grid:
 def mirrored(lines: FloatArray) -> FloatArray:
     """Lines of a quarter, from 0 on, and their mirror images."""
     return np.concatenate([-lines[:0:-1], lines])
-
-
-def finer(settings: MeshSettings, level: float) -> MeshSettings:
-    """Mesh settings with all edges divided by a level."""
-    return replace(
-        settings,
-        edge_top_mm=settings.edge_top_mm / level,
-        edge_base_mm=settings.edge_base_mm / level,
-        envelope_mm=min(settings.envelope_mm, 0.1 * settings.edge_top_mm / level),
-    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.port_modes import PortModes
-from fem.array.substructured import cell_grid, elastic_body, finer, lone_unit, mirrored
+from fem.array.substructured import cell_grid, elastic_body, lone_unit, mirrored
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
 from fem.fields.cell_field import CellInterior, cell_interior
@@ -180,7 +180,7 @@ def array_field(
         region, degree = np.zeros(basis.element_dofs.shape[1], dtype=np.int64), GRID_DEGREE
     else:
         progress("mesh")
-        mesh, _, _ = sensor_mesh(alone, finer(suited_settings(design), MESH_LEVEL))
+        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
         progress("cell")
         body = elastic_body(alone, mesh)
         region, degree = mesh.region.astype(np.int64), MESH_DEGREE

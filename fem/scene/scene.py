@@ -16,10 +16,9 @@ import numpy as np
 
 from geometry.design import Material, SensorDesign
 from geometry.errors import TriPillarError
-from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import FloatArray
+from geometry.prism import Pair, Prism, Triple, pillar_prisms, slab_prism
 
-Pair = tuple[float, float]
-Triple = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
 
 LENGTHS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
@@ -65,73 +64,6 @@ def _is_finite(value: Any) -> bool:
         return False
     limit = sys.float_info.max
     return bool(-limit <= value <= limit)  # so that NaN and endless integers are refused
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prism:
-    """A straight prism between two equal horizontal rectangles: the shape of every body and every inclusion."""
-
-    base_mm: Triple = field(metadata={"meaning": "centre of the lower end"})
-    top_mm: Triple = field(metadata={"meaning": "centre of the upper end"})
-    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y"})
-
-    @property
-    def is_upright(self) -> bool:
-        """True if its sides are vertical, so that it is a box."""
-        return self.base_mm[:2] == self.top_mm[:2]
-
-    @property
-    def height_mm(self) -> float:
-        return self.top_mm[2] - self.base_mm[2]
-
-    @property
-    def volume_mm3(self) -> float:
-        return self.section_mm[0] * self.section_mm[1] * self.height_mm
-
-    def axis_at(self, z_mm: FloatArray) -> FloatArray:
-        """Centre of the section at heights (n,), shape (n, 2) [mm]."""
-        base, top = np.array(self.base_mm), np.array(self.top_mm)
-        share = (z_mm - base[2]) / self.height_mm
-        return base[:2] + share[:, None] * (top - base)[:2]
-
-    def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> np.ndarray:
-        """Which of the points (n, 3) lie inside or on its faces, widened by a slack, shape (n,)."""
-        z = points_mm[:, 2]
-        level = (z >= self.base_mm[2] - slack_mm) & (z <= self.top_mm[2] + slack_mm)
-        across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
-        return level & across.all(axis=1)
-
-    def distance(self, points_mm: FloatArray) -> FloatArray:
-        """How far points (n, 3) are outside along the axis by which they are furthest out, shape (n,) [mm]."""
-        z = points_mm[:, 2]
-        level = np.clip(z, self.base_mm[2], self.top_mm[2])
-        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - np.array(self.section_mm) / 2
-        return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
-
-    def corners(self) -> FloatArray:
-        """The corners of the lower end, anticlockwise from above, then those of the upper, shape (8, 3) [mm]."""
-        signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
-        half = signs * np.array([*self.section_mm, 0.0]) / 2
-        return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
-
-    def cuts(self, other: "Prism", slack_mm: float) -> bool:
-        """True if two prisms share more than faces: penetration by up to the slack counts as touching."""
-        low = max(self.base_mm[2], other.base_mm[2])
-        high = min(self.top_mm[2], other.top_mm[2])
-        if high - low <= slack_mm:
-            return False
-        # the offset of the axes is linear in z, so each axis overlaps over one interval of z
-        at_low, at_high = (self.axis_at(np.array([z]))[0] - other.axis_at(np.array([z]))[0] for z in (low, high))
-        reach = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
-        first, last = 0.0, 1.0
-        for start, end, half in zip(at_low, at_high, reach, strict=True):
-            if start == end:
-                if not abs(start) < half:
-                    return False
-                continue
-            one, two = sorted(((half - start) / (end - start), (-half - start) / (end - start)))
-            first, last = max(first, one), min(last, two)
-        return bool((last - first) * (high - low) > slack_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,23 +118,12 @@ class Sensor:
 
     @property
     def outline(self) -> Prism:
-        x, y, h = self.design.slab_mm
-        return Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, h), section_mm=(x, y))
+        return slab_prism(self.design)
 
     @property
     def pillars(self) -> list[Prism]:
         """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
-        unit = self.design.unit
-        shapes = list(zip(pillar_ends(unit), pillar_sections(unit), strict=True))
-        return [
-            Prism(
-                base_mm=(float(x + base[0]), float(y + base[1]), float(base[2])),
-                top_mm=(float(x + top[0]), float(y + top[1]), float(top[2])),
-                section_mm=(float(section[0]), float(section[1])),
-            )
-            for x, y in unit_centres(self.design)
-            for (base, top), section in shapes
-        ]
+        return pillar_prisms(self.design)
 
 
 Body = Block | Pillar | Sensor

@@ -18,8 +18,7 @@ from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, 
 from fem.scene.solution import Solution, largest_error
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
-from geometry.mesh import TetMesh
-from geometry.quality import quality
+from geometry.mesh import TetMesh, mesh_quality
 from studies.bench.scenes import response_scenes
 from studies.edge_cases.trials import Judged, NotTriedError, Trial
 
@@ -189,7 +188,7 @@ def flattened(smallest_deg: float) -> tuple[MeshTet, float]:
         if not (rest * signed_volumes(points, mesh.t) > 0).all():
             return 0.0
         cells = TetMesh(points.T, mesh.t.T.astype(np.int32), np.zeros(mesh.nelements, dtype=np.int32))
-        return quality(cells).smallest_dihedral_deg
+        return mesh_quality(cells).smallest_dihedral_deg
 
     low, high = 0.0, 1.0
     for _ in range(60):

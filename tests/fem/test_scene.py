@@ -7,8 +7,7 @@ import pytest
 
 from fem.scene.scene import Block, Inclusion, Pillar, Prism, SceneError, Sensor
 from fem.scene.scene_file import read_scene, scene_from_toml
-from geometry.design import Array, Material, SensorDesign
-from geometry.layout import inside_pillars
+from geometry.design import Material
 from tests.fem.scenes import ARRAY, BLOCK, EXAMPLES, PILLAR
 
 
@@ -48,14 +47,6 @@ def test_a_common_material_fills_the_rubbers_that_the_design_leaves_open():
     assert isinstance(body, Sensor)
     assert body.design.matrix_material == Material(young_mpa=2.0, poisson=0.4)
     assert body.design.pillar_material == Material(young_mpa=61.0)  # [design] gives its own
-
-
-def test_the_pillars_of_a_sensor_are_the_layouts():
-    sensor = Sensor(design=SensorDesign(array=Array(rows=2, cols=3)))
-    points = np.random.default_rng(3).uniform([-22.5, -15, 0], [22.5, 15, 10], (4000, 3))
-    inside = np.any([pillar.holds(points) for pillar in sensor.pillars], axis=0)
-    assert 0 < inside.sum() < 4000
-    assert np.array_equal(inside, inside_pillars(points, sensor.design))
 
 
 SWAPS = [

@@ -1,10 +1,7 @@
 """Where everything of a design is, against the tables of the design page and independent routes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import trimesh
 
 from geometry import Array, Pad, SensorDesign, Unit
 from geometry.layout import (
@@ -13,7 +10,6 @@ from geometry.layout import (
     PILLAR_TOP,
     PILLARS,
     electrode_squares,
-    inside_pillars,
     pad_squares,
     pillar_ends,
     pillar_sections,
@@ -91,47 +87,3 @@ def test_everything_lies_on_its_own_share_of_the_slab(design):
     electrodes = electrode_squares(design).reshape(-1, 4, 2) - centres[:, None]
     assert np.abs(pads).max() <= half
     assert np.abs(electrodes).max() <= half
-
-
-def hexahedron(bottom: np.ndarray, top: np.ndarray, half: np.ndarray) -> trimesh.Trimesh:
-    """A pillar as the convex hull of its eight corners."""
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    ends = [np.column_stack([end[:2] + corners, np.full(4, end[2])]) for end in (bottom, top)]
-    return trimesh.convex.convex_hull(np.vstack(ends))
-
-
-def test_points_inside_pillars_are_those_inside_their_hulls(design):
-    """A point is inside a convex body if it is behind all its faces: knows nothing of units or shares."""
-    rng = np.random.default_rng(0)
-    x, y, h = design.slab_mm
-    points = rng.uniform([-x / 2, -y / 2, -0.2 * h], [x / 2, y / 2, 1.2 * h], (20_000, 3))
-    expected = np.zeros(len(points), dtype=bool)
-    for ends, half in zip(pillar_ends(design.unit), pillar_sections(design.unit) / 2, strict=True):
-        hull = hexahedron(*ends, half)
-        for centre in unit_centres(design):
-            local = points - [*centre, 0.0]
-            depth = np.einsum("fk,pk->pf", hull.face_normals, local) - np.einsum(
-                "fk,fk->f", hull.face_normals, hull.triangles[:, 0]
-            )
-            expected |= (depth <= 0).all(axis=1)
-    assert expected.sum() > 100
-    assert np.array_equal(inside_pillars(points, design), expected)
-
-
-def test_volume_inside_pillars_is_that_of_their_union(design):
-    """V = w²(h + 2l) − w²·h·ow/s of every unit: the oblique pillars share a wedge with the upright one."""
-    unit = design.unit
-    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
-    union = w**2 * (h + 2 * np.hypot(s, h)) - w**2 * h * unit.oblique_width_mm / s
-    n = 400_000
-    points = np.random.default_rng(1).uniform(size=(n, 3)) * design.slab_mm
-    points[:, :2] -= np.array(design.slab_mm[:2]) / 2
-    share = design.n_units * union / np.prod(design.slab_mm)
-    deviation = np.sqrt(share * (1 - share) / n)  # of a binomial share
-    assert inside_pillars(points, design).mean() == pytest.approx(share, abs=4 * deviation)
-
-
-def test_points_above_and_below_the_slab_are_outside():
-    on_axis = np.array([[-5.0, -5.0, z] for z in (-0.01, 0.0, 5.0, 10.0, 10.01)])
-    one = replace(SensorDesign(), array=Array(rows=1, cols=1))
-    assert inside_pillars(on_axis, one).tolist() == [False, True, True, True, False]

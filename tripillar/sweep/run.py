@@ -8,7 +8,7 @@ from time import monotonic
 from fem.array.solving import ResponseSettings, response_recipe
 from fem.array.substructured import cell_recipe, lone_unit
 from geometry.design import SensorDesign
-from geometry.mesh import mesh_recipe, suited_settings
+from geometry.mesh import mesh_cache_key, suited_settings
 from tripillar.sweep.rows import Row, read_row, write_row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
@@ -87,4 +87,4 @@ def shared_stages(sample: Sample, judging: Judging) -> set[str]:
         f"cell {cell_recipe(design, judging.tolerance)}",
         f"response {response_recipe(design, settings)}",
     }
-    return stages if design.is_homogeneous else stages | {f"mesh {mesh_recipe(alone, suited_settings(alone))}"}
+    return stages if design.is_homogeneous else stages | {f"mesh {mesh_cache_key(alone, suited_settings(alone))}"}

@@ -1,0 +1,114 @@
+"""Straight prisms between equal horizontal rectangles: the shape of the slab, of pillars and of inclusions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prism:
+    """A straight prism between two equal horizontal rectangles: the shape of every body and every inclusion."""
+
+    base_mm: Triple = field(metadata={"meaning": "centre of the lower end"})
+    top_mm: Triple = field(metadata={"meaning": "centre of the upper end"})
+    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y"})
+
+    @property
+    def is_upright(self) -> bool:
+        """True if its sides are vertical, so that it is a box."""
+        return self.base_mm[:2] == self.top_mm[:2]
+
+    @property
+    def height_mm(self) -> float:
+        return self.top_mm[2] - self.base_mm[2]
+
+    @property
+    def lean(self) -> Pair:
+        """Shift of the axis along x and y per height."""
+        (x0, y0, _), (x1, y1, _) = self.base_mm, self.top_mm
+        return (x1 - x0) / self.height_mm, (y1 - y0) / self.height_mm
+
+    @property
+    def volume_mm3(self) -> float:
+        return self.section_mm[0] * self.section_mm[1] * self.height_mm
+
+    def axis_at(self, z_mm: FloatArray) -> FloatArray:
+        """Centre of the section at heights (n,), shape (n, 2) [mm]."""
+        base, top = np.array(self.base_mm), np.array(self.top_mm)
+        share = (z_mm - base[2]) / self.height_mm
+        return base[:2] + share[:, None] * (top - base)[:2]
+
+    def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> np.ndarray:
+        """Which of the points (n, 3) lie inside or on its faces, widened by a slack, shape (n,)."""
+        z = points_mm[:, 2]
+        level = (z >= self.base_mm[2] - slack_mm) & (z <= self.top_mm[2] + slack_mm)
+        across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
+        return level & across.all(axis=1)
+
+    def distance(self, points_mm: FloatArray) -> FloatArray:
+        """How far points (n, 3) are outside along the axis by which they are furthest out, shape (n,) [mm]."""
+        z = points_mm[:, 2]
+        level = np.clip(z, self.base_mm[2], self.top_mm[2])
+        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - np.array(self.section_mm) / 2
+        return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
+
+    def corners(self) -> FloatArray:
+        """The corners of the lower end, anticlockwise from above, then those of the upper, shape (8, 3) [mm]."""
+        signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+        half = signs * np.array([*self.section_mm, 0.0]) / 2
+        return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
+
+    def cuts(self, other: "Prism", slack_mm: float) -> bool:
+        """True if two prisms share more than faces: penetration by up to the slack counts as touching."""
+        low = max(self.base_mm[2], other.base_mm[2])
+        high = min(self.top_mm[2], other.top_mm[2])
+        if high - low <= slack_mm:
+            return False
+        # the offset of the axes is linear in z, so each axis overlaps over one interval of z
+        at_low, at_high = (self.axis_at(np.array([z]))[0] - other.axis_at(np.array([z]))[0] for z in (low, high))
+        reach = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
+        first, last = 0.0, 1.0
+        for start, end, half in zip(at_low, at_high, reach, strict=True):
+            if start == end:
+                if not abs(start) < half:
+                    return False
+                continue
+            one, two = sorted(((half - start) / (end - start), (-half - start) / (end - start)))
+            first, last = max(first, one), min(last, two)
+        return bool((last - first) * (high - low) > slack_mm)
+
+
+def slab_prism(design: SensorDesign) -> Prism:
+    """The slab of a sensor, pillars and matrix together."""
+    x, y, h = design.slab_mm
+    return Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, h), section_mm=(x, y))
+
+
+def pillar_prisms(design: SensorDesign) -> list[Prism]:
+    """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
+    shapes = list(zip(pillar_ends(design.unit), pillar_sections(design.unit), strict=True))
+    return [
+        Prism(
+            base_mm=tuple((centre + base).tolist()),
+            top_mm=tuple((centre + top).tolist()),
+            section_mm=tuple(section.tolist()),
+        )
+        for centre in np.pad(unit_centres(design), ((0, 0), (0, 1)))
+        for (base, top), section in shapes
+    ]
+
+
+def prisms_at(points_mm: FloatArray, prisms: Sequence[Prism]) -> NDArray[np.int64]:
+    """The prism that each of the points (n, 3) lies in: 0 for none, i + 1 for prisms[i]; the last wins."""
+    numbers = np.zeros(len(points_mm), dtype=np.int64)
+    for number, prism in enumerate(prisms, start=1):
+        numbers[prism.holds(points_mm)] = number
+    return numbers
