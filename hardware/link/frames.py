@@ -30,7 +30,7 @@ _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 MAX_OVERRUNS = _BYTE  #: that a board counts: this many or more
 _MAX_COUNT = _SHORT
 MAX_DRIFT = 0.01  #: of a board's clock, a ceramic resonator, with room to spare; quartz has 1e-4
-_MOST_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
+_MAX_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
 _MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
 
 
@@ -231,7 +231,7 @@ def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) 
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
     if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
         return None
-    if host_s is not None and elapsed_us * 1e-6 * (1 - MAX_DRIFT) > host_s + _MOST_EARLY_S:
+    if host_s is not None and elapsed_us * 1e-6 * (1 - MAX_DRIFT) > host_s + _MAX_EARLY_S:
         return None
     return missing
 
