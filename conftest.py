@@ -27,9 +27,10 @@ def pytest_unconfigure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give each test a cache of its own, so that no test finds what another has left there."""
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "cache"))
+def own_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give each test a cache of its own, so that no test finds what another has left there; examples share theirs."""
+    is_example = isinstance(request.node, pytest.DoctestItem)
+    monkeypatch.setenv("TRIPILLAR_CACHE", str((SHARED if is_example else tmp_path) / "cache"))
 
 
 @pytest.fixture

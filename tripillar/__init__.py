@@ -1,1 +1,115 @@
-"""TriPillar: from a sensor's design to forces with error bars."""
+"""TriPillar: from the design of a three-axis tactile sensor to forces with error bars.
+
+``import tripillar as tp`` gives the names below, in the order of the data; each is loaded when it is first used. Open
+`tripillar/face.py` for what they do. All else is reached through its package (`geometry`, `fem`, `dataset`,
+`decoupler`, `hardware`) and may change.
+
+Examples
+--------
+Two pads instead of 36, to be quick:
+
+>>> from dataclasses import replace
+>>> from pathlib import Path
+>>> from tempfile import mkdtemp
+>>> import tripillar as tp
+>>> folder = Path(mkdtemp())
+>>> design = tp.SensorDesign()  # the paper's
+>>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+>>> tp.write(design, folder / "sensor.toml")
+>>> tp.read_design(folder / "sensor.toml") == design
+True
+
+>>> samples = tp.simulate(tp.response(design), "contact-fz", 100, seed=1, noise=0.001)
+>>> tp.write(samples, folder / "samples.nc")
+>>> tp.read_samples(folder / "samples.nc").resistance_ohm.shape
+(100, 1, 2, 3)
+>>> tp.Samples(force_n=samples.force_n[:5], resistance_ohm=samples.resistance_ohm[:5]).design is None  # as you measured
+True
+
+>>> tp.write(tp.train(samples, hidden=4), folder / "model.safetensors")
+>>> tp.read_model(folder / "model.safetensors").forces(samples.resistance_ohm).shape
+(100, 1, 2, 1)
+
+>>> try:
+...     replace(design.array, rows=0)
+... except tp.TriPillarError as error:
+...     print(error)
+rows=0 must be above 0; units along y.
+>>> tp.__version__ >= "0.1"
+True
+"""
+
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dataset.samples import Samples, read_samples
+    from decoupler.model.model_file import read_model
+    from geometry.design import SensorDesign
+    from geometry.design_file import read_design
+    from geometry.errors import TriPillarError
+    from tripillar.face import (
+        crossval,
+        evaluate,
+        fine_tune,
+        response,
+        simulate,
+        solve,
+        train,
+        view,
+        write,
+    )
+
+    __version__: str
+
+_HOMES = {
+    "SensorDesign": "geometry.design",
+    "read_design": "geometry.design_file",
+    "response": "tripillar.face",
+    "solve": "tripillar.face",
+    "view": "tripillar.face",
+    "simulate": "tripillar.face",
+    "Samples": "dataset.samples",
+    "read_samples": "dataset.samples",
+    "train": "tripillar.face",
+    "evaluate": "tripillar.face",
+    "crossval": "tripillar.face",
+    "fine_tune": "tripillar.face",
+    "read_model": "decoupler.model.model_file",
+    "write": "tripillar.face",
+    "TriPillarError": "geometry.errors",
+}
+__all__ = [
+    "Samples",
+    "SensorDesign",
+    "TriPillarError",
+    "__version__",
+    "crossval",
+    "evaluate",
+    "fine_tune",
+    "read_design",
+    "read_model",
+    "read_samples",
+    "response",
+    "simulate",
+    "solve",
+    "train",
+    "view",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the face when it is first used."""
+    if name == "__version__":
+        value: Any = metadata.version("tripillar")
+    elif name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'tripillar' has no attribute '{name}'; it has {', '.join(__all__)}.")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

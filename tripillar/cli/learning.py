@@ -1,9 +1,7 @@
 """The commands that make data, and train, test, tune and export networks."""
 
-import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -19,12 +17,16 @@ from tripillar.terminal.console import (
     require_other,
     say,
     show_json,
+    spelled,
     wrote,
 )
 
 if TYPE_CHECKING:
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
+    from decoupler.model.settings import NetworkConfig, TrainingConfig
+    from tripillar.pipeline.data_checks import Caller
+    from tripillar.terminal.progress import Bars
 
 Protocol = Literal[
     "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
@@ -170,54 +172,33 @@ def train(
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
     require_other(out, data, design)
+    network, training = asked(hidden, net, feature, trainer, goal, iterations, seed)
+    stated = None if design is None else chosen(design)
     from dataset import read_samples
-    from decoupler.data.columns import component_named
     from decoupler.evaluation.metrics import evaluate as errors_on
-    from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.model_file import write_model
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from tripillar.pipeline.data_checks import (
-        heed,
-        joint_model,
-        judging_response,
-        likely_design,
-        mention,
-        suited_network,
-    )
+    from tripillar.pipeline.learning import train_checked
 
-    training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
-    NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled, parts = read_samples(data, labels_only=True), component_named(component)
-    sensor = likely_design(labelled, design)
-    forced = heed(data, nothing_to_learn(labelled, parts), force)
+    samples = read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
-        network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
-        judge = joint_model(judging_response(labelled, design, sensor, network, solved, bars))
-        forced |= heed(data, None if forced else doubt(labelled, parts, judge), force)
-        say(note)
-        mention(data, labelled, parts, judge)
-        from decoupler import train as train_network
-
-        advance = bars.begin(f"train {component}", total=training.max_iterations)
-        started = perf_counter()
-        model = train_network(
-            labelled, component, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved
-        )
-        seconds, outcome = perf_counter() - started, model.made_from["outcome"]
-    write_model(replace(model, made_from=model.made_from | forced), out)
-    figures = {
-        "feature": network.feature,
-        "iterations": outcome["iterations"],
-        "mse": outcome["mse"],
-        "reason": outcome["reason"],
-        "seconds": seconds,
-        "training_errors": plain(errors_on(model, labelled)),
-        "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
-    }
+        model, seconds = train_checked(
+            samples, component, network, training,
+            automatic=feature == "auto", design=stated, force=force, caller=caller(data, bars),
+        )  # fmt: skip
+    write_model(model, out)
+    iterations, mse, reason = (model.made_from["outcome"][name] for name in ("iterations", "mse", "reason"))
     if json_:
-        show_json({"file": str(out), **figures})
+        show_json({
+            "file": str(out),
+            "feature": model.network.feature,
+            "iterations": iterations,
+            "mse": mse,
+            "reason": reason,
+            "seconds": seconds,
+            "training_errors": plain(errors_on(model, samples)),
+            "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
+        })  # fmt: skip
     else:
-        iterations, mse, reason = (outcome[name] for name in ("iterations", "mse", "reason"))
         print(f"{iterations} iterations in {seconds:.1f} s to mse {mse:.2e} ({reason})")
         say_untrusted(model)
     wrote([out])
@@ -236,19 +217,12 @@ def evaluate(
     stand beside.
     """
     from dataset import read_samples
-    from decoupler.evaluation.assessment import assess
-    from decoupler.model.model_file import read_model, require_same_sensor
-    from tripillar.pipeline.data_checks import known_response, warn_of_test
+    from decoupler.model.model_file import read_model
+    from tripillar.pipeline.learning import assess_checked
 
-    decoupler, labelled = read_model(model), read_samples(data, labels_only=True)
-    require_same_sensor(decoupler, labelled, model, data)
-    for file, stated in ((data, labelled.design), (model, decoupler.design)):
-        if stated is None:
-            print(f"{file} states no design that can be read: only the array's size was compared", file=sys.stderr)
+    decoupler, samples = read_model(model), read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
-        solved = known_response(labelled.design or decoupler.design, bars) if limits else None
-        warn_of_test(model, decoupler, data, labelled, solved)
-        assessed = assess(decoupler, labelled, solved)
+        assessed = assess_checked(decoupler, samples, limits, caller(data, bars, model))
     if json_:
         from decoupler.evaluation.assessment import as_plain
 
@@ -276,34 +250,18 @@ def crossval(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
+    network, training = asked(hidden, net, feature, trainer, goal, 0, seed)
+    stated = None if design is None else chosen(design)
     from dataset import read_samples
-    from decoupler.data.columns import component_named
-    from decoupler.evaluation.crossval import cross_validate, split_folds, summary
-    from decoupler.evaluation.plausibility import doubt, nothing_to_learn
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from tripillar.pipeline.data_checks import (
-        heed,
-        joint_model,
-        judging_response,
-        likely_design,
-        mention,
-        suited_network,
-    )
+    from decoupler.evaluation.crossval import summary
+    from tripillar.pipeline.learning import cross_validate_checked
 
-    training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
-    NetworkConfig(hidden=hidden, net=net)  # refuse nonsense before anything takes time
-    labelled, parts = read_samples(data, labels_only=True), component_named(component)
-    split_folds(len(labelled.force_n), folds, seed)
-    sensor = likely_design(labelled, design)
-    forced = heed(data, nothing_to_learn(labelled, parts), force)
+    samples = read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
-        network, solved, note = suited_network(labelled, sensor, component, hidden, net, feature, bars)
-        judge = joint_model(judging_response(labelled, design, sensor, network, solved, bars))
-        heed(data, None if forced else doubt(labelled, parts, judge), force)
-        say(note)
-        mention(data, labelled, parts, judge)
-        advance = bars.begin(f"{folds} folds", total=folds)
-        tested = cross_validate(labelled, component, network, training, folds, solved, lambda _: advance(1, ""))
+        network, tested = cross_validate_checked(
+            samples, component, network, training, folds,
+            automatic=feature == "auto", design=stated, force=force, caller=caller(data, bars),
+        )  # fmt: skip
     if json_:
         show_json({"feature": network.feature} | summary(tested))
     else:
@@ -329,30 +287,21 @@ def fine_tune(
     require_other(out, model, data)
     from dataset import read_samples
     from decoupler.evaluation.metrics import evaluate as errors_on
-    from decoupler.evaluation.plausibility import doubt
-    from decoupler.model.model_file import read_model, require_same_sensor, write_model
-    from decoupler.training.fine_tuning import fine_tune as fine_tuned
-    from tripillar.pipeline.data_checks import heed, joint_model, known_response, mention, mention_another_sensor
+    from decoupler.model.model_file import read_model, write_model
+    from tripillar.pipeline.learning import fine_tune_checked
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
     decoupler, measured = read_model(model), read_samples(data, labels_only=True)
-    require_same_sensor(decoupler, measured, model, data)
-    if pairs is not None and pairs > len(measured.force_n):
-        raise DesignError(f"--pairs {pairs} must be at most {len(measured.force_n)}: {data} holds no more.")
+    if pairs is not None and pairs > len(measured):
+        raise DesignError(f"--pairs {pairs} must be at most {len(measured)}: {data} holds no more.")
     measured = measured[:pairs]
     with progress_bars(verbosity) as bars:
-        known = measured.design or decoupler.design
-        solved = None if decoupler.inverse is not None else known_response(known, bars)
-    judge = joint_model(solved) if decoupler.inverse is None else decoupler.inverse.forward
-    forced = heed(data, doubt(measured, decoupler.component, judge), force)
-    mention(data, measured, decoupler.component, joint_model(solved))
-    mention_another_sensor(data, measured, decoupler.component, judge)
-    tuned = fine_tuned(decoupler, measured, solved)
-    write_model(replace(tuned, made_from=tuned.made_from | forced), out)
+        tuned = fine_tune_checked(decoupler, measured, force, caller(data, bars, model))
+    write_model(tuned, out)
     before, after = (errors_on(one, measured) for one in (decoupler, tuned))
     if json_:
-        show_json({"pairs": len(measured.force_n), "before": plain(before), "after": plain(after)})
+        show_json({"pairs": len(measured), "before": plain(before), "after": plain(after)})
     else:
         for name in after:
             print(
@@ -385,6 +334,25 @@ def export(
     else:
         print(f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})")
     wrote([out])
+
+
+def asked(
+    hidden: int, net: Any, feature: str, trainer: Any, goal: float | None, iterations: int, seed: int
+) -> "tuple[NetworkConfig, TrainingConfig]":
+    """The network and the training that options ask for; nonsense is refused before anything takes time."""
+    from decoupler.model.settings import NetworkConfig, TrainingConfig
+
+    with spelled(goal_mse="--goal", max_iterations="--iterations"):
+        training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
+    given: dict[str, Any] = {} if feature == "auto" else {"feature": feature}
+    return NetworkConfig(hidden=hidden, net=net, **given), training
+
+
+def caller(data: Path, bars: "Bars", model: Path | str = "model") -> "Caller":
+    """This command, which messages name its files to."""
+    from tripillar.pipeline.data_checks import Caller
+
+    return Caller(samples=str(data), model=str(model), go_on="--force", say=say, bars=bars)
 
 
 def say_untrusted(model: "Decoupler") -> None:

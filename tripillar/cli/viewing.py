@@ -1,17 +1,14 @@
 """The command that shows a deformed sensor or scene: in a window, a file or a page."""
 
 import math
-import os
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from geometry.errors import DesignError, FileFormatError
+from geometry.errors import DesignError
 from tripillar.terminal.console import (
     DesignOption,
     JsonOption,
@@ -33,17 +30,10 @@ from tripillar.viewer.page.opening import (
     SensorOption,
     ServeOption,
 )
+from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, show_deformed
 
 PRESSURES = (3.0,)  #: [MPa] where none is asked for
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
-#: kinds of files, with the pip extra and the packages that each needs
-NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
-    ".png": ("", ()),
-    ".html": ("page", ("trame", "trame_vtk", "trame_pyvista")),
-    ".mp4": ("film", ("imageio", "imageio_ffmpeg")),
-    ".vtm": ("", ()),
-}
-
 PICTURE_OPTIONS = ("pressure", "load", "colour", "scale", "camera", "save")
 PAGE_OPTIONS = ("host", "http_port", "port", "model", "calibration")
 
@@ -96,11 +86,11 @@ def view(
         ),
     ] = None,
     load: Annotated[
-        Literal["indenter", "uniform"] | None,
+        LoadKind | None,
         typer.Option(help="Load: a round indenter over the middle of the array, or all pads alike; default: indenter."),
     ] = None,
     colour: Annotated[
-        Literal["displacement", "vertical", "mises", "pressure"],
+        Colour,
         typer.Option("--colour", "--color", help="Quantity shown as colour."),
     ] = "displacement",
     scale: Annotated[
@@ -110,7 +100,7 @@ def view(
             help="Factor of the displacement as drawn: true is 1, auto one that shows it well.",
         ),
     ] = "true",
-    camera: Annotated[Literal["iso", "top", "front", "side"], typer.Option(help="Direction to look from.")] = "iso",
+    camera: Annotated[Camera, typer.Option(help="Direction to look from.")] = "iso",
     save: Annotated[
         Path | None,
         typer.Option(callback=output_file, help="File to write: .png, .html, .mp4 or .vtm; default: open a window."),
@@ -141,37 +131,16 @@ def view(
         return
     pressures = _pressures(pressure)
     factor = _factor(scale)
-    if save is None and not has_display():
-        raise DesignError("there is no display to open a window on: give --save FILE.png, .html, .mp4 or .vtm.")
-    if save is not None:
-        require_savable(save)
+    require_shown(save)
     start = perf_counter()
     from fem.scene.scene import Scene
-    from tripillar.viewer.sights import largest_mm, panels_of, read_body, suited_scale
+    from tripillar.viewer.sights import largest_mm, read_body
 
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave --pressure and --load out.")
-    from fem.pictures.colours import QUANTITIES
-    from fem.pictures.deformation import DeformedPicture
-    from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-
-    kind = "" if save is None else save.suffix
     with progress_bars(verbosity) as bars:
-        advance = bars.begin("fields", total=4)
-        stress = kind == ".vtm" or QUANTITIES[colour].of_stress
-        panels = panels_of(shown, pressures, load or "indenter", stress, lambda step: advance(1, step))
-        factor = suited_scale(panels) if factor is None else factor
-        advance(1, "")
-        if save is not None:
-            drawn = bars.begin("picture", total=FRAMES if kind == ".mp4" else 1)
-            if kind == ".vtm":
-                save_blocks(panels, save)
-            else:
-                medium, write = SAVERS[kind]
-                write(DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
-    if save is None:
-        DeformedPicture(panels, colour, factor, camera, "window").plotter.show()
+        panels, factor = show_deformed(shown, save, pressures, load or "indenter", colour, factor, camera, bars)
     moved = {
         name: {part_name: largest_mm(part.displacement_mm) for part_name, part in parts.items()}
         for name, parts in panels.items()
@@ -217,27 +186,6 @@ def show_page(options: PageOptions, path: Path | None, verbosity: bool | None, a
     if isinstance(design, Scene):
         raise DesignError(f"{path} is a scene; the page of --serve loads the pads of a design: give one, or none.")
     open_page(options, design, progress_bars(verbosity), as_json)
-
-
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
-
-
-def require_savable(path: Path) -> None:
-    """Refuse what cannot be written, before anything is computed."""
-    if path.suffix not in NEEDS:
-        raise DesignError(f"--save {path} must end in {', '.join(NEEDS)}.")
-    if path.is_dir():
-        raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
-    if path.suffix == ".vtm" and path.with_suffix("").exists() and not path.exists():
-        raise FileFormatError(
-            f"{path.with_suffix('')} exists, but no {path.name} that it belongs to: give another name."
-        )
-    extra, packages = NEEDS[path.suffix]
-    missing = [package for package in packages if find_spec(package) is None]
-    if missing:
-        raise DesignError(f"{path.suffix} needs {', '.join(missing)}, not installed: pip install 'tripillar[{extra}]'.")
 
 
 def _pressures(given: list[float] | None) -> tuple[float, ...]:

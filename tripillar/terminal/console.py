@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -91,6 +92,18 @@ def require_suffix(option: str, path: Path | None, *suffixes: str) -> None:
         *others, last = suffixes
         kinds = f"{', '.join(others)} or {last}" if others else last
         raise DesignError(f"{option} {path} must be a file that ends in {kinds}.")
+
+
+@contextmanager
+def spelled(**flags: str) -> Iterator[None]:
+    """Name flags in errors that name the parameters they set: ``goal_mse=-1`` becomes ``--goal -1``."""
+    try:
+        yield
+    except DesignError as error:
+        message = str(error)
+        for parameter, flag in flags.items():
+            message = message.replace(f"{parameter}=", f"{flag} ")
+        raise DesignError(message) from None
 
 
 def require_other(out: Path | None, *read: Path | None) -> None:

@@ -10,9 +10,8 @@ import pyvista as pv
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from tests.house import House
-from tripillar.cli import viewing as command
 from tripillar.cli.viewing import repeated
-from tripillar.viewer import saving
+from tripillar.viewer import saving, showing
 from tripillar.viewer.sights import panels_of, read_body, suited_scale
 
 SCENE = """
@@ -98,15 +97,15 @@ def test_numbers_after_a_pressure_are_pressures():
 
 @pytest.mark.parametrize(("kind", "extra"), [(".mp4", "film"), (".html", "page")])
 def test_a_missing_package_is_named_with_its_extra(kind, extra, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
-    with pytest.raises(command.DesignError, match=rf"pip install 'tripillar\[{extra}\]'"):
-        command.require_savable(tmp_path / f"picture{kind}")
+    monkeypatch.setattr(showing, "find_spec", lambda name: None)
+    with pytest.raises(showing.DesignError, match=rf"pip install 'tripillar\[{extra}\]'"):
+        showing.require_shown(tmp_path / f"picture{kind}")
 
 
 def test_a_folder_of_others_is_not_lost(tmp_path):
     (tmp_path / "mine").mkdir()
-    with pytest.raises(command.FileFormatError, match="give another name"):
-        command.require_savable(tmp_path / "mine.vtm")
+    with pytest.raises(showing.FileFormatError, match="give another name"):
+        showing.require_shown(tmp_path / "mine.vtm")
 
 
 def test_blocks_hold_every_part_with_its_fields(panels, tmp_path):
