@@ -10,14 +10,17 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.port_modes import PARITIES, PortModes, image_signs
+from fem.array.port_modes import PortModes
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body
+from fem.discretization.mirrors import Mirror, Parity, flipped_points, images, parities
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized, schur_product
 from geometry.layout import FloatArray
 
+#: the middle planes of a cell that is its own image in both
+MIRRORS = tuple(Mirror(axis=axis, position_mm=0.0, parities=(1, -1)) for axis in (0, 1))
 ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
 
 
@@ -45,8 +48,8 @@ class CondensedCell:
             return False
         return True
 
-    def moved_on(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
-        """This cell, moved away from a coarser one of the same ports by a share of their difference."""
+    def extrapolated(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
+        """Richardson extrapolation from a coarser cell of the same ports, by a share of their difference."""
 
         def on(fine: FloatArray, coarse: FloatArray) -> FloatArray:
             return fine + share * (fine - coarse)
@@ -154,19 +157,19 @@ def condense_by_parity(
 ) -> CondensedCell:
     """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
 
-    A displacement splits into four parities (`PARITIES`), each a problem of the quarter with its own conditions on the
-    mirror planes; four quarters cost far less than one whole. Where the grid is the same in x and y, parity (−1, 1) is
-    (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole cell. Otherwise
-    as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    A displacement splits into four parities, each a problem of the quarter with its own conditions on the mirror planes
+    (`fem.discretization.mirrors`); four quarters cost far less than one whole. Where the grid is the same in x and y,
+    parity (−1, 1) is (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole
+    cell. Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
     """
     k = len(rectangles)
     square = _is_square(basis.grid)
     if square:
         rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
-    images = _image_means(basis, rectangles)
+    means = _image_means(basis, rectangles)
     parts = {
-        parity: _parity_part(basis, stiffness, ports, images, parity)
-        for parity in PARITIES
+        parity: _parity_part(basis, stiffness, ports, means, parity)
+        for parity in parities(MIRRORS)
         if not (square and parity == (-1, 1))
     }
     if square:
@@ -182,20 +185,21 @@ def condense_by_parity(
 
 
 def _parity_part(
-    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, images: FloatArray, parity: tuple[int, int]
+    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, means: FloatArray, parity: Parity
 ) -> CondensedCell:
-    """What displacements of one parity add to a cell; `images` of `_image_means`."""
+    """What displacements of one parity add to a cell; `means` of `_image_means`."""
     nodes = basis.doflocs
     on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
     body = grid_body(basis, stiffness, mirrors=parity)
     at_ports = body.free[on_side[body.free // 3]]
     number, place = np.unique(at_ports // 3, return_inverse=True)
-    modes = ports.parity_values(nodes[:, number].T, parity).reshape(len(number), 3, -1)[place, at_ports % 3]
+    expanded, share = ports.of_parity(parity)
+    values = ports.values(nodes[:, number].T)
+    modes = np.stack([values @ expanded[component::3] for component in range(3)], axis=1)[place, at_ports % 3]
     # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
-    signs = np.stack([image_signs(parity, image) for image in PARITIES])
-    gathered = np.einsum("nqki,qi->nki", images, signs).reshape(len(images), -1)
+    signs = np.stack([signs for _, signs in images(MIRRORS, parity)])
+    gathered = np.einsum("nqki,qi->nki", means, signs).reshape(len(means), -1)
     S, L, C, residual = _eliminate(body, Condensation.of(body, at_ports, modes, body.loads(gathered)))
-    share = ports.parity_share(parity)
     return CondensedCell(
         ports=ports,
         stiffness=4 * (share.T @ (share.T @ S).T),
@@ -215,11 +219,12 @@ def _is_square(grid: Grid) -> bool:
 
 
 def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
-    """`patch_means` of rectangles (k, 4) in their four mirror images (`PARITIES`), shape (n_displacement, 4, k, 3)."""
-    mirrored = np.vstack([_mirrored(rectangles, image) for image in PARITIES])
-    different, number = np.unique(mirrored, axis=0, return_inverse=True)
+    """`patch_means` of rectangles (k, 4) in their four mirror images, shape (n_displacement, 4, k, 3)."""
+    corners = np.asarray(rectangles, dtype=float).reshape(-1, 2, 2)
+    mirrored = [np.sort(flipped_points(corners, flipped), axis=1) for flipped, _ in images(MIRRORS, (1, 1))]
+    different, number = np.unique(np.stack(mirrored).reshape(-1, 4), axis=0, return_inverse=True)
     means = patch_means(basis, different).T.toarray().reshape(-1, len(different), 3)
-    return means[:, number.reshape(len(PARITIES), -1)]
+    return means[:, number.reshape(len(mirrored), -1)]
 
 
 def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
@@ -232,13 +237,3 @@ def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, Floa
     C = product[n:, n:]
     _, residual = checked_solve(parts.K_II, factor, loads[parts.inner][:, :3])
     return (S + S.T) / 2, L, (C + C.T) / 2, residual
-
-
-def _mirrored(rectangles: FloatArray, image: tuple[int, int]) -> FloatArray:
-    """Rectangles (k, 4) mirrored in the axes whose sign is −1."""
-    x0, y0, x1, y1 = np.asarray(rectangles, dtype=float).T
-    if image[0] < 0:
-        x0, x1 = -x1, -x0
-    if image[1] < 0:
-        y0, y1 = -y1, -y0
-    return np.stack([x0, y0, x1, y1], axis=1)

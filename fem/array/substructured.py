@@ -183,7 +183,7 @@ def _cell_of_stage(
         return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
 
     if design.is_homogeneous:
-        cell = two.moved_on(one, 1 / ((fine / coarse) ** GRID_RATE - 1))
+        cell = two.extrapolated(one, 1 / ((fine / coarse) ** GRID_RATE - 1))
         if not cell.is_definite:  # the coarse level may not know the highest modes
             cell = two
         answer = array_of(cell)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import condense, condense_by_parity
+from fem.array.cell import MIRRORS, condense, condense_by_parity
 from fem.array.coupled_cells import CoupledArray
-from fem.array.port_modes import PARITIES, PortModes, lobatto
+from fem.array.port_modes import PortModes, lobatto
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.mirrors import flipped_points, images, parities
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
@@ -55,7 +56,7 @@ def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     )
     basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
     four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
-    assert solved == list(PARITIES)
+    assert solved == parities(MIRRORS)
     monkeypatch.undo()
     for name in ("stiffness", "reach", "compliance"):
         one, other = getattr(cell, name), getattr(four, name)
@@ -175,10 +176,18 @@ def test_modes_vanish_at_the_base_and_bubbles_at_the_edges():
 
 
 def test_parities_share_out_every_mode():
-    """Every port displacement is the sum of its parts of each parity: on the quarter's faces they add up to it."""
-    rng = np.random.default_rng(0)
-    q = rng.normal(size=PORTS.n_modes * 3)
+    """Every port displacement is the sum of its parts of each parity, and each part is its own mirror image."""
+    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
     points = np.array([[HALF, 2.0, 3.0], [HALF, 6.0, 9.0], [1.0, HALF, 5.0], [HALF, HALF, 10.0]])
-    whole = np.einsum("nm,mi->ni", PORTS.values(points), q.reshape(-1, 3)).ravel()
-    parts = sum(PORTS.parity_values(points, parity) @ (PORTS.parity_share(parity) @ q) for parity in PARITIES)
-    assert np.allclose(parts, whole)
+    rest, columns = q.copy(), 0
+    for parity in parities(MIRRORS):
+        expanded, share = PORTS.of_parity(parity)
+        part = expanded @ (share @ q)
+        assert np.allclose(share @ part, share @ q)
+        for flipped, signs in images(MIRRORS, parity):
+            here, there = (PORTS.values(at) @ part.reshape(-1, 3) for at in (points, flipped_points(points, flipped)))
+            assert np.allclose(there, signs * here, rtol=0, atol=1e-13)
+        rest -= part
+        columns += expanded.shape[1]
+    assert np.abs(rest).max() < 1e-14
+    assert columns == len(q)
