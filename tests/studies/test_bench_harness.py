@@ -70,12 +70,14 @@ def test_a_run_in_a_process_of_its_own():
     assert found[0].peak_mib > 10
 
 
-def test_what_is_accurate_enough_is_not_refined_further():
+def test_what_is_accurate_enough_is_not_refined_further_and_what_fails_says_why():
     settings = Settings(runs=1, threads=1, enough=0.5, by_processor=True)
     (found,) = run_contenders(MODULE, BLOCK, BLOCK, CONTENDERS[:1], settings)
     assert found.setting == CONTENDERS[0].settings[0]
     assert found.errors[WORST] < settings.enough
     assert found.seconds > 0
+    (broken,) = run_contenders(MODULE, "none", "none", CONTENDERS[:1], settings)
+    assert "none" in broken.failure
 
 
 def test_a_run_that_takes_too_long_is_stopped():

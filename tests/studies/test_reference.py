@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.solving import solve_response
 from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
-from geometry.design import Material, SensorDesign
+from geometry.design import Material
 from studies.bench.arrays import column_errors
 from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.reference import REFERENCES, coarser, make_references, read_reference, solved_together
@@ -46,15 +45,6 @@ def test_fully_covered_block_at_zero_poisson_follows_hooke():
     found = solved(replace(scene, probes=(*scene.probes, *probes))).probes
     for name, z in {"patch": 4.0, "off lines": 4.0, "half way": 2.0}.items():
         assert found[name] == pytest.approx([0, 0, -z / 6.1], abs=1e-9)
-
-
-def test_two_rubbers_in_series_add_up():
-    """ν = 0: a lower half of twice the modulus sinks by half as much."""
-    lower = Inclusion(
-        base_mm=(4.0, 4.0, 0.0), top_mm=(4.0, 4.0, 2.0), section_mm=(8.0, 8.0), material=replace(LIMP, young_mpa=12.2)
-    )
-    scene = replace(patch_scene(LIMP, size_mm=8.0), inclusions=(lower,))
-    assert solved(scene).probes["patch"] == pytest.approx([0, 0, -2.0 / 6.1 - 2.0 / 12.2], abs=1e-9)
 
 
 def test_an_oblique_inclusion_takes_up_its_volume():
@@ -105,16 +95,11 @@ def test_an_entry_is_its_finest_answer_and_knows_its_neighbours():
     assert entry["runs"][0]["elements"] < entry["runs"][2]["elements"]
 
 
-def test_every_scene_belongs_to_one_solve():
-    scenes = all_scenes()
-    groups = [group for group, _ in solved_together(scenes)]
-    assert sorted(name for group in groups for name in group) == sorted(scenes)
-
-
 def test_every_stored_reference_has_converged_in_two_orders_and_two_meshes():
-    stored = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
-    scenes = all_scenes()
+    stored, scenes = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"], all_scenes()
     assert set(stored) <= set(scenes)
+    together = [group for group, _ in solved_together(scenes)]
+    assert sorted(name for group in together for name in group) == sorted(scenes)  # each scene belongs to one solve
     for name, entry in stored.items():
         reference = read_reference(name)
         assert set(reference.probes) == {probe.name for probe in scenes[name].probes}
@@ -125,8 +110,6 @@ def test_every_stored_reference_has_converged_in_two_orders_and_two_meshes():
         assert lower["order"] < finest["order"] == coarse["order"], name
 
 
-def test_columns_of_an_inner_pad_are_as_accurate_as_they_say():
-    """NGSolve on the whole slab, never cut into cells, against the cells of the 6 × 6 response."""
-    response = solve_response(SensorDesign())
-    found = column_errors(response.influence_mm_per_n)
-    assert found["inner self"] < response.error_estimate
+def test_errors_of_columns_are_relative_to_the_references():
+    """Nothing moves: every stored block is missed by all of it. (`tests/fem` holds the real response to them.)"""
+    assert column_errors(np.zeros((6, 6, 2, 3, 6, 6, 3))) == {"inner self": 1.0, "inner first": 1.0}

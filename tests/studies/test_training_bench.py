@@ -1,6 +1,6 @@
 """The training race on a tiny network: every contender learns, and the tables say what was measured. Times are free."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -9,15 +9,14 @@ from torch.func import functional_call, jacrev
 
 from decoupler.model.settings import NetworkConfig
 from decoupler.training.trainer import LIGHT
-from studies.bench.harness import Settings, named, run_contenders
+from studies.bench.harness import named
 from studies.bench.training import peers
-from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, MSE, VARPRO, Race, warm_up
+from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, MSE, VARPRO, Race, measure
 from studies.bench.training.dense import dense_jacobian, step_difference
 from studies.bench.training.problem import Problem, Scaled
 from studies.bench.training.trace import Ended, Trace
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
-MODULE = "studies.bench.training.contenders"
 SENSOR = sensor(2, 2)
 DATA = labelled(SENSOR, "x", n_samples=60, seed=0)
 
@@ -32,41 +31,30 @@ def problem(request) -> Problem:
 def test_every_contender_lowers_the_error(one, problem):
     if one.missing():
         pytest.skip(one.missing())
-    warm_up(one, problem)
-    trace = Trace(0.0, 1.0)  # enough for the slowest, on a busy machine too
+    start = Scaled(problem).mse()
+    trace = Trace(0.45 * start, 30.0)  # ends at the goal, however busy the machine is
     decoupler, reason = one.solve(problem, trace)
     iterations, seconds, mse = np.array(trace.points).T
     assert iterations[0] == 0
+    if one.name not in (VARPRO, KNOWN):  # VarPro solves for the output weights before it looks
+        assert mse[0] == pytest.approx(start, rel=1e-12)  # all start from the same error
     assert (np.diff(iterations) >= 0).all()
     assert (np.diff(seconds) >= 0).all()
-    assert mse[-1] < 0.5 * Scaled(problem).mse()  # of the random start, which VarPro's first point has left behind
-    assert reason
+    assert mse[-1] <= 0.45 * start  # of the random start, which VarPro's first point has left behind
+    assert reason == "goal"
     # the network handed back is the one whose error was recorded last
     errors = (decoupler.forces(DATA.resistance_ohm) - DATA.force_n[..., :1]).reshape(len(DATA.force_n), -1)
     found = np.mean((errors / decoupler.output_scaling.half_range) ** 2)
-    if one.name == KNOWN:  # what it recorded counts the light samples that it adds, too
+    if one.name == VARPRO and not iterations[-1]:  # at the goal before its first iteration, of which it does one
+        assert found <= mse[-1]
+    elif one.name == KNOWN:  # what it recorded counts the light samples that it adds, too
         assert found <= (1.0 + LIGHT) * mse[-1] * (1.0 + 1e-6)
     else:
         assert found == pytest.approx(mse[-1], rel=1e-6)
 
 
-def test_all_start_from_the_same_error(problem):
-    starts = []
-    for one in CONTENDERS:
-        if (
-            one.name not in (VARPRO, KNOWN) and not one.missing()
-        ):  # VarPro solves for the output weights before it looks
-            trace = Trace(0.0, 0.0)
-            one.solve(problem, trace)
-            starts.append(trace.points[0][2])
-    assert starts == pytest.approx([Scaled(problem).mse()] * len(starts), rel=1e-12)
-
-
-def test_structured_step_is_the_dense_one(problem):
+def test_the_dense_jacobian_is_automatic_and_its_step_the_structured_one(problem):
     assert step_difference(problem) < 1e-8  # rounding times the damped matrix's condition number
-
-
-def test_dense_jacobian_is_that_of_automatic_differentiation(problem):
     scaled = Scaled(problem.first(5))
     weights = {name: weight.detach() for name, weight in scaled.model.named_parameters()}
     blocks = jacrev(lambda given: functional_call(scaled.model, given, scaled.x))(weights)
@@ -89,26 +77,17 @@ def test_trace_ends_a_training():
 def test_what_is_not_installed_is_said(monkeypatch):
     monkeypatch.setattr(peers, "find_spec", lambda name: None if name == "torchmetrics" else name)
     assert peers.torch_lm_missing().startswith("torchmetrics not installed")
-    monkeypatch.setattr(peers, "find_spec", lambda name: name)
-    assert peers.torch_lm_missing() == ""
 
 
-def test_a_race_in_processes_of_their_own():
-    """Four units in closed form: a contender that is absent, one that trains, one whose samples cannot be made."""
+def test_a_race_says_what_a_training_took(monkeypatch, tmp_path):
+    """Four units in closed form."""
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
     race = Race(
         protocol="contact-fz", component="fz", net="skip", hidden=3, samples=60, patience_s=0.3, rows=2, method="layer"
     )
-    lines: list[str] = []
-    chosen = named(CONTENDERS, LM)
-    settings = Settings(runs=1, threads=1)
-    able = [replace(chosen, name="nobody", missing=lambda: "not there"), chosen]
-    (record,) = run_contenders(MODULE, race.name, asdict(race), able, settings, lines.append)
-    assert lines[0] == "nobody: skipped, not there"
-    assert record.failure == ""
-    assert record.notes["steps"] > 0
-    assert record.errors[MSE] == record.trace[-1][1] < 1e-2
-    assert record.errors["eq. 17, test samples"] < 0.2
-    assert record.peak_mib > 10
-    assert record.size == 3 * (4 + 1) + 4 * (3 + 4 + 1)  # hidden weights, output weights with a skip
-    (broken,) = run_contenders(MODULE, "broken", asdict(race) | {"protocol": "none"}, [chosen], settings)
-    assert "none" in broken.failure
+    found = measure(named(CONTENDERS, LM), asdict(race), None)
+    assert found.notes["steps"] > 0
+    assert found.errors[MSE] == found.trace[-1][1] < 1e-2
+    assert found.errors["eq. 17, test samples"] < 0.2
+    assert found.notes["MiB of training"] >= 0
+    assert found.size == 3 * (4 + 1) + 4 * (3 + 4 + 1)  # hidden weights, output weights with a skip
