@@ -1,7 +1,7 @@
 """TriPillar: from the design of a three-axis tactile sensor to forces with error bars.
 
 ``import tripillar as tp`` gives the names below, in the order of the data; each is loaded when it is first used. Open
-`tripillar/face.py` for what they do. All else is reached through its package (`geometry`, `fem`, `dataset`,
+`tripillar/face/` for what they do. All else is reached through its package (`geometry`, `fem`, `dataset`,
 `decoupler`, `hardware`) and may change.
 
 Examples
@@ -48,35 +48,33 @@ if TYPE_CHECKING:
     from geometry.design import SensorDesign
     from geometry.design_file import read_design
     from geometry.errors import TriPillarError
-    from tripillar.face import (
-        crossval,
-        evaluate,
-        fine_tune,
-        response,
-        simulate,
-        solve,
-        train,
-        view,
-        write,
-    )
+    from hardware.session import live
+    from tripillar.face.boards import record, replay, simulated_board
+    from tripillar.face.bodies import response, solve, view
+    from tripillar.face.files import write
+    from tripillar.face.learning import crossval, evaluate, fine_tune, simulate, train
 
     __version__: str
 
 _HOMES = {
     "SensorDesign": "geometry.design",
     "read_design": "geometry.design_file",
-    "response": "tripillar.face",
-    "solve": "tripillar.face",
-    "view": "tripillar.face",
-    "simulate": "tripillar.face",
+    "response": "tripillar.face.bodies",
+    "solve": "tripillar.face.bodies",
+    "view": "tripillar.face.bodies",
+    "simulate": "tripillar.face.learning",
     "Samples": "dataset.samples",
     "read_samples": "dataset.samples",
-    "train": "tripillar.face",
-    "evaluate": "tripillar.face",
-    "crossval": "tripillar.face",
-    "fine_tune": "tripillar.face",
+    "train": "tripillar.face.learning",
+    "evaluate": "tripillar.face.learning",
+    "crossval": "tripillar.face.learning",
+    "fine_tune": "tripillar.face.learning",
     "read_model": "decoupler.model.model_file",
-    "write": "tripillar.face",
+    "write": "tripillar.face.files",
+    "live": "hardware.session",
+    "record": "tripillar.face.boards",
+    "replay": "tripillar.face.boards",
+    "simulated_board": "tripillar.face.boards",
     "TriPillarError": "geometry.errors",
 }
 __all__ = [
@@ -87,11 +85,15 @@ __all__ = [
     "crossval",
     "evaluate",
     "fine_tune",
+    "live",
     "read_design",
     "read_model",
     "read_samples",
+    "record",
+    "replay",
     "response",
     "simulate",
+    "simulated_board",
     "solve",
     "train",
     "view",

@@ -1,15 +1,10 @@
-"""What `import tripillar` gives: each job of the command line as a function, with good defaults.
+"""Make samples, and train, test and tune networks on them."""
 
-Responses come from the cache that the commands use, too. Every function loads its stage when it is called.
-"""
-
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from geometry.design import SensorDesign
-from geometry.errors import ArgumentError
+from tripillar.face.bodies import response
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
@@ -18,85 +13,9 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import Net, Trainer
     from fem.array.response import ArrayResponse
-    from fem.scene.scene import Scene
-    from fem.scene.solution import Solution
-    from tripillar.viewer.showing import Camera, Colour, LoadKind
 
 Component = Literal["fz", "fx", "fy", "all"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
-
-
-def response(
-    design: SensorDesign | None = None,
-    *,
-    tolerance: float | None = None,
-    method: Literal["cells", "layer", "halfspace"] = "cells",
-) -> "ArrayResponse":
-    """Compute how far a newton on each pad moves each electrode; from the cache if it is there.
-
-    Parameters
-    ----------
-    design : SensorDesign, optional
-        Default: the paper's sensor.
-    tolerance : float, optional
-        Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber than the matrix.
-    method : str
-        ``cells`` couples copies of one condensed cell; ``layer`` and ``halfspace`` are approximate closed forms.
-
-    Returns
-    -------
-    ArrayResponse
-        ``influence_mm_per_n``, shape (rows, cols, 2, 3, rows, cols, 3): unit, electrode U1 or U2, axis of the
-        displacement; unit and axis of the load. ``error_estimate`` is relative.
-
-    Examples
-    --------
-    >>> design = SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> response(design).influence_mm_per_n.shape
-    (1, 2, 2, 3, 1, 2, 3)
-    """
-    from fem.array.solving import ResponseSettings, array_response
-
-    settings = ResponseSettings(method=method, tolerance=tolerance)
-    return array_response(SensorDesign() if design is None else design, settings)[0]
-
-
-def solve(scene: "Scene | Path | str", *, tolerance: float | None = None) -> "Solution":
-    """Solve a scene: a block, pillar, unit or array under loads.
-
-    Parameters
-    ----------
-    scene : Scene or path
-        A scene, or its file (TOML).
-    tolerance : float, optional
-        Relative error wanted of the probes; default: the scene's.
-
-    Returns
-    -------
-    Solution
-        ``probes`` has the displacement [mm] along x, y, z by the name of the probe; ``error_estimate`` is relative.
-
-    Examples
-    --------
-    A column without lateral strain shortens by σ h / E:
-
-    >>> from fem.scene.scene_file import scene_from_dict
-    >>> top = {"center_mm": [2.0, 2.0], "size_mm": [4.0, 4.0]}
-    >>> scene = {
-    ...     "body": {"kind": "block", "size_mm": [4.0, 4.0, 10.0]},
-    ...     "material": {"young_mpa": 5.0, "poisson": 0.0},
-    ...     "load": [{**top, "traction_mpa": [0.0, 0.0, -1.0]}],
-    ...     "probe": [{**top, "name": "top", "kind": "mean"}],
-    ... }
-    >>> round(float(solve(scene_from_dict(scene)).probes["top"][2]), 6)
-    -2.0
-    """
-    from fem.methods.solving import solve_scene
-    from fem.scene.scene_file import read_scene
-
-    asked = read_scene(Path(scene)) if isinstance(scene, str | Path) else scene
-    return solve_scene(asked if tolerance is None else replace(asked, tolerance=tolerance))[0]
 
 
 def simulate(
@@ -136,9 +55,11 @@ def simulate(
 
     Examples
     --------
-    >>> design = SensorDesign()
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = simulate(design, "contact", 50, noise=0.001, bits=12, gain_spread=0.1)
+    >>> samples = tp.simulate(design, "contact", 50, noise=0.001, bits=12, gain_spread=0.1)
     >>> len(samples), samples.resistance_ohm.shape
     (50, (50, 1, 2, 3))
     """
@@ -190,7 +111,7 @@ def train(
     Returns
     -------
     Decoupler
-        ``forces(resistance_ohm)`` gives forces [N], ``deviations(resistance_ohm)`` the half-widths [N] that hold
+        ``forces(resistance_ohm)`` gives forces [N], ``half_widths(resistance_ohm)`` those [N] that hold
         68 % and 95 % of their errors.
 
     Raises
@@ -200,13 +121,15 @@ def train(
 
     Examples
     --------
-    >>> design = SensorDesign()
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = simulate(design, samples=200, noise=0.001)
-    >>> model = train(samples, hidden=4)
+    >>> samples = tp.simulate(design, samples=200, noise=0.001)
+    >>> model = tp.train(samples, hidden=4)
     >>> model.component.name, model.network.feature
     ('all', 'inverse')
-    >>> half_width_n, _ = model.deviations(samples.resistance_ohm)
+    >>> half_width_n, _ = model.half_widths(samples.resistance_ohm)
     >>> off_n = abs(model.forces(samples.resistance_ohm) - samples.force_n)
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
@@ -237,10 +160,12 @@ def evaluate(model: "Decoupler", samples: "Samples", *, limits: bool = True) -> 
 
     Examples
     --------
-    >>> design = SensorDesign()
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> model = train(simulate(design, samples=1000, seed=1, noise=0.001), hidden=4)
-    >>> found = evaluate(model, simulate(design, samples=100, seed=2, noise=0.001))
+    >>> model = tp.train(tp.simulate(design, samples=1000, seed=1, noise=0.001), hidden=4)
+    >>> found = tp.evaluate(model, tp.simulate(design, samples=100, seed=2, noise=0.001))
     >>> list(found), found["fz"].ratio < 1.15
     (['fx', 'fy', 'fz'], True)
     """
@@ -281,10 +206,12 @@ def crossval(
 
     Examples
     --------
-    >>> design = SensorDesign()
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = simulate(design, "contact-fz", 60)
-    >>> crossval(samples, folds=2, hidden=4)["fz"].rel_err < 0.0261  # the paper's of ten folds of 2000
+    >>> samples = tp.simulate(design, "contact-fz", 60)
+    >>> tp.crossval(samples, folds=2, hidden=4)["fz"].rel_err < 0.0261  # the paper's of ten folds of 2000
     True
     """
     import numpy as np
@@ -322,12 +249,14 @@ def fine_tune(model: "Decoupler", pairs: "Samples", *, force: bool = False) -> "
     --------
     A sensor whose pillars differ by 10 % from the design:
 
-    >>> design = SensorDesign()
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> model = train(simulate(design, samples=200, seed=1, noise=0.001), hidden=4)
-    >>> own = simulate(design, samples=120, seed=2, noise=0.001, gain_spread=0.1)
-    >>> tuned = fine_tune(model, own[:20])
-    >>> before, after = (evaluate(one, own[20:], limits=False)["fz"].errors.rmse_n for one in (model, tuned))
+    >>> model = tp.train(tp.simulate(design, samples=200, seed=1, noise=0.001), hidden=4)
+    >>> own = tp.simulate(design, samples=120, seed=2, noise=0.001, gain_spread=0.1)
+    >>> tuned = tp.fine_tune(model, own[:20])
+    >>> before, after = (tp.evaluate(one, own[20:], limits=False)["fz"].errors.rmse_n for one in (model, tuned))
     >>> after < before / 5
     True
     """
@@ -335,108 +264,6 @@ def fine_tune(model: "Decoupler", pairs: "Samples", *, force: bool = False) -> "
     from tripillar.pipeline.learning import fine_tune_checked
 
     return fine_tune_checked(model, pairs, force, Caller())
-
-
-def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler", path: Path | str) -> None:
-    """Write a file, whole or not at all.
-
-    Parameters
-    ----------
-    thing : SensorDesign, ArrayResponse, Samples or Decoupler
-        A design is written as TOML, a response or samples as NetCDF, a model as its path ends: .onnx, .h (C for a
-        microcontroller), else safetensors.
-    path : path
-
-    Raises
-    ------
-    ArgumentError
-        If it is something else.
-    NotWrittenError
-        If the disk is full or the folder may not be written to.
-
-    Examples
-    --------
-    >>> from tempfile import mkdtemp
-    >>> folder = Path(mkdtemp())
-    >>> write(SensorDesign(), folder / "sensor.toml")
-    >>> [path.name for path in folder.iterdir()]
-    ['sensor.toml']
-    """
-    from dataset.samples import Samples
-    from decoupler.export import export_model
-    from decoupler.model.decoupler import Decoupler
-    from decoupler.model.model_file import write_model
-    from fem.array.response import ArrayResponse, write_response
-    from geometry.design_file import write_design
-
-    path = Path(path)
-    if isinstance(thing, SensorDesign):
-        write_design(thing, path)
-    elif isinstance(thing, ArrayResponse):
-        write_response(thing, path)
-    elif isinstance(thing, Samples):
-        thing.write(path)
-    elif not isinstance(thing, Decoupler):
-        raise ArgumentError(
-            f"a {type(thing).__name__} cannot be written: give a design, a response, samples or a model."
-        )
-    elif path.suffix in (".onnx", ".h"):
-        export_model(thing, path)
-    else:
-        write_model(thing, path)
-
-
-def view(
-    body: "SensorDesign | Scene | Path | str | None" = None,
-    save: Path | str | None = None,
-    *,
-    pressure_mpa: float | Sequence[float] = 3.0,
-    load: "LoadKind" = "indenter",
-    colour: "Colour" = "displacement",
-    scale: float | None = 1.0,
-    camera: "Camera" = "iso",
-) -> dict[str, float]:
-    """Show a sensor or a scene deformed: in a window, or as a file.
-
-    Parameters
-    ----------
-    body : SensorDesign, Scene or path, optional
-        What is shown, or its file (TOML); default: the paper's sensor.
-    save : path, optional
-        File to write: .png, .html, .mp4 or .vtm; default: open a window.
-    pressure_mpa : float or sequence of float
-        Pressure at the indenter's middle or on every pad; of several each gets a picture. A scene has its own loads.
-    load : str
-        ``indenter``, a round one over the middle of the array, or ``uniform``, all pads alike.
-    colour : str
-        Quantity shown as colour: displacement, vertical, mises or pressure.
-    scale : float, optional
-        Factor of the displacement as drawn; None chooses one that shows it well.
-    camera : str
-        Direction to look from: iso, top, front or side.
-
-    Returns
-    -------
-    dict of float
-        Largest displacement [mm] by the name of the picture.
-
-    Examples
-    --------
-    >>> from tempfile import mkdtemp
-    >>> design = SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> list(view(design, Path(mkdtemp()) / "pressed.vtm", pressure_mpa=2.0))
-    ["2 MPa at the indenter's middle"]
-    """
-    from tripillar.terminal.progress import Bars
-    from tripillar.viewer.showing import show_deformed
-    from tripillar.viewer.sights import largest_mm, read_body
-
-    shown = read_body(Path(body)) if isinstance(body, str | Path) else body or SensorDesign()
-    pressures = (pressure_mpa,) if isinstance(pressure_mpa, int | float) else tuple(pressure_mpa)
-    target = None if save is None else Path(save)
-    panels, _ = show_deformed(shown, target, pressures, load, colour, scale, camera, Bars(quiet=True))
-    return {name: max(largest_mm(part.displacement_mm) for part in parts.values()) for name, parts in panels.items()}
 
 
 def _asked(

@@ -1,0 +1,62 @@
+"""The public face: few names, each with an example, loaded when it is used."""
+
+import doctest
+import importlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+import tripillar as tp
+from tests.docs.terminal import ROOT
+
+MAX_NAMES = 20
+HEAVY = ["torch", "vtkmodules", "pyvista", "OCP", "build123d", "xarray", "scipy"]
+IMPORT_S = 0.3  #: of processor time
+
+
+def test_it_has_few_names_and_each_has_an_example():
+    """The doctests themselves run as all others do."""
+    modules = [tp, *(importlib.import_module(f"tripillar.face.{path.stem}") for path in face_files())]
+    examples = [
+        example.source
+        for module in modules
+        for test in doctest.DocTestFinder().find(module)
+        for example in test.examples
+    ]
+    used = set(re.findall(r"\btp\.(\w+)", "".join(examples)))
+    assert len(tp.__all__) <= MAX_NAMES
+    assert used == set(tp.__all__)
+
+
+def face_files():
+    return [path for path in (ROOT / "tripillar" / "face").glob("*.py") if path.stem != "__init__"]
+
+
+def test_its_names_are_there_and_no_module_is_hidden():
+    for name in tp.__all__:
+        assert getattr(tp, name) is getattr(tp, name)
+        assert name in dir(tp)
+        assert not (ROOT / "tripillar" / f"{name}.py").exists()
+        assert not (ROOT / "tripillar" / name).exists()
+    with pytest.raises(AttributeError, match="module 'tripillar' has no attribute 'trian'; it has Samples, "):
+        _ = tp.trian
+
+
+def test_importing_it_is_instant_and_loads_nothing_heavy():
+    code = (
+        "import sys, time\nstart = time.process_time()\nimport tripillar\n"
+        f"print(time.process_time() - start, *[name for name in {HEAVY!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    seconds, *loaded = done.stdout.split()
+    assert float(seconds) < IMPORT_S
+    assert loaded == []
+
+
+def test_what_is_no_part_of_it_cannot_be_written(tmp_path):
+    with pytest.raises(tp.TriPillarError, match="a dict cannot be written"):
+        tp.write({}, tmp_path / "x")
+    with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
+        tp.train({})
