@@ -1,4 +1,4 @@
-"""What a real sensor does to resistances: its pillars differ, its readings are noisy, some cannot be read at all.
+"""Imperfections of a real sensor: its pillars differ, its readings are noisy, and some pillars cannot be read.
 
 `Imperfections` describes one specimen and how it is read; `Imperfections.apply` takes exact resistances to measured
 ones: gain and offset of each pillar, then noise, then the converter, and last what is dead reads as open.
@@ -19,7 +19,7 @@ from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.wiring import crossings, pillars_from_crossings
 
-OPEN_OHM = 1e9  #: what stands for an open circuit: finite as files need it, far above any pillar
+OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
 
 Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 
@@ -36,7 +36,7 @@ class Imperfections:
     offset_ohm: float = quantity(0.0, "standard deviation of what is added to each pillar's resistance")
     specimen: int = quantity(0, "seed of the specimen's factors and offsets")
     noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
-    bits: int | None = None  #: of the converter; None measures exactly
+    bits: int | None = None  #: resolution of the converter; None measures exactly
     dead_pillars: tuple[Place, ...] = ()  #: pillars that are broken, as (row, col, name)
     dead_rows: tuple[int, ...] = ()  #: broken row wires, from 0 to below 2·rows
     dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
@@ -159,7 +159,7 @@ class Imperfections:
 
 
 def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int) -> Imperfections:
-    """What a file's attributes say of its sensor; one that is missing or makes no sense stays at its default."""
+    """The imperfections that a file's attributes state; one that is missing or makes no sense stays at its default."""
     stated = Imperfections()
     for name in {spec.name for spec in fields(Imperfections)} & set(attributes):
         with suppress(DesignError):

@@ -1,4 +1,4 @@
-"""What a measurement does to a resistance: relative noise, and the steps of an analogue-to-digital converter.
+"""Measurement of a resistance: relative noise, and the steps of an analogue-to-digital converter.
 
 The converter sees a voltage divider: the pillar between the supply and the input, a sense resistor between
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
@@ -23,10 +23,10 @@ class Readout(Protocol):
 
     @property
     def bits(self) -> int | None:
-        """Of its converter; None reads exactly."""
+        """Resolution of its converter; None reads exactly."""
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """What it finds of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
+        """Resistances that it reads of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
 
 
 def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:

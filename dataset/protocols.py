@@ -112,7 +112,7 @@ def _indenters(
     peak_mpa: tuple[float, float],
     preload_mpa: float,
 ) -> FloatArray:
-    """What one to three round indenters add to each pad's preload, shape (n, MAX_INDENTERS, n_units) [MPa].
+    """Tractions that one to three round indenters add to each pad's preload, (n, MAX_INDENTERS, n_units) [MPa].
 
     An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the
     array. Where several meet, they are weakened together so that no pad passes the largest peak. Indenters

@@ -48,7 +48,7 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
 
 
 def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
-    """How far each displacement can be scaled up before some pillar's strain |l − l₀|/l₀ reaches the cap, shape (n,).
+    """Factors (n,) that scale displacements up until some pillar's strain |l − l₀|/l₀ reaches the cap.
 
     Takes displacements (n, n_units, 2, 3) [mm] of the upper electrodes.
 

@@ -39,7 +39,7 @@ VARIABLES = {
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
-#: what no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
+#: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
@@ -78,7 +78,7 @@ class Samples:
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
     design: SensorDesign | None = None  #: None if it is not known
     noise: float = 0.0  #: relative standard deviation of the resistances; 0 if not known
-    bits: int | None = None  #: of the converter; None if exact or not known
+    bits: int | None = None  #: resolution of the converter; None if exact or not known
     dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read; None if all can
     made_from: dict[str, Any] = field(default_factory=dict)  #: other attributes of the file: seed, protocol, hashes ...
 
@@ -115,7 +115,7 @@ class Samples:
         return files.digest(self.force_n, self.resistance_ohm)
 
     def labels(self) -> "Samples":
-        """The same without tractions, displacements and lengths, which training does not need."""
+        """A copy without tractions, displacements and lengths, which training does not need."""
         return replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
 
     def to_xarray(self) -> "xr.Dataset":
@@ -230,14 +230,14 @@ def _stated_design(text: object) -> SensorDesign | None:
         return None
 
 
-def is_current(path: Path, recipe: str) -> bool:
-    """Whether a dataset file was made by a recipe and still holds what was written; says so where it is damaged."""
+def is_current(path: Path, cache_key: str) -> bool:
+    """Whether a dataset file has that cache key and still holds what was written; says so where it is damaged."""
     import netCDF4
 
     try:
         read_samples(path, labels_only=True)
         with netCDF4.Dataset(path) as opened:
-            return bool(opened.recipe == recipe)
+            return bool(opened.recipe == cache_key)
     except (TriPillarError, OSError, AttributeError):
         say_made_anew(path)
         return False

@@ -27,7 +27,7 @@ from geometry.storage.files import digest
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
-MAX_SAMPLES = 10_000_000  #: of 36 units each they hold 52 GB
+MAX_SAMPLES = 10_000_000  #: they fill 52 GB with 36 units each
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
 
@@ -37,7 +37,7 @@ class LoadError(TriPillarError, ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSettings(Imperfections):
-    """What a dataset is to hold, and the sensor that measures it."""
+    """Settings of a dataset: its loads, and the sensor that measures them."""
 
     protocol: str
     samples: int = field(metadata={"meaning": "number of samples"})
@@ -56,7 +56,7 @@ class DatasetSettings(Imperfections):
             raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
 
 
-def dataset_recipe(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
+def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
     """Hash of all that a dataset depends on."""
     through = [] if readout is None else [readout]
     return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
@@ -127,7 +127,7 @@ def simulate(
             **_read_through(readout),
             "summary": PROTOCOLS[settings.protocol].summary,
             "redrawn": redrawn,
-            "recipe": dataset_recipe(response, settings, readout),
+            "recipe": dataset_cache_key(response, settings, readout),
             "response_hash": response.content_hash,
             "mesh_hash": response.mesh_hash,
             "residual": response.residual,
@@ -138,7 +138,7 @@ def simulate(
 def measured_again(
     samples: Samples, imperfections: Imperfections, seed: int, readout: Readout | None = None
 ) -> Samples:
-    """The same loads as a sensor with these imperfections measures them, however `samples` were measured.
+    """Measure the same loads with a sensor of these imperfections, however `samples` were measured.
 
     Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
     last bit what `simulate` gives with the same loads, imperfections, seed and readout.

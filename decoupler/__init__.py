@@ -16,7 +16,7 @@ from decoupler.evaluation.crossval import Fold, cross_validate
 from decoupler.evaluation.metrics import ForceErrors, PcaFloor, component_errors, evaluate, force_errors, pca_floor
 from decoupler.model.baseline import LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_recipe, read_model, require_same_sensor, write_model
+from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
 from decoupler.training.fine_tuning import fine_tune
 
@@ -45,7 +45,7 @@ __all__ = [
     "fine_tune",
     "force_errors",
     "hooke_forces",
-    "model_recipe",
+    "model_cache_key",
     "pca_floor",
     "read_model",
     "require_same_sensor",

@@ -19,8 +19,8 @@ class Component:
     """Inputs and outputs of a network, the same for every unit."""
 
     name: str
-    pillars: tuple[str, ...]  #: whose resistances go in
-    axes: tuple[str, ...]  #: whose forces come out
+    pillars: tuple[str, ...]  #: pillars whose resistances go in
+    axes: tuple[str, ...]  #: axes whose forces come out
 
     @property
     def forces(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What is done to columns before a network sees them: rest is settled, gains and offsets are undone, ranges are scaled.
+"""Preparation of columns for a network: readings at rest are settled, gains and offsets undone, ranges scaled.
 
 `Resting`, `Calibration` and `Scaling` are applied to resistances in this order.
 """
@@ -12,19 +12,19 @@ import numpy as np
 from dataset.measurement import SENSE_OHM
 from geometry.layout import FloatArray
 
-MAX_COUNTS_FROM_REST = 0.6  #: within which a reading may be one of rest; a tenth is for the calibration's error
-MIN_RESTING = 0.5  #: share of a scan's readings that must be so before any is taken for rest
+MAX_COUNTS_FROM_REST = 0.6  #: largest distance of a reading that may be one of rest; 0.1 is for the calibration's error
+MIN_RESTING = 0.5  #: share of a scan's readings that must be near rest before any of them is taken for rest
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
-MIN_CALIBRATED_OHM = 1.0  #: that a calibrated resistance is taken for; a pillar of so little is broken
-MIN_NOISE = 1e-4  #: of a resistance; a model is never trusted more than this
-MIN_RELATIVE_RANGE = 1e-12  #: of a column's size; below it a column is constant up to rounding
+MIN_CALIBRATED_OHM = 1.0  #: lower bound of a calibrated resistance; a pillar with less is broken
+MIN_NOISE = 1e-4  #: smallest relative error that a modelled resistance is trusted to
+MIN_RELATIVE_RANGE = 1e-12  #: range of a column over its size, below which it is constant up to rounding
 MIN_RANGE = 1e-100  #: a range in newtons or ohms whose square still is a number
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Resting:
-    """What pillars show at rest, and the converter that reads them.
+    """Readings of pillars at rest, and the converter that reads them.
 
     A converter reads one count whatever a resistance does within its step. A sensor at rest is always in the same place
     of every step, so what the steps hide does not average out: like pillars err alike, and the array seems pressed all
@@ -36,7 +36,7 @@ class Resting:
 
     @classmethod
     def read_with(cls, rest_ohm: FloatArray, bits: int | None) -> Self | None:
-        """Of pillars (n_in,) [Ω] behind a converter; None without one."""
+        """Rest of pillars (n_in,) [Ω] behind a converter; None without a converter."""
         return None if bits is None else cls(rest_ohm=rest_ohm, full_counts=np.array([2.0**bits - 1.0]))
 
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
@@ -55,7 +55,7 @@ class Calibration:
 
     @classmethod
     def none(cls, n_pillars: int) -> Self:
-        """Of a sensor that is exactly as designed."""
+        """The calibration of a sensor that is exactly as designed."""
         return cls(np.ones(n_pillars), np.zeros(n_pillars))
 
     @classmethod
@@ -79,11 +79,11 @@ class Calibration:
         return cls(1.0 + (d * p - b * q) / determinant, (a * q - b * p) / determinant)
 
     def shown(self, modelled_ohm: FloatArray) -> FloatArray:
-        """What this sensor shows where one as designed has these resistances, (..., n_pillars) [Ω]."""
+        """Resistances that this sensor shows where one as designed has `modelled_ohm`, (..., n_pillars) [Ω]."""
         return self.gain * modelled_ohm + self.offset_ohm
 
     def modelled(self, measured_ohm: FloatArray) -> FloatArray:
-        """What a sensor as designed would show, (n, n_pillars) [Ω]; kept above 0."""
+        """Resistances that a sensor as designed would show, (n, n_pillars) [Ω]; kept above 0."""
         modelled = measured_ohm - self.offset_ohm
         modelled /= self.gain
         return np.maximum(modelled, MIN_CALIBRATED_OHM, out=modelled)
@@ -120,7 +120,7 @@ class Scaling:
 
     @cached_property
     def factor(self) -> FloatArray:
-        """What a difference is multiplied by to be scaled, (n_columns,); 0 for a constant column."""
+        """Factors that scale differences, (n_columns,); 0 for a constant column."""
         return np.divide(1.0, self.half_range, out=np.zeros_like(self.half_range), where=self.half_range > 0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from geometry.layout import AXES, FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-MAX_SAMPLES = 200  #: whose limits are worked out; spread over the data
+MAX_SAMPLES = 200  #: number of samples, spread over the data, for which limits are computed
 TOUCHES = 200  #: light touches, and as many samples at rest
 
 
@@ -37,9 +37,7 @@ class LightTouch:
 
     at_rest_rmse_n: float  #: [N]
     touch_rmse_n: float  #: [N]
-    touch_limit_n: (
-        float | None
-    )  #: what the readings allow without bias (Cramér-Rao); None without noise or with dead pillars
+    touch_limit_n: float | None  #: Cramér-Rao limit of the readings; None without noise or with dead pillars
     coverage: tuple[float, float] | None  #: shares of both kinds of errors within the 68 % and the 95 % deviation
 
 
@@ -161,7 +159,7 @@ def _columns_by_axis(columns: FloatArray, axes: tuple[str, ...]) -> FloatArray:
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:
-    """The same as dictionaries and numbers, for JSON: the errors themselves first, what they are held against below."""
+    """An assessment as dictionaries and numbers, for JSON."""
     return {
         name: asdict(one.errors)
         | {

@@ -33,7 +33,7 @@ class Fold:
     errors: dict[str, ForceErrors]  #: by force, on the samples left out
     iterations: int
     reason: str  #: why training stopped
-    seconds: float  #: of training
+    seconds: float  #: time of training
 
 
 def split_folds(n_samples: int, folds: int, seed: int) -> list[np.ndarray]:
@@ -101,7 +101,7 @@ def jobs_of(
 
 
 def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
-    """What each job (function, arguments ...) gives, in order; as many at once as there are cores, a thread each."""
+    """Run jobs (function, arguments ...), as many at once as there are cores, a thread each; their results in order."""
     with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         with uninterrupted(), deaf_to_interrupts():
             futures = {pool.submit(*job): number for number, job in enumerate(jobs)}

@@ -15,7 +15,7 @@ from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray
 
-BOUNDED_AWAY = 1e-3  #: of full scale; eq. 17 is given only if every |F| is above this
+BOUNDED_AWAY = 1e-3  #: eq. 17 is given only if every |F| is above this share of full scale
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Whether readings and forces can belong together and to their sensor, or are what usually goes wrong with such files.
+"""Checks whether readings and forces can belong together and to their sensor, and names the usual mistakes in files.
 
 The response of the sensor says how lengths follow the forces. A data set is doubted if it fits that decidedly better
 after one of `MISTAKES` is taken back, or if the readings fit the forces worse than if nothing linked them.
@@ -28,13 +28,13 @@ from decoupler.data.scaling import MIN_NOISE
 from decoupler.inverse.forward_model import SLOPES, ForwardModel
 from geometry.layout import AXES, PILLARS, FloatArray
 
-#: share of honest inputs that is doubted at most: a likelihood ratio passes 1/α with a probability of α at most
+#: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
 #: (Markov's inequality), whatever it is compared with
 FALSE_ALARMS = 1e-4
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
-CONSTANT = 1e-12  #: of a column's size: rounding
-UNSTATED_NOISE = 0.01  #: of readings whose file states none: that of a poor board
-EDGE = 3.0**0.5  #: of a step's deviation: that of a reading which hops between two steps
+CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
+UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board
+EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
 Turn = Callable[[FloatArray], FloatArray]
 
@@ -47,7 +47,7 @@ def _as_it_is(values: FloatArray) -> FloatArray:
 class Mistake:
     """One way for a file to be wrong: what it takes for forces (n, rows, cols, 3), and where it puts pillars (same)."""
 
-    said: str  #: what seems to be the matter, and what to do
+    said: str  #: the message: the likely mistake, and how to mend it
     force: Turn = _as_it_is  #: from the file's to the sensor's
     pillar: Turn = _as_it_is  #: from the sensor's to the file's
 
@@ -99,7 +99,7 @@ ORDER = "the readings fit the forces far better in another order, {} of {} are o
 
 
 def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
-    """What seems to be wrong with samples, and what to do, in a line; None if nothing.
+    """Name the likely mistake in samples and how to mend it, in a line; None if there seems to be none.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> 
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
-    """That all samples show the same, or were taken under the same load, in a line; None if they differ."""
+    """Say in a line that all samples are the same, or of the same load; None if they differ."""
     if len(data.force_n) < 2:
         return None
     columns, forces = pillar_columns(data.resistance_ohm, component, data.dead), force_columns(data.force_n, component)
@@ -146,7 +146,7 @@ def nothing_to_learn(data: Samples, component: Component) -> str | None:
 
 
 def disturbance(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
-    """That forces other than the component's move its pillars, in a line; None if they do not.
+    """Say in a line that forces other than the component's move its pillars; None if they do not.
 
     `forward` is joint (`all`); without it any such force is one too many.
     """
@@ -219,7 +219,7 @@ def _best_order(data: Samples, component: Component, forward: ForwardModel) -> N
 
 
 def _is_possible(mistake: Mistake, data: Samples, forward: ForwardModel) -> bool:
-    """Whether rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
+    """Check that rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
     force_n = mistake.force(data.force_n)
     told = mistake.pillar is _as_it_is or _is_joint(forward, data)
     return told and force_n.shape == data.force_n.shape and bool(np.abs(force_n).max() <= MAX_N)
@@ -245,7 +245,7 @@ def _motions(
 
 
 def _left(data: Samples, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
-    """What the forces leave of the measured motions, (n, n_readable)."""
+    """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
     moved, expected = _motions(data, component, forward, mistake)
     both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
     slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
@@ -258,7 +258,7 @@ def _energy(residuals: FloatArray) -> float:
 
 
 def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> float:
-    """By how much the residuals of another explanation are likelier, each (n, n_columns)."""
+    """Log likelihood ratio of the residuals of another explanation to those as given, each (n, n_columns)."""
     covariance = as_given @ as_given.T if len(as_given) < as_given.shape[1] else as_given.T @ as_given
     squared = float((covariance**2).sum())
     directions = float(covariance.trace()) ** 2 / squared if squared > 0 else 1.0
@@ -267,7 +267,7 @@ def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> flo
 
 
 def _scattered(columns: FloatArray, data: Samples) -> bool:
-    """Whether readings (n, n_columns) of one load scatter more than noise.
+    """Check whether readings (n, n_columns) of one load scatter more than noise.
 
     The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).
     """

@@ -162,7 +162,7 @@ int main(void)
 """
 
 
-def c_header(decoupler: Decoupler, dtype: type[np.floating]) -> str:
+def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     """The text of a header that computes what `Decoupler.forces` does, without its refusals.
 
     Parameters

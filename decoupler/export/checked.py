@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from decoupler.export.c_header import c_header, compiled_forces
+from decoupler.export.c_header import compiled_forces, header_text
 from decoupler.export.portable import ExportError, dead_inputs, places
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import DesignError
@@ -16,14 +16,17 @@ from geometry.storage.files import replacing
 
 Precision = Literal["float", "double"]
 USUAL: dict[str, Precision] = {".onnx": "double", ".h": "float"}  #: precision by suffix
-SAMPLES = 64  #: that the check computes both ways
-MAX_DEVIATION: dict[str, float] = {"double": 1e-6, "float": 1e-4}  #: of full scale; see `export_model`
+SAMPLES = 64  #: number of samples that the check computes both ways
+MAX_DEVIATION: dict[str, float] = {
+    "double": 1e-6,
+    "float": 1e-4,
+}  #: largest difference allowed, over full scale; see `export_model`
 _TYPES: dict[str, type[np.floating]] = {"float": np.float32, "double": np.float64}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What was written, and how near it comes to the model."""
+    """An exported file's precision, and how near its forces come to the model's."""
 
     precision: Precision
     deviation: float | None  #: largest, relative to the largest force; None if it was not checked
@@ -65,7 +68,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     expected = decoupler.forces(resistance_ohm)
     with replacing(path) as temporary:
         if path.suffix == ".h":
-            header = c_header(decoupler, dtype)
+            header = header_text(decoupler, dtype)
             temporary.write_text(header, encoding="utf-8")
             compiler = shutil.which("cc")
             if compiler is None:

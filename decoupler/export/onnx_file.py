@@ -14,7 +14,7 @@ from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
-OPSET, IR_VERSION = 17, 8  #: of 2022, so that older runtimes read it; nothing here needs a newer one
+OPSET, IR_VERSION = 17, 8  #: versions of 2022, so that older runtimes read it
 
 
 def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProto:

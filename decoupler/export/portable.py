@@ -1,4 +1,4 @@
-"""What every exported form of a `Decoupler` needs, in numpy: places of inputs, factors of scaling, facts about it."""
+"""Parts that every exported form of a `Decoupler` needs: places of inputs, weights in newtons, facts about it."""
 
 from importlib.metadata import PackageNotFoundError, version
 
@@ -17,7 +17,7 @@ class ExportError(TriPillarError, RuntimeError):
 
 
 def places(decoupler: Decoupler) -> NDArray[np.int64]:
-    """Where the network's inputs lie in one sample's (rows, cols, 3) resistances laid flat, shape (n_in,)."""
+    """Places of the network's inputs in one sample's (rows, cols, 3) resistances laid flat, shape (n_in,)."""
     n_units = decoupler.rows * decoupler.cols
     taken = [PILLARS.index(pillar) for pillar in decoupler.component.pillars]
     return np.arange(n_units * len(PILLARS)).reshape(n_units, -1)[:, taken].reshape(-1)
@@ -36,7 +36,7 @@ def output_weights_n(decoupler: Decoupler) -> FloatArray:
 
 
 def facts(decoupler: Decoupler) -> dict[str, str]:
-    """What a reader of an exported file should know of the model, by name."""
+    """Facts about the model for a reader of the exported file, by name."""
     made_from, network = decoupler.made_from, decoupler.network
     try:
         program = version("tripillar")

@@ -14,16 +14,16 @@ from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, p
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-#: share of the lengths' variance, below which a response is held to be of another sensor: with pads a third smaller
-#: it explains 0.83, with those of an eighth less 0.99; noise of 1 % leaves 0.93 and more
+#: smallest share of the lengths' variance that a sensor's own response explains: one with pads a third smaller
+#: explains 0.83, with pads an eighth smaller 0.99; noise of 1 % leaves 0.93 and more
 MIN_EXPLAINED = 0.9
-SLOPES = (0.8, 1.25)  #: of lengths against the model's, gains apart; beyond, the body is softer or stiffer
-MIN_MOVED = 0.3  #: of what its loads should move a pillar; one that lives moves 0.8 to 1.25 of it
+SLOPES = (0.8, 1.25)  #: range of the measured lengths' slope over the model's; beyond, the body is softer or stiffer
+MIN_MOVED = 0.3  #: smallest motion of a living pillar over the expected one; usual are 0.8 to 1.25
 SURE = 3.0  #: standard errors between a slope and `MIN_MOVED`
 MAX_JUDGED = 5000  #: samples, spread over the data; more say no more of whether a pillar moves
 ENOUGH_FOR_ERRORS = 10  #: samples, for a standard error; of fewer only a pillar that always reads the same is stuck
-SAME = 1e-12  #: of a reading: rounding
-MIN_LOADED = 0.1  #: of the usual expected motion: below, errors of the response outweigh it
+SAME = 1e-12  #: relative spread of readings that differ by rounding alone
+MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which errors of the response outweigh it
 NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
@@ -147,7 +147,7 @@ def _explained(measured: FloatArray, modelled: FloatArray) -> float:
 
 
 def without_stuck(data: Samples, component: Component, forward: ForwardModel | None) -> Samples:
-    """The same samples, with pillars that do not follow their loads marked as dead.
+    """Mark pillars that do not follow their loads as dead.
 
     A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as
     much as their signal, and it would give wild forces once it moves. It is held stuck if its readings spread far less
@@ -192,7 +192,7 @@ def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray) -> NDAr
 
 
 def _as_most(moved: FloatArray, force_n: FloatArray, component: Component) -> FloatArray:
-    """How pillars would move (n, n_columns) by their own unit's forces as most of their kind do; 0 if hardly loaded."""
+    """Expected motions (n, n_columns) of pillars that follow their own unit's forces as most of their kind do."""
     n = len(moved)
     F = (force_n - force_n.mean(axis=0)).reshape(n, -1, len(component.axes))
     y = moved.reshape(n, -1, len(component.pillars))

@@ -1,4 +1,4 @@
-"""The least error that readings allow, whatever the estimator: what the response says of noise in the forces.
+"""The least error that readings allow, whatever the estimator, by the response.
 
 `cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `exact_inverse` is
 the estimator that meets the first: Gauss-Newton on the response itself.
@@ -15,7 +15,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import FloatArray
 
 CHUNK = 64  #: samples whose derivatives are in memory together
-MAX_STEPS = 50  #: of Gauss-Newton; a dozen is usual
+MAX_STEPS = 50  #: Gauss-Newton steps; a dozen is usual
 CONVERGED = 1e-12  #: relative to the largest force
 
 
@@ -60,7 +60,7 @@ def bayes(
     readable: NDArray[np.bool_] | None = None,
     usual_n: FloatArray | None = None,
 ) -> FloatArray:
-    """The same for estimates that know the mean and covariance of the usual forces, as a trained network does.
+    """Least standard deviation of estimates that know the mean and covariance of the usual forces, as a network does.
 
     `usual_n`, shape (many, n_forces), is where these are taken from; default: `force_n`. Give several times as many as
     there are forces: m samples of p forces seem to determine each other, which lowers the limit by √(1 − p/m) where

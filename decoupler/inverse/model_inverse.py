@@ -1,4 +1,4 @@
-"""Forces that a known response gives for resistances, nearly: the input feature `inverse`.
+"""Approximate forces for resistances by a known response: the input feature `inverse`.
 
 A fixed number of corrections costs little and always ends; what they leave, the network learns. `limits.py` has the
 inverse iterated to the end.
@@ -15,12 +15,12 @@ from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import FloatArray
 
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
-ENOUGH = 8e-4  #: of the forces' spread: what may be left under load when corrections end sooner
-ENOUGH_AT_REST = 1e-4  #: of the same: what may be left with nothing on the sensor
-MIN_UNSURE = 5e-5  #: of a length: what the model is trusted to at best, half of that of a resistance
-LOADS = 4000  #: of the usual ones that the corrections are fitted to
+ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
+ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor; both must be reached
+MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
+LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
-SCATTER = 0.02  #: of the forces' spread, added to each force: single touches, which indenters do not hold
+SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
 HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
@@ -114,7 +114,7 @@ def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray
 
 
 def _near(missed_n: FloatArray, n_usual: int, spread_n: float) -> bool:
-    """Whether corrections have come near enough under the usual loads, which are first, and at rest, which is last."""
+    """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
     return bool(
         np.std(missed_n[:n_usual]) <= ENOUGH * spread_n
         and np.sqrt(np.mean(missed_n[-1] ** 2)) <= ENOUGH_AT_REST * spread_n

@@ -1,4 +1,4 @@
-"""The two marks that every network must beat: each pillar alone by Hooke (eq. 8), and least squares on √R."""
+"""The two baselines that every network must beat: each pillar alone by Hooke (eq. 8), and least squares on √R."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -11,7 +11,7 @@ from decoupler.data.columns import Component, force_columns, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
 
-HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: what tables call the two marks
+HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: names of the two baselines in tables
 
 #: sign of the lengthening of the pillar that senses an axis under a positive force along it
 _LENGTHENS = {"x": -1.0, "y": 1.0, "z": -1.0}

@@ -23,7 +23,7 @@ from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 64  #: samples whose derivatives are in memory together
-ALIKE = 0.01  #: of a resistance at rest: pillars nearer to the design than this are as designed
+ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +38,14 @@ class Decoupler:
     output_scaling: Scaling
     hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
     output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
-    design: SensorDesign | None  #: of the training data; None if they did not say
-    inverse: ModelInverse | None = None  #: of the known response; with the feature `inverse`
-    calibration: Calibration | None = None  #: of this very sensor; None for one as designed
-    resting: Resting | None = None  #: of a sensor read by a converter
+    design: SensorDesign | None  #: the sensor of the training data; None if they did not say
+    inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
+    calibration: Calibration | None = None  #: gains and offsets of this very sensor; None for one as designed
+    resting: Resting | None = None  #: readings at rest; None without a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
-    uncertainty: Uncertainty | None = None  #: of its forces
-    least_squares: LeastSquares | None = None  #: the mark to beat, fitted to the same data
-    made_from: dict[str, Any] = field(default_factory=dict)  #: recipe, data hash, seed, trainer, how it ended
+    uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
+    least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
+    made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit.
@@ -101,7 +101,7 @@ class Decoupler:
         return one.reshape(shape), two.reshape(shape)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same of columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
+        """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
         found = self.uncertainty
         assert found is not None
         A, half_range_n = self.activations(columns_ohm), self.output_scaling.half_range
@@ -138,14 +138,14 @@ class Decoupler:
         return self.uncertainty is not None
 
     def read_by(self, noise: float) -> "Decoupler":
-        """The same with half-widths for readings of this relative standard deviation, converter's steps included."""
+        """The model with half-widths for readings of this relative standard deviation, converter's steps included."""
         if self.uncertainty is None:
             return self
         return replace(self, uncertainty=replace(self.uncertainty, noise=noise, bits=None))
 
     @property
     def reading_noise(self) -> float:
-        """What its half-widths take readings at rest to err by: the median over pillars, relative; 0 if unknown."""
+        """Relative error of readings at rest that its half-widths assume, the median over pillars; 0 if unknown."""
         rest_ohm = self.rest_resistances()
         if self.uncertainty is None or rest_ohm is None:
             return 0.0
@@ -154,11 +154,11 @@ class Decoupler:
 
     @property
     def design_hash(self) -> str | None:
-        """Of the sensor it was made for; None if that is unknown."""
+        """Hash of the design it was made for; None if that is unknown."""
         return None if self.design is None else digest(self.design)
 
     def rest_resistances(self) -> FloatArray | None:
-        """What this model's sensor shows with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""
+        """Resistances of this model's sensor with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""
         if self.design is None:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
@@ -200,7 +200,7 @@ class Decoupler:
         return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:
-        """What the output layer sees of resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
+        """Inputs of the output layer for resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
         inputs = self.inputs(columns_ohm)
         X = np.ones((len(inputs), inputs.shape[1] + 1))
         X[:, :-1] = inputs
@@ -208,7 +208,7 @@ class Decoupler:
         return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
 
     def inputs(self, columns_ohm: FloatArray) -> FloatArray:
-        """What the hidden layer sees of resistances, each (n, n_in): the feature, scaled."""
+        """Inputs of the hidden layer for resistances, each (n, n_in): the feature, scaled."""
         if self.resting is not None:
             columns_ohm = self.resting.settled(columns_ohm)
         if self.calibration is not None:

@@ -31,30 +31,42 @@ if TYPE_CHECKING:
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
 METHOD = 4  #: raise when the same settings train other weights, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
-_UNCERTAINTY = (
-    "inverse_matrix",
-    "misfit_n2",
-    "unexplained_n2",
-    "widths",
-    "misfit_at_rest_n2",
-    "widths_at_rest",
-    "light_n2",
-)
-_NOT_BELOW_0 = {
-    "input_half_range",
-    "output_half_range",
-    "ohm_per_mm2",
-    "misfit_n2",
-    "unexplained_n2",
-    "widths",
-    "misfit_at_rest_n2",
-    "widths_at_rest",
-    "light_n2",
+#: place of each array of a file in a model, and its shape by the names of `_sizes`
+_ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "hidden_weights": ("hidden_weights", ("hidden", "seen + 1")),
+    "output_weights": ("output_weights", ("out", "features")),
+    "input_centre": ("input_scaling.centre", ("seen",)),
+    "input_half_range": ("input_scaling.half_range", ("seen",)),
+    "output_centre": ("output_scaling.centre", ("out",)),
+    "output_half_range": ("output_scaling.half_range", ("out",)),
+    "influence": ("inverse.forward.influence", ("out", "3 electrodes")),
+    "top": ("inverse.forward.top", ("in",)),
+    "rest_mm": ("inverse.forward.rest_mm", ("3", "in")),
+    "ohm_per_mm2": ("inverse.forward.ohm_per_mm2", ("in",)),
+    "centre_n": ("inverse.centre_n", ("out",)),
+    "centre_mm": ("inverse.centre_mm", ("in",)),
+    "correctors": ("inverse.correctors", ("steps", "in", "out")),
+    "gain": ("calibration.gain", ("in",)),
+    "offset_ohm": ("calibration.offset_ohm", ("in",)),
+    "rest_ohm": ("resting.rest_ohm", ("in",)),
+    "full_counts": ("resting.full_counts", ("1",)),
+    "inverse_matrix": ("uncertainty.inverse_matrix", ("features", "features")),
+    "misfit_n2": ("uncertainty.misfit_n2", ("out",)),
+    "unexplained_n2": ("uncertainty.unexplained_n2", ("out",)),
+    "widths": ("uncertainty.widths", ("shares", "axes")),
+    "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
+    "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
+    "light_n2": ("uncertainty.light_n2", ("1",)),
+    "least_squares": ("least_squares.coefficients", ("in + 1", "out")),
+    "dead": ("dead", ("rows", "cols", "3")),
+}
+_NOT_BELOW_0 = {name for name in _ARRAYS if name.endswith(("_half_range", "_n2")) or name.startswith("widths")} | {
+    "ohm_per_mm2"
 }
 _MEND = "give a file made by 'tripillar train'"
 
 
-def model_recipe(
+def model_cache_key(
     data: Samples,
     component: str,
     network: NetworkConfig,
@@ -112,15 +124,16 @@ def read_model(path: Path) -> Decoupler:
         decoupler = _assembled(json.loads(metadata[HEADER]), arrays)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
-    for name, shape in _shapes(decoupler).items():
-        array = arrays[name]
+    sizes = _sizes(decoupler)
+    for name, array in _arrays(decoupler).items():
+        shape = tuple(sizes[size] for size in _ARRAYS[name][1])
         kind = "i" if name == "top" else "b" if name == "dead" else "f"
         if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
                 f"finite numbers of shape {shape}: {_MEND}."
             )
-    for name in _NOT_BELOW_0 & set(arrays):
+    for name in arrays.keys() & _NOT_BELOW_0:
         if arrays[name].min(initial=0.0) < 0:
             raise FileFormatError(f"{path}: {name} holds {arrays[name].min():g}, must not be below 0: {_MEND}.")
     if decoupler.inverse is not None and not _holds_pillars(decoupler.inverse.forward):
@@ -165,67 +178,40 @@ def _flat(table: dict[str, Any], group: str = "") -> dict[str, float]:
 
 
 def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
-    arrays = {
-        "hidden_weights": decoupler.hidden_weights,
-        "output_weights": decoupler.output_weights,
-        "input_centre": decoupler.input_scaling.centre,
-        "input_half_range": decoupler.input_scaling.half_range,
-        "output_centre": decoupler.output_scaling.centre,
-        "output_half_range": decoupler.output_scaling.half_range,
-    }
-    if decoupler.inverse is not None:
-        forward = decoupler.inverse.forward
-        arrays |= {name: getattr(forward, name) for name in ("influence", "top", "rest_mm", "ohm_per_mm2")}
-        arrays |= {name: getattr(decoupler.inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
-    if decoupler.calibration is not None:
-        arrays |= {"gain": decoupler.calibration.gain, "offset_ohm": decoupler.calibration.offset_ohm}
-    if decoupler.resting is not None:
-        arrays |= {"rest_ohm": decoupler.resting.rest_ohm, "full_counts": decoupler.resting.full_counts}
-    if decoupler.uncertainty is not None:
-        arrays |= {name: getattr(decoupler.uncertainty, name) for name in _UNCERTAINTY}
-    if decoupler.least_squares is not None:
-        arrays["least_squares"] = decoupler.least_squares.coefficients
-    if decoupler.dead is not None:
-        arrays["dead"] = decoupler.dead
-    return arrays
+    """The arrays that a model has, by their names in a file."""
+    found: dict[str, np.ndarray] = {}
+    for name, (place, _) in _ARRAYS.items():
+        value: Any = decoupler
+        for part in place.split("."):
+            value = None if value is None else getattr(value, part)
+        if value is not None:
+            found[name] = value
+    return found
 
 
-def _shapes(decoupler: Decoupler) -> dict[str, tuple[int, ...]]:
-    """Shapes that the arrays must have by the header and by which of them there are."""
-    hidden, n_units = decoupler.network.hidden, decoupler.rows * decoupler.cols
-    n_in, n_out = n_units * len(decoupler.component.pillars), n_units * len(decoupler.component.axes)
+def _sizes(decoupler: Decoupler) -> dict[str, int]:
+    """Lengths of the arrays' dimensions, by the header and by the parts that there are."""
+    component, rows, cols, hidden = decoupler.component, decoupler.rows, decoupler.cols, decoupler.network.hidden
+    n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
-    n_features = hidden + (seen + 1 if decoupler.network.net == "skip" else 1)
-    shapes: dict[str, tuple[int, ...]] = {
-        "hidden_weights": (hidden, seen + 1),
-        "output_weights": (n_out, n_features),
-        "input_centre": (seen,),
-        "input_half_range": (seen,),
-        "output_centre": (n_out,),
-        "output_half_range": (n_out,),
+    electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
+    return {
+        "1": 1,
+        "3": len(PILLARS),
+        "rows": rows,
+        "cols": cols,
+        "axes": len(component.axes),
+        "shares": len(WITHIN),
+        "in": n_in,
+        "in + 1": n_in + 1,
+        "out": n_out,
+        "hidden": hidden,
+        "seen": seen,
+        "seen + 1": seen + 1,
+        "features": hidden + (seen + 1 if decoupler.network.net == "skip" else 1),
+        "3 electrodes": 3 * electrodes,
+        "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
-    if decoupler.inverse is not None:
-        n_electrodes = n_units * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in decoupler.component.pillars})
-        shapes |= {"influence": (n_out, 3 * n_electrodes), "top": (n_in,), "rest_mm": (3, n_in), "ohm_per_mm2": (n_in,)}
-        shapes |= {
-            "centre_n": (n_out,),
-            "centre_mm": (n_in,),
-            "correctors": (len(decoupler.inverse.correctors), n_in, n_out),
-        }
-    if decoupler.calibration is not None:
-        shapes |= {"gain": (n_in,), "offset_ohm": (n_in,)}
-    if decoupler.resting is not None:
-        shapes |= {"rest_ohm": (n_in,), "full_counts": (1,)}
-    if decoupler.uncertainty is not None:
-        n_axes = len(decoupler.component.axes)
-        shapes |= {"inverse_matrix": (n_features, n_features), "misfit_n2": (n_out,), "unexplained_n2": (n_out,)}
-        shapes |= {"widths": (len(WITHIN), n_axes), "widths_at_rest": (len(WITHIN), n_axes)}
-        shapes |= {"misfit_at_rest_n2": (n_out,), "light_n2": (1,)}
-    if decoupler.least_squares is not None:
-        shapes["least_squares"] = (n_in + 1, n_out)
-    if decoupler.dead is not None:
-        shapes["dead"] = (decoupler.rows, decoupler.cols, len(PILLARS))
-    return shapes
 
 
 def _holds_pillars(forward: ForwardModel) -> bool:
@@ -245,33 +231,33 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
     network = NetworkConfig(**header["network"])
-    inverse = uncertainty = None
+
+    def held(part: str) -> dict[str, Any]:
+        """Fields of a part of the model, from the file's arrays."""
+        places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
+        return {field: arrays[name] for name, (owner, _, field) in places.items() if owner == part}
+
+    inverse = uncertainty = least_squares = None
     if network.feature == "inverse":
-        forward = ForwardModel(**{name: arrays[name] for name in ("influence", "top", "rest_mm", "ohm_per_mm2")})
-        inverse = ModelInverse(forward=forward, **{n: arrays[n] for n in ("centre_n", "centre_mm", "correctors")})
-    if _UNCERTAINTY[0] in arrays:
-        given = {name: arrays[name] for name in _UNCERTAINTY}
-        uncertainty = Uncertainty(**given, noise=header["noise"], bits=header["bits"])
-    resting = None
-    if "rest_ohm" in arrays:
-        resting = Resting(rest_ohm=arrays["rest_ohm"], full_counts=arrays["full_counts"])
+        inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
+    if "inverse_matrix" in arrays:
+        uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")
-    least_squares = None
     if "least_squares" in arrays:
-        least_squares = LeastSquares(component=component, coefficients=arrays["least_squares"], dead=dead)
+        least_squares = LeastSquares(component=component, **held("least_squares"), dead=dead)
     return Decoupler(
         component=component,
         rows=header["rows"],
         cols=header["cols"],
         network=network,
-        input_scaling=Scaling(arrays["input_centre"], arrays["input_half_range"]),
-        output_scaling=Scaling(arrays["output_centre"], arrays["output_half_range"]),
+        input_scaling=Scaling(**held("input_scaling")),
+        output_scaling=Scaling(**held("output_scaling")),
         hidden_weights=arrays["hidden_weights"],
         output_weights=arrays["output_weights"],
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
-        calibration=Calibration(arrays["gain"], arrays["offset_ohm"]) if "gain" in arrays else None,
-        resting=resting,
+        calibration=Calibration(**held("calibration")) if "gain" in arrays else None,
+        resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
         dead=dead,
         uncertainty=uncertainty,
         least_squares=least_squares,

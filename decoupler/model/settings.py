@@ -1,4 +1,4 @@
-"""What a training is asked for: the form of the network, and how it is trained. Loads no torch."""
+"""Settings of a training: the form of the network, and how it is trained. Loads no torch."""
 
 import math
 from dataclasses import dataclass
@@ -54,15 +54,15 @@ class NetworkConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """How a network is trained, always on the full batch; errors are of outputs scaled to [-1, 1]."""
+    """Settings of a training, always on the full batch; errors are of outputs scaled to [-1, 1]."""
 
     trainer: Trainer = "varpro"  #: variable projection, Levenberg-Marquardt, or the paper's momentum rule
     goal_mse: float | None = None  #: stop when reached; None: the trainer's own
     max_iterations: int = 0  #: stop at the latest then; 0: the trainer's own
     patience: int = 0  #: stop if so many iterations have not gained `least_gain`; 0: the trainer's own
-    least_gain: float = 0.02  #: share of the error; 0 never gives up
-    held_out: float = 0.1  #: share of samples that only judge the hidden layer; of skip nets, by variable projection
-    seed: int = 0  #: of the random start
+    least_gain: float = 0.02  #: smallest relative fall of the error; 0 never gives up
+    held_out: float = 0.1  #: share of samples that variable projection of a skip net keeps for validation
+    seed: int = 0  #: seed of the random start
     learning_rate: float = 1.0  #: α of eq. 15, momentum rule only
     momentum: float = 0.5  #: η of eq. 15, momentum rule only
 

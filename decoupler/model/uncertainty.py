@@ -1,4 +1,4 @@
-"""How far to trust each force: noise through the network's derivatives, and what training could not settle."""
+"""Uncertainty of each force: noise through the network's derivatives, and what training could not settle."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
-MANY_TIMES = 3.0  #: errors of an output over the usual, to distrust it
-MIN_SHARE = 0.05  #: of half its range, to distrust an output where the usual is only known from the others
-BEST = 0.1  #: share of the outputs of an axis that are held to be as good as without dead pillars
+MANY_TIMES = 3.0  #: smallest error of an output over the usual one to distrust it
+MIN_SHARE = 0.05  #: smallest error over half its range to distrust an output that is judged by the others
+BEST = 0.1  #: share of the outputs of an axis that are taken to be as good as without dead pillars
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Uncertainty:
-    """What a force's standard deviation is made of.
+    """Parts of a force's standard deviation.
 
     variance = what reading errors do through dF/dR + misfit + unexplained · aᵀ (AᵀA + λI)⁻¹ a, with a the activations
     of the sample and A those of the training set: the Gauss-Newton matrix of the output layer; no more than half the
@@ -24,8 +24,8 @@ class Uncertainty:
     within. Misfit and scale go from those at rest to those under load with the square of the forces.
     """
 
-    noise: float  #: of the training readings, relative
-    bits: int | None  #: of their converter
+    noise: float  #: relative standard deviation of the training readings
+    bits: int | None  #: resolution of their converter
     inverse_matrix: FloatArray  #: (n_features, n_features): (AᵀA + λI)⁻¹
     misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]

@@ -12,8 +12,8 @@ from decoupler.model.settings import TrainingConfig
 Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Reason = Literal["goal", "iterations", "stagnation", "validation"]  #: why a training stopped
 
-FIRST_DAMPING = 1e-3  #: of the largest diagonal entry of JᵀJ
-LARGEST_DAMPING = 1e12  #: in the same unit; no step is found by damping more
+FIRST_DAMPING = 1e-3  #: over the largest diagonal entry of JᵀJ
+MAX_DAMPING = 1e12  #: in the same unit; no step is found by damping more
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Point:
 
     hidden: Tensor  #: (n_hidden, n_in+1)
     output: Tensor  #: (n_out, n_hidden + n_linear)
-    cost: float  #: what is minimised
-    mse: float  #: what is reported
+    cost: float  #: the function that is minimised
+    mse: float  #: mean squared error, which is reported
 
 
 class Model(Protocol):
@@ -39,7 +39,7 @@ class Model(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a training ended."""
+    """The end of a training: iterations, error and reason."""
 
     iterations: int
     mse: float
@@ -67,7 +67,7 @@ class Stop:
 
 
 class Best:
-    """Keeps the point that a judge likes best, where there is one; otherwise the last."""
+    """Keeps the point with the lowest validation error, or the last point without validation."""
 
     def __init__(self, judge: Callable[[Point], float] | None, patience: int) -> None:
         self.judge, self.patience = judge, patience
@@ -75,7 +75,7 @@ class Best:
         self.point: Point | None = None
 
     def sees(self, point: Point) -> bool:
-        """Take a point in; False once the judge has liked none better for `patience` points."""
+        """Take a point in; False once none of `patience` points was better."""
         error = 0.0 if self.judge is None else self.judge(point)
         self.waited = 0 if self.judge is None or error < self.error else self.waited + 1
         if not self.waited:
@@ -92,8 +92,8 @@ def minimise(
 ) -> tuple[Point, Outcome]:
     """Follow damped Gauss-Newton steps downhill from `start`.
 
-    With a `judge`, the error on samples that the cost does not see, the point it likes best is the result, and the
-    descent ends when it has liked none better for half of the patience.
+    `judge` gives the validation error of a point. The point where it is lowest is the result, and the descent ends when
+    half of the patience has passed without a better one.
 
     Notes
     -----
@@ -123,7 +123,7 @@ def minimise(
             if trial is not None and trial[0].cost < point.cost:
                 break
             damping, growth = damping * growth, growth * 2.0
-            if damping > LARGEST_DAMPING * model.scale:
+            if damping > MAX_DAMPING * model.scale:
                 return ended("stagnation")
         rho = (point.cost - trial[0].cost) / trial[1]
         damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * rho - 1.0) ** 3), 2.0

@@ -14,10 +14,10 @@ from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
 from geometry.layout import FloatArray
 
 RIDGES = np.logspace(-10, 3, 27)  #: per sample, of inputs and targets scaled to [-1, 1]
-ENOUGH_SAMPLES = 500  #: for the effect of noise and for the widths; of each every unit counts
+ENOUGH_SAMPLES = 500  #: number of samples for the effect of noise and for the widths
 MIN_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
-LIGHT = 0.05  #: share of the training samples that bear less than what counts as load
-MIN_DEVIATION = 1e-12  #: of a force's range, so that nothing is divided by 0
+LIGHT = 0.05  #: share of the training samples, the lightest, that do not count as loaded
+MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
 
 
 def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> float:

@@ -23,7 +23,7 @@ MIN_PAIRS = 10  #: below which the output layer stays as it is: its errors could
 
 
 def fine_tune(decoupler: Decoupler, pairs: Samples, response: "ArrayResponse | None" = None) -> Decoupler:
-    """The same model for the sensor that the pairs were measured on.
+    """Fit a model to the sensor that the pairs were measured on.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from decoupler.training.network import TrainingSet, pair_products
 
 
 def _pair_index(n: int) -> Tensor:
-    """Where each entry of a symmetric n × n matrix is in the list of its pairs, flattened."""
+    """Places of a symmetric n × n matrix's entries in the list of its pairs, flattened."""
     i, j = torch.triu_indices(n, n)
     index = torch.empty(n, n, dtype=torch.long)
     index[i, j] = index[j, i] = torch.arange(len(i))

@@ -46,7 +46,7 @@ def suited_training(
     training: TrainingConfig | None,
     response: "ArrayResponse | None",
 ) -> tuple[Component, NetworkConfig, TrainingConfig]:
-    """What a training is asked for, with what suits the samples where None is given.
+    """Complete what a training is asked for with what suits the samples where None is given.
 
     Raises
     ------

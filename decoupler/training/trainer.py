@@ -19,7 +19,7 @@ from decoupler.inverse.forward_model import ForwardModel, explaining, without_st
 from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_recipe
+from decoupler.model.model_file import model_cache_key
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import best_ridge, fitted_uncertainty
@@ -33,9 +33,9 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-LIGHT = 0.1  #: light samples that training adds where the response is known, a share of those given
-MAX_UNEXPLAINED = 3e-3  #: of the readings' variance, what a response may leave and still be asked for light samples
-TOUCH = 0.05  #: of the largest force: a light touch
+LIGHT = 0.1  #: number of light samples that training adds where the response is known, over that of the samples
+MAX_UNEXPLAINED = 3e-3  #: share of the readings' variance that response and calibration may leave
+TOUCH = 0.05  #: force of a light touch, over the largest force
 
 
 def _silent(iteration: int, mse: float) -> None:
@@ -128,7 +128,7 @@ def train(
         trained,
         uncertainty=fitted_uncertainty(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
         made_from={
-            "recipe": model_recipe(given, parts.name, network, training, response),
+            "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
             "n_samples": len(data.force_n),
             "training": asdict(training),
@@ -230,7 +230,7 @@ def _mixed(load: NDArray[np.int64], training: TrainingConfig) -> NDArray[np.int6
 
 
 def _n_held_out(load: NDArray[np.int64], training: TrainingConfig) -> int:
-    """How many samples, the last of those in order of load, only judge the hidden layer; no load is split."""
+    """Number of samples, the last in order of load, that are kept for validation; no load is split."""
     held_out = int(training.held_out * len(load))
     while 0 < held_out < len(load) and load[-held_out] == load[-held_out - 1]:
         held_out -= 1

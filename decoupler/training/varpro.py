@@ -9,9 +9,9 @@ from decoupler.model.settings import TrainingConfig
 from decoupler.training.damping import Outcome, Point, Progress, minimise
 from decoupler.training.network import TrainingSet
 
-RIDGE = 1e-9  #: on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
-SCARCE_RIDGE = 1e-4  #: of plain nets with no more samples than output weights; halves their error on new samples
-CLOSE_ENOUGH = 0.1  #: share of the gradient that a step may leave; 0.3 stalls sooner, 0.03 costs more than it gains
+RIDGE = 1e-9  #: λ on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
+SCARCE_RIDGE = 1e-4  #: the same for plain nets with no more samples than output weights; halves their error
+CLOSE_ENOUGH = 0.1  #: relative residual at which conjugate gradients end; 0.3 stalls sooner, 0.03 costs more
 MAX_PRODUCTS = 40  #: with the matrix in a step
 
 
@@ -112,8 +112,8 @@ def train_varpro(
     ridge : float
         λ on the output weights, biases included.
     held_out : int
-        The last so many samples do not move the hidden layer: it is taken from where they are met best, which may be
-        before the start (hidden weights of 0, a linear map). The output layer is then fitted to all. 0: none.
+        Number of samples, the last, that are kept for validation. The hidden layer with the lowest validation error is
+        returned, which may be that of weights 0, a linear map. The output layer is then fitted to all samples.
     config, progress : TrainingConfig, callable
     """
     n = len(samples.X)

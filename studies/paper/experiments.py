@@ -11,7 +11,7 @@ import numpy as np
 
 from dataset import Samples
 from dataset.resistance import pillar_strains
-from dataset.simulation import DatasetSettings, dataset_recipe, simulate
+from dataset.simulation import DatasetSettings, dataset_cache_key, simulate
 from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, split_folds
 from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
@@ -66,7 +66,7 @@ Kinds = dict[tuple[str, str, float], Samples]  #: by loads, component and cap
 
 def cache_key_of(response: ArrayResponse, asked: Experiments) -> str:
     """Hash of all that the results depend on."""
-    data = [dataset_recipe(response, asked.data_settings(*kind)) for kind in product(LOADS, COMPONENTS, CAPS)]
+    data = [dataset_cache_key(response, asked.data_settings(*kind)) for kind in product(LOADS, COMPONENTS, CAPS)]
     networks = [part for pair in NETWORKS.values() for part in pair]
     return digest("paper", VERSION, METHOD, data, asked, *networks)
 

@@ -14,11 +14,11 @@ from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from dataset.protocol_pictures import draw_protocols
 from geometry.design import SensorDesign, Unit
 from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_sections
 from geometry.storage.files import replacing
 from geometry.wiring import crossings, pillar_of_crossing
+from studies.pictures.protocols import draw_protocols
 from tripillar.terminal.entry import run_alone
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses

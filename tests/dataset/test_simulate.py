@@ -13,7 +13,7 @@ from dataset.simulation import (
     MAX_ROUNDS,
     DatasetSettings,
     LoadError,
-    dataset_recipe,
+    dataset_cache_key,
     displacements,
     forces,
     measured_again,
@@ -261,7 +261,7 @@ def test_dataset_says_what_made_it(response):
     assert made_from["mesh_hash"] == response.mesh_hash
     assert made_from["residual"] == response.residual
     assert made_from["response_hash"] == response.content_hash
-    assert made_from["recipe"] == dataset_recipe(response, settings)
+    assert made_from["recipe"] == dataset_cache_key(response, settings)
 
 
 def test_recipe_changes_with_all_that_a_dataset_depends_on(response):
@@ -271,11 +271,11 @@ def test_recipe_changes_with_all_that_a_dataset_depends_on(response):
         {"gain_spread": 0.2}, {"offset_ohm": 5.0}, {"specimen": 1}, {"dead_pillars": ((1, 2, "y"),)},
         {"dead_rows": (1,)}, {"dead_cols": (1,)},
     ]  # fmt: skip
-    recipes = {dataset_recipe(response, replace(settings, **change)) for change in changed}
-    recipes.add(dataset_recipe(response, settings))
-    recipes.add(dataset_recipe(replace(response, influence_mm_per_n=2 * response.influence_mm_per_n), settings))
+    recipes = {dataset_cache_key(response, replace(settings, **change)) for change in changed}
+    recipes.add(dataset_cache_key(response, settings))
+    recipes.add(dataset_cache_key(replace(response, influence_mm_per_n=2 * response.influence_mm_per_n), settings))
     other = replace(response.design, resistivity_ohm_mm=1.0)  # has the same influence
-    recipes.add(dataset_recipe(replace(response, design=other), settings))
+    recipes.add(dataset_cache_key(replace(response, design=other), settings))
     assert len(recipes) == len(changed) + 3
 
 

@@ -66,7 +66,20 @@ def test_copies_and_readings_of_one_load_come_into_one_fold():
     assert sorted(tested) == list(range(73))
 
 
-def test_a_fold_never_sees_its_test_samples_scaling():
+def in_this_process(jobs, progress):
+    """Run what `in_parallel` runs in processes of their own, which load torch for seconds."""
+    found = [function(*given) for function, *given in jobs]
+    for number in range(len(found)):
+        progress(number)
+    return found
+
+
+@pytest.fixture
+def one_process(monkeypatch):
+    monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", in_this_process)
+
+
+def test_a_fold_never_sees_its_test_samples_scaling(one_process):
     """The test samples hold the largest forces and resistances by far; no scaling knows of them."""
     part = split_folds(53, 4, FEW.seed)[0]
     wild = replace(DATA, force_n=DATA.force_n.copy(), resistance_ohm=DATA.resistance_ohm.copy())
@@ -86,7 +99,7 @@ def test_a_failure_in_a_fold_is_said():
         cross_validate(DATA, "fx", NetworkConfig(feature="inverse"), FEW, folds=2)
 
 
-def test_joint_summary_holds_every_force():
+def test_joint_summary_holds_every_force(one_process):
     data = labelled(SENSOR, "xyz", n_samples=60, seed=0)
     network = NetworkConfig(hidden=3, feature="inverse")
     tested = cross_validate(data, "all", network, FEW, folds=2, response=response(SENSOR))

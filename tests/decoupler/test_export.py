@@ -1,7 +1,5 @@
 """Exported models against `Decoupler.forces`: the ONNX graph by onnxruntime, the header by the system's C compiler."""
 
-import json
-import os
 import re
 import shutil
 import subprocess
@@ -16,7 +14,7 @@ import pytest
 from decoupler import NetworkConfig, TrainingConfig, train, write_model
 from decoupler.data.scaling import Calibration
 from decoupler.export import export_model
-from decoupler.export.c_header import STRICT, c_header, compiled_forces
+from decoupler.export.c_header import STRICT, compiled_forces, header_text
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from decoupler.export.portable import ExportError, output_weights_n
@@ -24,6 +22,7 @@ from geometry import DesignError
 from geometry.storage.files import digest
 from tests.decoupler.rounding import float_rounding_n
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.house import House
 
 CC = shutil.which("cc")
 needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler 'cc' is installed")
@@ -81,9 +80,9 @@ def test_onnx_gives_the_models_forces(component, feature, net):
 def test_header_gives_the_models_forces(component, feature, net):
     model, scans = trained(component, feature, net)
     shape = model.forces(scans).shape[1:]
-    found = compiled_forces(c_header(model, np.float64), scans, shape, np.float64, CC)
+    found = compiled_forces(header_text(model, np.float64), scans, shape, np.float64, CC)
     assert deviation(found, model, scans) < ROUNDING
-    found = compiled_forces(c_header(model, np.float32), scans, shape, np.float32, CC)
+    found = compiled_forces(header_text(model, np.float32), scans, shape, np.float32, CC)
     assert in_roundings(found, model, scans) < 1
 
 
@@ -93,7 +92,7 @@ def test_as_designed_and_nothing_dead():
     model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
     content = onnx_model(model, np.float64).SerializeToString()
     assert deviation(run_onnx(content, data.resistance_ohm, np.float64), model, data.resistance_ohm) < ROUNDING
-    header = c_header(model, np.float64)
+    header = header_text(model, np.float64)
     assert "gain" not in header
     assert "< 0 ?" not in header
     if CC is not None:
@@ -123,7 +122,7 @@ def test_onnx_says_what_it_is(tmp_path):
 @pytest.mark.parametrize("feature", ["root", "inverse"])
 def test_header_states_its_size(feature):
     """Bytes of constants as counted from the arrays in the text: floats of 4, shorts of 2."""
-    header = c_header(trained("all", feature, "skip")[0], np.float32)
+    header = header_text(trained("all", feature, "skip")[0], np.float32)
     arrays = re.findall(r"^static const (float|short) \w+((?:\[\d+\])+)", header, re.MULTILINE)
     counted = sum(
         {"float": 4, "short": 2}[kind] * np.prod([int(n) for n in re.findall(r"\d+", size)]) for kind, size in arrays
@@ -134,7 +133,7 @@ def test_header_states_its_size(feature):
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler 'c++' is installed")
 def test_header_is_cpp_too(tmp_path):
     """An Arduino sketch is C++."""
-    (tmp_path / "model.h").write_text(c_header(trained("all", "inverse", "skip")[0], np.float32), encoding="utf-8")
+    (tmp_path / "model.h").write_text(header_text(trained("all", "inverse", "skip")[0], np.float32), encoding="utf-8")
     (tmp_path / "sketch.cpp").write_text(
         '#include "model.h"\nvoid loop(float *r, float *f) { tripillar_forces(r, f); }'
     )
@@ -176,25 +175,17 @@ def test_what_is_unknown_is_refused(tmp_path):
 
 def test_on_the_command_line(tmp_path):
     write_model(trained("fz", "inverse", "skip")[0], tmp_path / "model.safetensors")
-
-    def tripillar(*words):
-        command = [sys.executable, "-m", "tripillar", "export", *words]
-        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=os.environ, check=False)
-
-    done = tripillar("--model", "model.safetensors", "--out", "model.onnx")
+    house = House(tmp_path)
+    done = house.tripillar("export", "--model", "model.safetensors", "--out", "model.onnx")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("largest deviation from the model: ")
     assert done.stderr.splitlines() == ["model.onnx"]
-    result = json.loads(tripillar("--model", "model.safetensors", "--out", "model.h", "--json").stdout)
+    result = house.result("export", "--model", "model.safetensors", "--out", "model.h")
     assert result["precision"] == "float"
     assert (tmp_path / result["file"]).exists()
-    before = sorted(tmp_path.iterdir())
     for words, says in (
         (("--model", "model.safetensors", "--out", "model.pt"), "must end in .onnx or .h"),
         (("--model", "none.safetensors", "--out", "other.h"), "no such file"),
         (("--model", "model.onnx", "--out", "other.h"), "no safetensors file"),
     ):
-        done = tripillar(*words)
-        assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
-        assert says in done.stderr
-    assert sorted(tmp_path.iterdir()) == before
+        assert says in house.refusal("export", *words)

@@ -13,7 +13,7 @@ from dataset import Samples
 from decoupler import (
     NetworkConfig,
     TrainingConfig,
-    model_recipe,
+    model_cache_key,
     read_model,
     require_same_sensor,
     train,
@@ -72,22 +72,22 @@ def test_header_can_be_read_by_anyone(decoupler, tmp_path):
         header = json.loads(opened.metadata()["tripillar"])
     assert header["network"]["hidden"] == 4
     assert header["made_from"]["training"]["seed"] == 0
-    assert header["made_from"]["recipe"] == model_recipe(DATA, "all", NETWORK, FEW)
+    assert header["made_from"]["recipe"] == model_cache_key(DATA, "all", NETWORK, FEW)
 
 
 def test_recipe_follows_all_that_matters():
-    recipe = model_recipe(DATA, "fz", NETWORK, FEW)
-    assert recipe == model_recipe(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
+    recipe = model_cache_key(DATA, "fz", NETWORK, FEW)
+    assert recipe == model_cache_key(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
     known = replace(NETWORK, feature="inverse")
     others = [
-        model_recipe(replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
-        model_recipe(replace(DATA, noise=0.01), "fz", NETWORK, FEW),
-        model_recipe(replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
-        model_recipe(DATA, "fx", NETWORK, FEW),
-        model_recipe(DATA, "fz", replace(NETWORK, hidden=5), FEW),
-        model_recipe(DATA, "fz", NETWORK, replace(FEW, seed=1)),
-        model_recipe(DATA, "fz", known, FEW, RESPONSE),
-        model_recipe(DATA, "fz", known, FEW, response(sensor(2, 2))),
+        model_cache_key(replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
+        model_cache_key(replace(DATA, noise=0.01), "fz", NETWORK, FEW),
+        model_cache_key(replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
+        model_cache_key(DATA, "fx", NETWORK, FEW),
+        model_cache_key(DATA, "fz", replace(NETWORK, hidden=5), FEW),
+        model_cache_key(DATA, "fz", NETWORK, replace(FEW, seed=1)),
+        model_cache_key(DATA, "fz", known, FEW, RESPONSE),
+        model_cache_key(DATA, "fz", known, FEW, response(sensor(2, 2))),
     ]
     assert len({recipe, *others}) == 9
 

@@ -8,7 +8,7 @@ import pytest
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
 from decoupler.data.scaling import Resting
-from decoupler.export.c_header import c_header, compiled_forces
+from decoupler.export.c_header import compiled_forces, header_text
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
@@ -62,6 +62,7 @@ def test_the_header_does_the_same(model):
     scans = np.concatenate([DATA.resistance_ohm[:3], measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
     shape = model.forces(scans).shape[1:]
     assert (
-        deviation(compiled_forces(c_header(model, np.float64), scans, shape, np.float64, CC), model, scans) < ROUNDING
+        deviation(compiled_forces(header_text(model, np.float64), scans, shape, np.float64, CC), model, scans)
+        < ROUNDING
     )
-    assert in_roundings(compiled_forces(c_header(model, np.float32), scans, shape, np.float32, CC), model, scans) < 1
+    assert in_roundings(compiled_forces(header_text(model, np.float32), scans, shape, np.float32, CC), model, scans) < 1

@@ -130,8 +130,9 @@ def test_a_range_too_small_to_be_divided_by_is_no_range():
     assert scaling.scale(np.array([[1.0, 1.0]])).tolist() == [[0.0, 0.0]]
 
 
-def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_cannot_take():
+def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_cannot_take(monkeypatch):
     """``train(samples)`` alone trains; what is no argument is named with what to give."""
+    monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", lambda jobs, progress: [f(*x) for f, *x in jobs])
     data, known = labelled(SENSOR, "xyz", 60, 0), response(SENSOR)
     one = replace(data, force_n=data.force_n * (0.0, 0.0, 1.0))
     assert suited_component(one) == "fz"

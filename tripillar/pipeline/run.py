@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from dataset.samples import Samples, is_current, read_samples
-from dataset.simulation import DatasetSettings, dataset_recipe, simulate
+from dataset.simulation import DatasetSettings, dataset_cache_key, simulate
 from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_recipe, read_model, write_model
+from decoupler.model.model_file import model_cache_key, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
@@ -214,7 +214,7 @@ def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
         for split, (samples, seed) in SPLITS.items():
             settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=CAP)
             path = _dataset_path(out, protocol, split)
-            if is_current(path, dataset_recipe(response, settings)):
+            if is_current(path, dataset_cache_key(response, settings)):
                 advance(samples, "reused")
             else:
                 simulate(response, settings, lambda n: advance(n, "")).write(path)
@@ -254,7 +254,7 @@ def trained(
     response: ArrayResponse | None,
 ) -> tuple[Decoupler, bool]:
     """Train and write a network unless `path` holds it already; returns it and whether it did."""
-    cache_key = model_recipe(data, component_named(component).name, network, training, response)
+    cache_key = model_cache_key(data, component_named(component).name, network, training, response)
     try:
         model = read_model(path)
         if model.made_from.get("recipe") == cache_key:
