@@ -190,7 +190,7 @@ def scans_within(scanner: Scanner, seconds: float = math.inf) -> Iterator[Scan |
 
 @contextmanager
 def ended_by_signal() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or a termination has come, so that what is at hand can be finished; a second one interrupts."""
+    """Note Ctrl-C or a termination instead of ending at once; a second one interrupts. Yields: has one come?"""
     came: list[int] = []
 
     def note(number: int, _: object) -> None:

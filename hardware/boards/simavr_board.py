@@ -34,7 +34,7 @@ class SimavrError(TriPillarError, RuntimeError):
 
 
 def find_tools() -> str | None:
-    """What is missing to build and run a simulated board, in one line that says how to get it; None if all is there."""
+    """Name the tools that are missing for a simulated board, in one line with their packages; None if all are there."""
     programs = {"make": "make", "cc": "gcc", "avr-gcc": "gcc-avr", "avr-size": "binutils-avr"}
     headers = {"libsimavr-dev": ("cc", "simavr/sim_avr.h"), "libelf-dev": ("cc", "libelf.h")}
     headers["avr-libc"] = ("avr-gcc", "avr/io.h")
@@ -250,12 +250,12 @@ _MEND = "remove it, or set TRIPILLAR_CACHE to a folder that only you can write t
 
 
 def _is_open(status: os.stat_result) -> bool:
-    """Whether others than the owner can write to a file."""
+    """True if others than the owner can write to a file."""
     return bool(status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not _is_private_group(status)))
 
 
 def _is_private_group(status: os.stat_result) -> bool:
-    """Whether the group of a file is its owner's own, without other members."""
+    """True if the group of a file is its owner's own, without other members."""
     import grp
     import pwd
 

@@ -152,7 +152,7 @@ def _resistances(displacement_mm: FloatArray, design: SensorDesign) -> FloatArra
 
 
 def counts_over_time(motion: Motion, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
-    """What the board's converter reads at every step of a motion, (n, rows·cols·3).
+    """Counts of the board's converter at every step of a motion, (n, rows·cols·3).
 
     Of the imperfections gain, offset and dead pillars count; `crossbar` has the noise and the converter.
     """

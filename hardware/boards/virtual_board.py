@@ -88,7 +88,7 @@ class VirtualBoard:
 
     @property
     def port(self) -> str:
-        """What the host is to open: the link, if there is one."""
+        """The port for the host to open: the link, if there is one."""
         return str(self._link or self._port)
 
     def __enter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""The frames between board and host: bytes to values and back. Pure: no port, no file, no clock.
+"""Frames between board and host: bytes to values and back. Pure: no port, no file, no clock.
 
 `docs/frames.md` is the specification, for firmware and host alike. A board sends data frames (`Frame`) and,
 when asked by ``?`` or ``!``, an INFO frame (`Info`) or an ERRORS frame (`Errors`). All are packed little-endian, closed
@@ -39,7 +39,7 @@ class FrameError(TriPillarError, ValueError):
 
 
 class ScanMode(IntEnum):
-    """How a crossing is read while the other wires wait."""
+    """Circuit that reads a crossing while the other wires are idle."""
 
     DIVIDER = 0  #: plain voltage divider, idle wires left open
     GROUNDED = 1  #: voltage divider, idle wires grounded
@@ -83,7 +83,7 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """What a board says of itself; the default is the paper's array on an ATmega328P."""
+    """INFO of a board; the default is the paper's array on an ATmega328P."""
 
     protocol: int = PROTOCOL
     rows: int = 6  #: units along y
@@ -115,7 +115,7 @@ class Info:
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """What went wrong on a board since its start; 255 stands for more."""
+    """Faults of a board since its start; 255 stands for more."""
 
     reset_cause: int = 0  #: why it started: bit 0 power, 1 reset, 2 brown-out, 3 watchdog; 0: it does not know
     bad_bytes: int = 0  #: that the host sent and the board received damaged
@@ -211,7 +211,7 @@ def _unpack_frame(packed: bytes) -> Frame:
 
 
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
-    """How many frames were sent between two received ones; None if the board has restarted in between.
+    """Count the frames sent between two received ones; None if the board has restarted in between.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) 
 
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """What a decoder has met so far."""
+    """Counts of what a decoder received."""
 
     ok: int = 0  #: data frames
     info: int = 0  #: INFO frames
@@ -252,7 +252,7 @@ class Statistics:
 
 
 class FrameDecoder:
-    """Frames out of a stream of bytes that comes in pieces of any size.
+    """Finds frames in a stream of bytes that comes in pieces of any size.
 
     Never raises, whatever the bytes. Damage costs the frames it touches; decoding resumes after the next
     delimiter. What comes before the first delimiter is usually the tail of a frame: it is no damage.

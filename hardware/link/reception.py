@@ -155,7 +155,7 @@ class Reception:
         self._clock.add(frame.device_us, received_s)
 
     def _is_foreign(self, frame: Frame) -> bool:
-        """Whether a frame is another device's, as far as it can be told; then the board is asked."""
+        """True for a frame of another device, as far as it can be told; then the board is asked."""
         if self.info is None:
             return False
         shape = frame.counts.size, frame.bits, frame.scan_mode
@@ -219,7 +219,7 @@ class DeviceClock:
 
     @property
     def drift(self) -> float:
-        """By how much the host's clock runs faster than the board's, as a fraction."""
+        """Fraction by which the host's clock runs faster than the board's."""
         return self._drift
 
     def add(self, device_us: int, received_s: float) -> None:

@@ -167,7 +167,7 @@ class Scanner:
 
     @property
     def dropped(self) -> int:
-        """As in `stats`, which takes longer: scans that fell out of the queue."""
+        """Scans that fell out of the queue; quicker than `stats`."""
         return self._n_dropped
 
     @property

@@ -1,7 +1,7 @@
-"""Ports: found, opened, read and written, with every way they fail told in one line.
+"""Ports are found, opened, read and written; every fault is told in one line.
 
 A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one, ``socket://host:port``,
-``loop://``. What pyserial and the system raise is turned into `PortError` here and nowhere else.
+``loop://``. Exceptions of pyserial and the system become `PortError` here and nowhere else.
 """
 
 import contextlib
@@ -84,7 +84,7 @@ def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
 
 
 def read_available(port: Any) -> bytes:
-    """What has arrived, or else the first bytes to arrive; empty if none does until the port's timeout.
+    """Read what has arrived, or else the first bytes to arrive; empty if none does until the port's timeout.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def close(port: Any) -> None:
 
 
 def _cause(fault: Exception, url: str) -> str:
-    """What is wrong with a port that does not open, and how to mend it."""
+    """Say why a port does not open, and how to mend it."""
     code = getattr(fault, "errno", None)
     if not url:
         return "no port was named: give a device as /dev/ttyUSB0."

@@ -1,8 +1,8 @@
-"""What is known of one sensor on its board: switches and wires, gain and offset of each pillar, its state at rest.
+"""The calibration of one sensor on its board: switches and wires, gain and offset of each pillar, its state at rest.
 
-One JSON file, written by `tripillar calibrate` and `tripillar tare`, holds all of it. From resistances as the crossbar
-gives them, R, a model made for the sensor as designed gets (R − offset)/gain · R₀/R_rest: gain and offset are those of
-the pillar, R_rest is what was last seen with nothing on the sensor and R₀ what the design says of that.
+One JSON file, written by `tripillar calibrate` and `tripillar tare`, holds all of it. A model made for the sensor as
+designed gets (R − offset)/gain · R₀/R_rest of the crossbar's resistances R: gain and offset are those of the pillar,
+R_rest was last measured with nothing on the sensor, and R₀ follows from the design.
 """
 
 from dataclasses import asdict, dataclass, field, replace
@@ -28,7 +28,7 @@ BROKEN_TIMES = 20.0  #: as much as designed, and a pillar is broken: it has no s
 
 @dataclass(frozen=True, kw_only=True)
 class Electronics:
-    """What a board's INFO frame does not say of its crossbar; see `Crossbar`."""
+    """Properties of a board's crossbar that its INFO frame does not state; see `Crossbar`."""
 
     switch_ohm: float = quantity(25.0, "resistance of a closed switch")
     line_ohm: float = quantity(0.0, "resistance of a wire to the pillars")
@@ -39,7 +39,7 @@ class Electronics:
         self.crossbar(Info())  # refuses what no crossbar has
 
     def crossbar(self, info: Info) -> Crossbar:
-        """Of a board with these electronics."""
+        """The crossbar of a board with these electronics."""
         return Crossbar(
             rows=info.rows,
             cols=info.cols,
@@ -52,7 +52,7 @@ class Electronics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorCalibration:
-    """Of a sensor of rows × cols units; each array has the shape (rows, cols, 3), pillars z, x, y."""
+    """Calibration of a sensor of rows × cols units; arrays have the shape (rows, cols, 3), pillars z, x, y."""
 
     gain: FloatArray  #: R = gain · R as designed + offset
     offset_ohm: FloatArray  #: [Ω]
@@ -63,7 +63,7 @@ class SensorCalibration:
 
     @classmethod
     def as_designed(cls, rows: int, cols: int, electronics: Electronics | None = None) -> "SensorCalibration":
-        """Of a sensor of which nothing is known."""
+        """The calibration of a sensor of which nothing is known."""
         shape = (rows, cols, len(PILLARS))
         return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics or Electronics())
 
@@ -102,7 +102,7 @@ class SensorCalibration:
         return replace(self, rest_ohm=self._calibrated(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
 
     def modelled(self, measured_ohm: FloatArray, rest_as_designed_ohm: FloatArray) -> FloatArray:
-        """What the sensor as designed would show.
+        """Resistances that the sensor as designed would show.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class SensorCalibration:
             )
 
     def to_json(self) -> str:
-        """As the file holds it, and as recordings carry it along."""
+        """The JSON text of calibration files and of recordings."""
         plain = {
             "kind": KIND,
             "version": VERSION,

@@ -74,7 +74,7 @@ class Crossbar:
 
     @classmethod
     def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
-        """With the sense resistor that suits pillars of 10 kΩ, unless another is given."""
+        """A crossbar with the sense resistor that suits pillars of 10 kΩ, unless another is given."""
         return cls(
             scan_mode=scan_mode, sense_ohm=SUITED_SENSE_OHM[scan_mode] if sense_ohm is None else sense_ohm, **settings
         )

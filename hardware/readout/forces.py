@@ -1,6 +1,5 @@
 """Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.netcdf import write_netcdf
-from hardware.link.frames import Info, Statistics
+from hardware.link.frames import Info
 from hardware.readout.calibration import SensorCalibration
 from hardware.readout.correction import Corrector
 from hardware.recording import Recording
@@ -38,7 +37,11 @@ class Forces:
 
         Computed when first asked for, which takes ten times as long as the forces.
         """
-        return None if self.model is None else self.model.half_widths(self.resistance_ohm)[0]
+        if self.model is None:
+            return None
+        n = len(self.resistance_ohm)
+        parts = [self.model.half_widths(self.resistance_ohm[k : k + CHUNK])[0] for k in range(0, n, CHUNK)]
+        return np.concatenate(parts)
 
 
 class ForceReader:
@@ -119,25 +122,12 @@ class ForceReader:
         return Forces(force_n=force_n, resistance_ohm=resistance_ohm, saturated=saturated, model=self._uncertain)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Replay:
-    """Forces of a recording over time; n frames, k components as the model gives them."""
-
-    time_s: FloatArray  #: (n,), the board's clock
-    force_n: FloatArray  #: (n, rows, cols, k)
-    deviation_n: FloatArray | None  #: of the same shape: half-widths that hold 68 % of errors; None if not asked for
-    saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): pillars z, x, y beyond the converter's range
-    statistics: Statistics
-    calibration: str  #: JSON text of the one used; empty if there was none
-
-
 def replay(
     recording: Recording,
     model: "Decoupler",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
-    uncertainty: bool = False,
-) -> Replay:
+) -> Forces:
     """Forces of every frame of a recording.
 
     Parameters
@@ -149,8 +139,6 @@ def replay(
         Used instead of the one that the recording holds.
     crosstalk : bool
         True takes the crossbar's crosstalk out.
-    uncertainty : bool
-        True computes deviations, if the model knows them; it takes ten times as long.
 
     Raises
     ------
@@ -161,37 +149,32 @@ def replay(
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model, calibration, crosstalk)
     parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
-    deviations = [part.deviation_n for part in parts if uncertainty and part.deviation_n is not None]
-    return Replay(
-        time_s=recording.time_s,
+    return Forces(
         force_n=np.concatenate([part.force_n for part in parts]),
-        deviation_n=np.concatenate(deviations) if deviations else None,
+        resistance_ohm=np.concatenate([part.resistance_ohm for part in parts]),
         saturated=np.concatenate([part.saturated for part in parts]),
-        statistics=recording.statistics,
-        calibration="" if calibration is None else calibration.to_json(),
+        model=parts[0].model,
     )
 
 
-def write_forces(
-    replayed: Replay, axes: tuple[str, ...], path: Path, made_from: Mapping[str, str] | None = None
-) -> None:
-    """Write the forces of a replay as NetCDF, whole or not at all.
+def write_forces(recording: Recording, forces: Forces, axes: tuple[str, ...], path: Path) -> None:
+    """Write the forces of a recording as NetCDF, whole or not at all.
 
-    `axes` names the model's components, `made_from` hashes of the model and its design.
+    `axes` names the model's components. The recording's calibration and hashes go along: they should be those used.
     """
     import xarray as xr
 
     over_units = ("frame", "row", "col", "axis")
     variables = {
-        "force_n": (over_units, replayed.force_n, {"units": "N"}),
-        "saturated": (("frame", "row", "col", "pillar"), replayed.saturated.astype(np.int8)),
+        "force_n": (over_units, forces.force_n, {"units": "N"}),
+        "saturated": (("frame", "row", "col", "pillar"), forces.saturated.astype(np.int8)),
     }
-    if replayed.deviation_n is not None:
+    if forces.deviation_n is not None:
         meaning = {"units": "N", "meaning": "half-width that holds 68 % of errors"}
-        variables["deviation_n"] = (over_units, replayed.deviation_n, meaning)
+        variables["deviation_n"] = (over_units, forces.deviation_n, meaning)
     data = xr.Dataset(
         variables,
-        coords={"time_s": ("frame", replayed.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},
-        attrs=asdict(replayed.statistics) | {"calibration": replayed.calibration} | dict(made_from or {}),
+        coords={"time_s": ("frame", recording.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},
+        attrs=asdict(recording.statistics) | {"calibration": recording.calibration} | dict(recording.made_from),
     )
     write_netcdf(data, path)

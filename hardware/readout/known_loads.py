@@ -185,7 +185,7 @@ def _few_loads(pairs: MeasuredLoads) -> str | None:
 
 
 def _strange_size(pairs: MeasuredLoads, modelled_ohm: FloatArray) -> str | None:
-    """Whether the resistances are of another size than the design's: their unit, or that of what they follow from."""
+    """Say if the resistances are of another size than the design's, as with a wrong unit."""
     times = float(np.nanmedian(pairs.measured_ohm / modelled_ohm))
     if 1.0 / MAX_TIMES < times < MAX_TIMES:
         return None
@@ -197,7 +197,7 @@ def _strange_size(pairs: MeasuredLoads, modelled_ohm: FloatArray) -> str | None:
 
 
 def _strange_changes(pairs: MeasuredLoads, modelled_ohm: FloatArray) -> str | None:
-    """Whether what the loads changed is not what they should have changed.
+    """Say if a load did not change the resistances as it should have.
 
     Each load's relative changes of all resistances, from those with nothing on the sensor (or the mean of all loads),
     are fitted by a multiple of the modelled ones: 1 if all is as told, 0 if no load was put on.

@@ -238,7 +238,7 @@ def parse_recording(stream: bytes, source: str = "recording") -> Recording:
 
 
 def _header_of(path: Path) -> Header:
-    """What a recorder stated first; anything but its file is a FileFormatError."""
+    """The first header in a recorder's file; anything else is a FileFormatError."""
     with path.open("rb") as file:
         for _, kind, content in _records_in(file):
             if kind == _SESSION:

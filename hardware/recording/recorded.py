@@ -89,7 +89,7 @@ class Recording:
         return Header(info=self.info, calibration=self.calibration, made_from=self.made_from)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """What `assemble` takes, as it was received; unknown times of arrival are NaN."""
+        """The columns of `assemble`, as they were received; unknown times of arrival are NaN."""
         n = len(self.counts)
         return {
             "counts": self.counts,
@@ -196,7 +196,7 @@ def unwrapped_s(device_us: NDArray[np.uint32], run: NDArray[np.int64], received_
 
 
 def is_restart(sequence: NDArray[np.uint16], device_us: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Where the board stepped back between a frame and the one before it, shape (n - 1,); as `FrameDecoder` has it."""
+    """Mark frames at which the board stepped back from the one before, shape (n - 1,); as `FrameDecoder` does."""
     return (np.diff(sequence) - np.uint16(1) >= 2**15) | (np.diff(device_us) >= 2**31)
 
 

@@ -130,7 +130,7 @@ def calibrate(
         _, solved = respond(sensor, bars)
     found, residual = calibrated(pairs, solved, electronics, noise, force)
     write_calibration(found, out)
-    figures = {
+    metrics = {
         "loads": len(pairs.names),
         "noise": found.made_from["noise"],
         "gain": [float(found.gain.min()), float(found.gain.max())],
@@ -138,7 +138,7 @@ def calibrate(
         "residual": residual,
     }
     if json_:
-        show_json({"file": str(out), **figures})
+        show_json({"file": str(out), **metrics})
     else:
         print(
             f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "

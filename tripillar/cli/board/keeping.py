@@ -88,7 +88,7 @@ def record(
 
 
 def other_counts(met: "LinkStatistics") -> list[str]:
-    """What else happened on the link, in words; nothing of what did not."""
+    """Other events of the link, in words; those that did not happen are left out."""
     damaged = met.bad_cobs + met.bad_crc + met.bad_form
     named = {
         "damaged": damaged,
@@ -136,7 +136,7 @@ def damage(path: Path, recorded: "Recording") -> str:
 
 
 def progress(seconds: float, scans: int, trouble: str | None) -> None:
-    """How far a recording is, on one line of stderr."""
+    """Show a recording's progress on one line of stderr."""
     print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
 
 
@@ -166,6 +166,7 @@ def replay(
     from decoupler.model.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames
+    from hardware.recording.formats import write_mcap
     from hardware.session import hashes_of
     from hardware.session import live as live_forces
 
@@ -189,27 +190,27 @@ def replay(
     hashes = hashes_of(decoupler)
     if other_design(recorded.made_from, hashes):
         say("warning: recorded for a model of another design: its forces are those of the design of --model")
-    replayed = replay_frames(recorded, decoupler, own, crosstalk, uncertainty=out is not None)
-    frames, saturated = len(replayed.time_s), int(replayed.saturated.any(axis=(1, 2, 3)).sum())
-    if out is not None and out.suffix == ".mcap":
-        from hardware.recording.formats import write_mcap
-
-        used = replace(recorded, calibration=replayed.calibration, made_from=hashes)
-        write_mcap(used, out, replayed.force_n, replayed.deviation_n, decoupler.component.axes)
-    elif out is not None:
-        write_forces(replayed, decoupler.component.axes, out, hashes)
+    found = replay_frames(recorded, decoupler, own, crosstalk)
+    frames, saturated = len(found.force_n), int(found.saturated.any(axis=(1, 2, 3)).sum())
+    if out is not None:
+        text = recorded.calibration if own is None else own.to_json()
+        used = replace(recorded, calibration=text, made_from=hashes)
+        if out.suffix == ".mcap":
+            write_mcap(used, out, found.force_n, found.deviation_n, decoupler.component.axes)
+        else:
+            write_forces(used, found, decoupler.component.axes, out)
     if json_:
-        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(replayed.statistics)}
-        forces = {"time_s": replayed.time_s.tolist(), "force_n": replayed.force_n.tolist()}
+        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(recorded.statistics)}
+        forces = {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist()}
         show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
     else:
-        print(f"{frames} frames, {replayed.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
-        for name, newtons in zip(decoupler.component.forces, replayed.force_n.transpose(3, 0, 1, 2), strict=True):
+        print(f"{frames} frames, {recorded.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
+        for name, newtons in zip(decoupler.component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
             print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     wrote([] if out is None else [out])
 
 
 def other_design(recorded: Mapping[str, str], used: Mapping[str, str]) -> bool:
-    """Whether both name their design, and not the same."""
+    """True if both name their design, and not the same."""
     hashes = {made_from.get("design_hash") for made_from in (recorded, used)}
     return len(hashes - {None, ""}) == 2

@@ -40,7 +40,7 @@ TIMEOUT_S = 4.0  #: as in `hardware.link.scanner`
 
 
 def electronics_of(known: "Electronics | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":
-    """What is known of a board's electronics, with what options say in its place."""
+    """The known electronics of a board, changed by what options say."""
     from hardware.readout.calibration import Electronics
 
     given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
