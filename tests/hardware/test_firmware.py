@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from hardware.boards.simavr_board import FIRMWARE
 from hardware.boards.virtual_board import Commands
 from hardware.link.frames import Errors, Frame, Info, encode
+from tests.hardware.frames_page import FRAME_VECTORS, INFO_VECTORS
 from tests.hardware.test_decoder import errors, frames, infos
-from tests.hardware.test_frames import FRAME_VECTORS, INFO_VECTORS
 
 fuzzed = settings(max_examples=300, derandomize=True, deadline=None)
 CANARY = 0xA5

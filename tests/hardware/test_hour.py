@@ -10,27 +10,12 @@ from hardware.link.frames import Frame, Info, ScanMode, encode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics
 from hardware.readout.forces import ForceReader
+from tests.hardware.models import PillarModel
 
 SECONDS, MANY_SECONDS = 300, 3600  #: 60,000 and 720,000 frames
 INFO = Info(rate_hz=200, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
 TOGETHER = 100  #: frames that the port gives at a time, and the reader works on
 START = 65_000, 2**32 - 10_000_000  #: sequence and clock, so that both wrap early
-
-
-class RestModel:
-    """A model that costs nothing and keeps nothing: the share by which each resistance is off rest."""
-
-    rows = cols = 6
-
-    design_hash = None
-    is_fine_tuned = knows_uncertainty = False
-    reading_noise = 0.0
-
-    def rest_resistances(self):
-        return None
-
-    def forces(self, resistance_ohm):
-        return resistance_ohm / resistance_ohm[:, :1, :1] - 1
 
 
 class FastBoard:
@@ -82,7 +67,7 @@ def test_many_frames_in_flat_memory(seconds):
     board, process = FastBoard(n), psutil.Process()
     batch, n_done, memory_mb = [], 0, []
     with Scanner(board, queue=2 * TOGETHER) as scanner:
-        reader = ForceReader(scanner.info, RestModel())
+        reader = ForceReader(scanner.info, PillarModel(lambda ohms: ohms / ohms[:, :1, :1] - 1))
         for scan in scanner:
             batch.append(scan)
             if len(batch) == TOGETHER:

@@ -13,28 +13,19 @@ from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader, replay
 from hardware.recording import parse_recording, read_recording
+from tests.hardware.models import PillarModel
 
 INFO = Info(rows=2, cols=3, bits=10, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=2_900)
 
 
-class RootModel:
-    """A model whose forces are known: √R of each pillar [N], so that each can be told from all others."""
+def root(resistance_ohm):
+    """√R of each pillar [N], so that each force can be told from all others."""
+    assert np.isfinite(resistance_ohm).all()
+    assert (resistance_ohm > 0).all()
+    return np.sqrt(resistance_ohm)
 
-    design_hash = None
-    is_fine_tuned = knows_uncertainty = False
-    reading_noise = 0.0
 
-    def __init__(self, rows=2, cols=3):
-        self.rows, self.cols = rows, cols
-
-    def rest_resistances(self):
-        return None
-
-    def forces(self, resistance_ohm):
-        assert resistance_ohm.shape[1:] == (self.rows, self.cols, 3)
-        assert np.isfinite(resistance_ohm).all()
-        assert (resistance_ohm > 0).all()
-        return np.sqrt(resistance_ohm)
+MODEL = PillarModel(root, 2, 3)
 
 
 def resistances_of(n, rows=2, cols=3):
@@ -60,7 +51,7 @@ def test_resistances_come_back_within_the_converters_step(bits, sense_ohm):
     info = replace(INFO, bits=bits, sense_ohm=sense_ohm)
     sent = resistances_of(200)
     recording = parse_recording(recording_from_resistances(sent, info, electronics=ALONE))
-    reader = ForceReader(info, RootModel(), SensorCalibration.as_designed(2, 3, ALONE))
+    reader = ForceReader(info, MODEL, SensorCalibration.as_designed(2, 3, ALONE))
     received, saturated = reader.measured(recording.counts)
     error = np.abs(received - sent) / quantisation_bound(sent, info)
     assert error.max() <= 1.02  # the correction ends at a hundredth of a step, the bound is half of one
@@ -76,7 +67,7 @@ def test_from_resistances_to_forces_through_a_file(tmp_path, mode):
     path = tmp_path / "press.frames"
     path.write_bytes(recording_from_resistances(sent, info))
     recording = read_recording(path)
-    result = replay(recording, RootModel())
+    result = replay(recording, MODEL)
     assert result.force_n == pytest.approx(np.sqrt(sent), rel=3e-3)
     assert recording.time_s == pytest.approx(np.arange(50) / 150, abs=1e-6)
     assert not result.saturated.any()
@@ -87,7 +78,7 @@ def test_without_correction_the_crosstalk_stays_in():
     info = replace(INFO, bits=16, scan_mode=ScanMode.DIVIDER)
     sent = resistances_of(5)
     recording = parse_recording(recording_from_resistances(sent, info))
-    result = replay(recording, RootModel(), crosstalk=False)
+    result = replay(recording, MODEL, crosstalk=False)
     assert (result.force_n < 0.9 * np.sqrt(sent)).mean() > 0.9  # ways around a pillar only ever conduct
 
 
@@ -97,7 +88,7 @@ def test_saturated_pillars_are_flagged_and_stay_finite():
     sent[1, 0, 2, 1] = np.inf
     sent[3, 1, 0, 0] = 0.0
     recording = parse_recording(recording_from_resistances(sent, INFO, electronics=ALONE))
-    result = replay(recording, RootModel(), SensorCalibration.as_designed(2, 3, ALONE))
+    result = replay(recording, MODEL, SensorCalibration.as_designed(2, 3, ALONE))
     assert np.isfinite(result.force_n).all()
     assert np.argwhere(result.saturated).tolist() == [[1, 0, 2, 1], [3, 1, 0, 0]]
     assert result.force_n[1, 0, 2, 1] ** 2 == pytest.approx(2_900 * 1023, rel=1e-5)  # of count 1: R_s F
@@ -109,16 +100,16 @@ def test_the_recordings_own_calibration_is_used_unless_another_is_given(tmp_path
     own = replace(SensorCalibration.as_designed(2, 3), offset_ohm=np.full((2, 3, 3), 500.0))
     plain = parse_recording(recording_from_resistances(sent, replace(INFO, bits=16)))
     calibrated = replace(plain, calibration=own.to_json())
-    assert replay(calibrated, RootModel()).force_n ** 2 == pytest.approx(sent - 500.0, rel=5e-3)
+    assert replay(calibrated, MODEL).force_n ** 2 == pytest.approx(sent - 500.0, rel=5e-3)
     other = SensorCalibration.as_designed(2, 3)
-    assert replay(calibrated, RootModel(), other).force_n ** 2 == pytest.approx(sent, rel=5e-3)
+    assert replay(calibrated, MODEL, other).force_n ** 2 == pytest.approx(sent, rel=5e-3)
 
 
 def test_a_damaged_frame_is_left_out_and_its_neighbours_keep_their_time():
     stream = bytearray(recording_from_resistances(resistances_of(5), INFO))
     stream[25 + 2 * 52 + 30] ^= 0x10  # in the third data frame; 25 bytes of INFO, 52 a frame
     result = parse_recording(bytes(stream))
-    assert len(replay(result, RootModel()).force_n) == 4
+    assert len(replay(result, MODEL).force_n) == 4
     assert result.time_s == pytest.approx(np.array([0, 1, 3, 4]) / 150, abs=1e-6)
     assert result.statistics.lost == 1
 
@@ -126,7 +117,7 @@ def test_a_damaged_frame_is_left_out_and_its_neighbours_keep_their_time():
 def test_a_model_of_another_array_is_refused():
     recording = parse_recording(recording_from_resistances(resistances_of(2), INFO))
     with pytest.raises(FileFormatError, match=r"board has 2 × 3 units, the model 6 × 6: take a model"):
-        replay(recording, RootModel(6, 6))
+        replay(recording, PillarModel(root))
 
 
 def test_hardware_loads_no_solver_no_cad_and_no_network():

@@ -15,6 +15,7 @@ from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, record_scans
 from tests.hardware.boards import INFO, ScriptedPort, a_wire
+from tests.hardware.models import PillarModel
 from tripillar.cli.board.keeping import other_counts
 
 HEAD = encode(INFO)
@@ -80,29 +81,17 @@ def test_scans_that_were_not_taken_in_time_are_lost_and_said(tmp_path, queue):
     assert any("too slow" in said for said in other_counts(met))
 
 
-class FirstPillar:
-    """A model whose force is the resistance of each unit's z pillar, in kΩ."""
-
-    rows = cols = 6
-    design_hash, is_fine_tuned, knows_uncertainty = None, False, False
-
-    def rest_resistances(self):
-        return None
-
-    def forces(self, resistance_ohm):
-        return 1e-3 * resistance_ohm[..., :1]
-
-
 def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
     """A program of four lines; a recording ends, a board goes on."""
     info = replace(INFO, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700)
     ohms = np.broadcast_to([8e3, 11e3, 12e3], (5, 6, 6, 3))
+    model = PillarModel(lambda ohms: 1e-3 * ohms[..., :1])  # the z pillar's resistance in kΩ
     path = tmp_path / "press.frames"
     path.write_bytes(recording_from_resistances(ohms, info))
-    with live(str(path), FirstPillar(), speed=np.inf) as scans:
+    with live(str(path), model, speed=np.inf) as scans:
         played = list(scans)
     counts = Electronics().crossbar(info).counts(ohms)
-    with VirtualBoard(counts, info) as board, live(board.port, FirstPillar()) as scans:
+    with VirtualBoard(counts, info) as board, live(board.port, model) as scans:
         read = list(islice(scans, 5))
         assert scans.scanner.info == info
     for found in [played, read]:
