@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from hardware.link.frames import Statistics
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.readout.calibration import SensorCalibration, read_calibration
-from hardware.readout.forces import ForceReader, Forces
+from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
@@ -74,60 +74,6 @@ def connect(
         known = known or SensorCalibration.as_designed(info.rows, info.cols)
         known.require_for(info, str(calibration or port))
         yield scanner, known
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ScanForces:
-    """Forces of one scan; k components, as the model gives them."""
-
-    time_s: float  #: start of the scan, Unix time [s]
-    force_n: FloatArray  #: (rows, cols, k)
-    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y as the model saw them
-    saturated: NDArray[np.bool_]  #: (rows, cols, 3): counts at 0 or full scale, which only bound a resistance
-    source: Forces = field(repr=False)  #: the same, with n = 1
-
-    @property
-    def deviation_n(self) -> FloatArray | None:
-        """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
-        return None if self.source.deviation_n is None else self.source.deviation_n[0]
-
-
-class LiveSensor:
-    """A sensor whose scans become forces; iterate over it for those of one scan after another.
-
-    Parameters
-    ----------
-    scanner : Scanner
-        Entered.
-    model : Decoupler
-        Trained for this array.
-    calibration : SensorCalibration
-        Of this sensor.
-
-    Raises
-    ------
-    FileFormatError
-        If board, model and calibration do not belong together.
-    """
-
-    def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
-        self.scanner, self.model = scanner, model
-        self._reader = ForceReader(scanner.info, model, calibration)
-
-    def __iter__(self) -> Iterator[ScanForces]:
-        """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
-        return map(self.forces, self.scanner)
-
-    def forces(self, scan: Scan) -> ScanForces:
-        """Forces of one scan."""
-        found = self._reader.forces(scan.frame.counts[None])
-        return ScanForces(
-            time_s=scan.time_s,
-            force_n=found.force_n[0],
-            resistance_ohm=found.resistance_ohm[0],
-            saturated=found.saturated[0],
-            source=found,
-        )
 
 
 @contextmanager

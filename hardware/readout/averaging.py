@@ -9,8 +9,7 @@ from scipy.stats import f as f_distribution
 
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
-from hardware.readout.correction import Corrector
-from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar import Corrector, Crossbar
 
 FALSE_ALARMS = 1e-3  #: fraction of averages of a sensor at rest that are taken for motion, at most
 MIN_DRIFT = 1e-3  #: relative change of a resistance; less is the rubber's creep, and no harm

@@ -1,5 +1,6 @@
 """Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +13,10 @@ from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.netcdf import write_netcdf
 from hardware.link.frames import Info
+from hardware.link.reception import Scan
+from hardware.link.scanner import Scanner
 from hardware.readout.calibration import SensorCalibration
-from hardware.readout.correction import Corrector
+from hardware.readout.crossbar import Corrector
 from hardware.recording import Recording
 
 if TYPE_CHECKING:
@@ -120,6 +123,60 @@ class ForceReader:
         resistance_ohm = self.calibration.modelled(measured_ohm, self._rest_ohm)
         force_n = self.model.forces(resistance_ohm)
         return Forces(force_n=force_n, resistance_ohm=resistance_ohm, saturated=saturated, model=self._uncertain)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanForces:
+    """Forces of one scan; k components, as the model gives them."""
+
+    time_s: float  #: start of the scan, Unix time [s]
+    force_n: FloatArray  #: (rows, cols, k)
+    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y as the model saw them
+    saturated: NDArray[np.bool_]  #: (rows, cols, 3): counts at 0 or full scale, which only bound a resistance
+    source: Forces = field(repr=False)  #: the same, with n = 1
+
+    @property
+    def deviation_n(self) -> FloatArray | None:
+        """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
+        return None if self.source.deviation_n is None else self.source.deviation_n[0]
+
+
+class LiveSensor:
+    """A sensor whose scans become forces; iterate over it for those of one scan after another.
+
+    Parameters
+    ----------
+    scanner : Scanner
+        Entered.
+    model : Decoupler
+        Trained for this array.
+    calibration : SensorCalibration
+        Of this sensor.
+
+    Raises
+    ------
+    FileFormatError
+        If board, model and calibration do not belong together.
+    """
+
+    def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
+        self.scanner, self.model = scanner, model
+        self._reader = ForceReader(scanner.info, model, calibration)
+
+    def __iter__(self) -> Iterator[ScanForces]:
+        """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
+        return map(self.forces, self.scanner)
+
+    def forces(self, scan: Scan) -> ScanForces:
+        """Forces of one scan."""
+        found = self._reader.forces(scan.frame.counts[None])
+        return ScanForces(
+            time_s=scan.time_s,
+            force_n=found.force_n[0],
+            resistance_ohm=found.resistance_ohm[0],
+            saturated=found.saturated[0],
+            source=found,
+        )
 
 
 def replay(

@@ -22,10 +22,9 @@ from hardware.boards.virtual_board import VirtualBoard, recording_from_resistanc
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
-from hardware.readout.correction import Corrector
-from hardware.readout.crossbar import Crossbar
-from hardware.readout.forces import ForceReader
-from hardware.session import LiveSensor, milliseconds, scans_within
+from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.forces import ForceReader, LiveSensor
+from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import wrote

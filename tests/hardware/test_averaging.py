@@ -6,8 +6,7 @@ import pytest
 from geometry.errors import FileFormatError
 from hardware.link.frames import ScanMode
 from hardware.readout.averaging import averaged
-from hardware.readout.correction import Corrector
-from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar import Corrector, Crossbar
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (6, 6, 1))
 

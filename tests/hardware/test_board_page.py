@@ -9,8 +9,7 @@ import pytest
 from dataset.imperfections import OPEN_OHM
 from geometry.wiring import crossings_from_pillars
 from hardware.link.frames import ScanMode
-from hardware.readout.correction import Corrector
-from hardware.readout.crossbar import MIN_OHM, Crossbar
+from hardware.readout.crossbar import MIN_OHM, Corrector, Crossbar
 
 PAGE = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
 STEPS = 1024  # of the ATmega's converter

@@ -12,7 +12,8 @@ from rich.text import Text
 
 from geometry.layout import FloatArray
 from hardware.link.reception import LinkStatistics
-from hardware.session import LiveSensor, scans_within
+from hardware.readout.forces import LiveSensor
+from hardware.session import scans_within
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))  #: the colour map "plasma"

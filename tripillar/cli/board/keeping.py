@@ -65,7 +65,8 @@ def record(
     'replay' makes forces of a recording, 'convert' NetCDF, MCAP or CSV.
     """
     from decoupler.model.model_file import read_model
-    from hardware.session import RECORDING_QUEUE, LiveSensor, connect, hashes_of, record_scans
+    from hardware.readout.forces import LiveSensor
+    from hardware.session import RECORDING_QUEUE, connect, hashes_of, record_scans
 
     require_positive(seconds=seconds, timeout=timeout)
     if out.suffix in (".nc", ".mcap", ".csv"):

@@ -105,7 +105,8 @@ def bench(
     Latency is the time from the last byte of a scan to its forces.
     """
     from decoupler.model.model_file import read_model
-    from hardware.session import LiveSensor, connect, measure_link
+    from hardware.readout.forces import LiveSensor
+    from hardware.session import connect, measure_link
 
     require_positive(seconds=seconds, timeout=timeout)
     decoupler = None if model is None else read_model(model)
