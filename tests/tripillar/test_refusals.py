@@ -37,6 +37,7 @@ FILES = {
     "word.toml": BLOCK.replace("young_mpa = 6.1", "young_mpa = 'soft'"),
     "exact.toml": BLOCK.replace("tolerance = 2e-3", "tolerance = 0"),
     "solver.toml": BLOCK.replace("[solve]", "[solver]"),
+    "key.toml": "[[vary]]\nkey = 'pitch'\n",
     "vary.toml": "[vary]\nkey = 'array.pitch_mm'\n",
     "small.toml": SMALL,
     "empty": "",
@@ -168,13 +169,24 @@ view small.toml --save x.png --pressure a -> --pressure a must be a number
 view --save x.png --pressure nan -> --pressure nan must be above 0
 view small.toml --save x.png --pressure 1 1 -> at most 6 different values
 view small.toml --save x.png --scale big -> --scale big must be true, auto, or a number
+view small.toml --save x.png --scale 0 -> --scale 0 must be true, auto, or a number above 0
+view --save x.png --pressure 1 two -> two: no such file
+view --save x.png --colour red -> --colour red must be one of
+view --save x.png --camera back -> --camera back must be one of
+view --save x.png --load heavy -> --load heavy must be one of
+view block.toml --save x.png --pressure 3 -> has its own loads
+view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
 view small.toml --port board -> add --serve, whose page these are for, or leave --port out
 view small.toml --serve --save x.png -> the page of --serve has controls of its own: leave --save out
 view small.toml --serve --port board -> --port needs --model
+view --serve --calibration own.json -> --calibration is of a sensor
+view --serve --host 192.0.2.1 -> cannot listen on 192.0.2.1
+view --serve --model none.safetensors -> none.safetensors
 view small.toml --serve --http-port 99999 -> --http-port 99999 must be from 0
 view idle.toml --design small.toml --save x.png -> both say what to show: give one of them
 sweep missing.toml -> missing.toml: no such file
 sweep small.toml -> unknown key 'extends'; known are design, sweep, vary, bounds
+optimize key.toml -> key.toml: [[vary]] 1: unknown key 'pitch'
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 optimize small.toml --trials 0 -> --trials 0 must be at least 1

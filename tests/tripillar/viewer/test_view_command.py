@@ -60,26 +60,6 @@ def test_a_scene_is_drawn_under_its_own_load(house):
     assert pv.read(house.folder / "scene.vtm")["body"]["von_mises_mpa"].max() > 0.1
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--save", "picture.txt"], "must end in .png, .html, .mp4, .vtm"),
-        (["--save", "p.png", "--pressure", "nan"], "--pressure nan must be above 0"),
-        (["--save", "p.png", "--pressure", "1", "1"], "different values"),
-        (["--save", "p.png", "--pressure", "1", "two"], "two: no such file"),
-        (["--save", "p.png", "--scale", "0"], "--scale 0 must be true, auto, or a number above 0"),
-        (["--save", "p.png", "--colour", "red"], "--colour red must be one of"),
-        (["--save", "p.png", "--camera", "back"], "--camera back must be one of"),
-        (["--save", "p.png", "--load", "heavy"], "--load heavy must be one of"),
-        (["--save", "p.png", "missing.toml"], "missing.toml: no such file"),
-        (["--save", "p.png", "small.toml", "--design", "small.toml"], "both say what to show"),
-        (["--save", "p.png", "scene.toml", "--pressure", "3"], "has its own loads"),
-    ],
-)
-def test_nonsense_is_refused_in_one_line(house, words, message):
-    assert message in house.refusal("view", "-q", *words)
-
-
 def test_without_a_display_a_file_is_asked_for(house):
     house.environment = {k: v for k, v in house.environment.items() if k != "DISPLAY"}
     assert "no display" in house.refusal("view", "small.toml")
