@@ -1,4 +1,4 @@
-"""What Song, Wang and Zhang print: Micromachines 2018, 9(5), 236. Relative errors in %."""
+"""Results printed by Song, Wang and Zhang, Micromachines 2018, 9(5), 236. Relative errors in %."""
 
 from dataclasses import dataclass
 

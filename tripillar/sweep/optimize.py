@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import optuna
 
 START = 16  #: trials drawn evenly before the search leans on any
-OUTSIDE = 1e9  #: what a design out of bounds counts for, more the farther; only the order of values matters to TPE
+OUTSIDE = 1e9  #: value of a design out of bounds, times how far it is; only the order of values matters to TPE
 
 
 def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
@@ -47,7 +47,7 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
 
 @contextmanager
 def written(journal: Path) -> Iterator[None]:
-    """Say that it is the journal that cannot be written: optuna's errors name no file."""
+    """Name the journal in errors of a full disk: optuna's errors name no file."""
     try:
         yield
     except OSError as error:
@@ -57,7 +57,7 @@ def written(journal: Path) -> Iterator[None]:
 
 
 def _drop_torn_line(journal: Path) -> None:
-    """Cut off what a power cut left of a last line: optuna takes only whole ones."""
+    """Cut off a half-written last line: optuna takes only whole ones."""
     if journal.exists() and not (kept := journal.read_bytes()).endswith(b"\n"):
         with journal.open("r+b") as file:
             file.truncate(kept.rfind(b"\n") + 1)

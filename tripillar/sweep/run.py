@@ -1,4 +1,4 @@
-"""A sweep from its designs to their rows: what is known is read, the rest is judged by workers and kept at once."""
+"""The work of a sweep: rows of earlier runs are read, other designs are judged by workers and kept at once."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +14,7 @@ from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
 from tripillar.sweep.workers import Workers
 
-QUIET_S = 120.0  #: how long no design may end before it is said why
+QUIET_S = 120.0  #: time without a new row after which the state of the workers is said
 
 
 def kept_rows(samples: Sequence[Sample], folder: Path, retry: bool = False) -> dict[str, Row]:
@@ -48,7 +48,7 @@ def judge_all(
 
 
 def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> Iterator[Row]:
-    """Rows as they finish. A design waits while another one makes a stage that both need: none is made twice."""
+    """Rows as they come. A design waits while another one makes a stage that both need, so that none is made twice."""
     waiting = {sample.cache_key: sample for sample in samples}
     stages = {sample.cache_key: shared_stages(sample, judging) for sample in samples}
     made: set[str] = set()
@@ -66,7 +66,7 @@ def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> It
 
 
 def _next_row(workers: Workers) -> Row:
-    """The next row; while there is none, a word on why, every `QUIET_S`."""
+    """The next row; every `QUIET_S` without one, the state of the workers is said."""
     begun = monotonic()
     while True:
         row = workers.row(QUIET_S)

@@ -1,7 +1,7 @@
-"""From a sweep to the designs it asks for: Sobol, Latin hypercube or grid."""
+"""The designs of a sweep: Sobol, Latin hypercube or grid."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from math import ceil, log2
 
@@ -13,14 +13,14 @@ from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.storage.files import digest
 from tripillar.sweep.sweep_file import Judging, Sweep
-from tripillar.sweep.variables import plain, value_of, with_values
+from tripillar.sweep.variables import value_of, with_values
 
 VERSION = 1  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """One design of a sweep, or why there is none of these numbers."""
+    """One design of a sweep, or why these numbers make none."""
 
     cache_key: str  #: hash of the design and of how it is judged
     values: dict[str, float]  #: of the varied keys
@@ -29,7 +29,7 @@ class Sample:
 
 
 def samples_of(sweep: Sweep) -> list[Sample]:
-    """The designs of a sweep in its order, each once: rounding may make two of them one."""
+    """The designs of a sweep in its order, each once: rounding may make two of them equal."""
     found: dict[str, Sample] = {}
     for numbers in points_of(sweep):
         sample = sample_at(sweep, numbers)
@@ -38,7 +38,7 @@ def samples_of(sweep: Sweep) -> list[Sample]:
 
 
 def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
-    """What each variable is in each design."""
+    """The value of each variable in each design."""
     if sweep.sampling == "grid":
         return list(product(*(variable.grid() for variable in sweep.variables)))
     n_variables = len(sweep.variables)
@@ -52,7 +52,7 @@ def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
 
 def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
     """The design with a number for each variable."""
-    table = with_values(plain(sweep.base), sweep.variables, numbers)
+    table = with_values(asdict(sweep.base), sweep.variables, numbers)
     values = {variable.name: float(value_of(table, variable.name)) for variable in sweep.variables}
     try:
         design = design_from_dict(table, "not a design")

@@ -22,13 +22,13 @@ MAX_SAMPLES = 100_000  #: rows of one sweep
 
 @dataclass(frozen=True, kw_only=True)
 class Judging:
-    """How each design is judged: with its own values, all that its row depends on."""
+    """The settings by which each design is judged."""
 
     tolerance: float = quantity(1e-2, "relative error wanted of the response")
     noise: float = quantity(1e-3, "relative standard deviation of a resistance")
     bits: int | None = None  #: of the converter; None reads exactly
     cap: float = quantity(0.3, "largest strain of a pillar")
-    train: bool = False  #: whether the joint decoupler is trained as well
+    train: bool = False  #: the joint network is trained as well
 
     def __post_init__(self) -> None:
         require_numbers(self)
@@ -55,7 +55,7 @@ class Bound:
             raise DesignError(f"least={self.least:g} is above most={self.most:g}.")
 
     def excess(self, value: float | None) -> float:
-        """How far a value is out of bounds, relative to the bound; 0 if it is within, infinite if there is none."""
+        """Distance of a value from the bounds, relative to the bound; 0 within them, infinite without a value."""
         if value is None:
             return math.inf
         over = max(self.least - value, value - self.most, 0.0)
@@ -64,12 +64,12 @@ class Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A sweep: what is varied, how it is sampled, how designs are judged, and which are acceptable."""
+    """A sweep: its variables, their sampling, the judging of designs, and the bounds of acceptable ones."""
 
     base: SensorDesign
     variables: tuple[Variable, ...]
     sampling: Literal["sobol", "latin-hypercube", "grid"] = "sobol"
-    samples: int = 64  #: designs, but for a grid, which has as many as its values make; trials of `optimize`
+    samples: int = 64  #: designs, except for a grid; trials of `optimize`
     seed: int = 0
     least: str = "error_n"  #: the metric to minimise
     judging: Judging = field(default_factory=Judging)

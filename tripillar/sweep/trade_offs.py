@@ -193,7 +193,7 @@ def _is_wide(values: FloatArray) -> bool:
 
 
 def _share(values: FloatArray) -> FloatArray:
-    """Where values lie between the least (0) and the largest (1) on their axis."""
+    """Places of values on their axis, from the least (0) to the largest (1)."""
     on_axis = np.log(values) if _is_wide(values) else values
     low, high = np.nanmin(on_axis), np.nanmax(on_axis)
     return (on_axis - low) / (high - low) if high > low else np.full(len(values), 0.5)

@@ -1,8 +1,8 @@
-"""What a sweep varies: numeric keys of the design file, by their dotted names."""
+"""The variables of a sweep: numeric keys of the design file, by their dotted names."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from geometry.design import SensorDesign
@@ -11,15 +11,15 @@ from geometry.errors import DesignError
 Table = dict[str, Any]  #: a design file's nested tables
 
 
-def _numeric_keys(kind: Any, prefix: str = "") -> dict[str, type]:
+def _numeric_keys(table: Table, prefix: str = "") -> dict[str, type]:
     keys: dict[str, type] = {}
-    for spec in fields(kind):
-        name = prefix + spec.name
-        keys |= _numeric_keys(spec.type, f"{name}.") if is_dataclass(spec.type) else {name: spec.type}  # type: ignore
+    for key, value in table.items():
+        name = prefix + key
+        keys |= _numeric_keys(value, f"{name}.") if isinstance(value, dict) else {name: type(value)}
     return keys
 
 
-KEYS = _numeric_keys(SensorDesign)  #: every numeric key of a design by its dotted name, with its type
+KEYS = _numeric_keys(asdict(SensorDesign()))  #: every numeric key of a design by its dotted name, with its type
 LABELS = {
     "resistivity_ohm_mm": ("resistivity", "Ω mm"),
     "unit.span_mm": ("span", "mm"),
@@ -36,7 +36,7 @@ LABELS = {
     "pillar_material.poisson": ("pillars' Poisson ratio", ""),
     "matrix_material.young_mpa": ("matrix modulus", "MPa"),
     "matrix_material.poisson": ("matrix Poisson ratio", ""),
-}  #: what people read instead of a key, and its unit
+}  #: names of the keys for tables and pictures, and units
 
 
 def _is_number(given: Any) -> bool:
@@ -45,14 +45,14 @@ def _is_number(given: Any) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """A key, or several that take the same value, with the range or the values it takes."""
+    """A key, or several keys that take one value together, with a range or a list of values."""
 
     key: tuple[str, ...]
     low: float | None = None
     high: float | None = None
     values: tuple[float, ...] = ()  #: instead of a range
-    log: bool = False  #: whether the range is sampled evenly in its logarithm
-    of: str | None = None  #: key whose value all of these are shares of
+    log: bool = False  #: the range is sampled evenly in its logarithm
+    of: str | None = None  #: key of whose value the numbers are shares
     steps: int | None = None  #: points of a range in a grid
 
     def __post_init__(self) -> None:
@@ -83,12 +83,12 @@ class Variable:
 
     @property
     def name(self) -> str:
-        """What files call it: its first key."""
+        """Its name in files: its first key."""
         return self.key[0]
 
     @property
     def label(self) -> str:
-        """What people read instead: the names of all its keys, with their unit.
+        """Its name in tables and pictures: the names of all its keys, with their unit.
 
         >>> Variable(key=("array.pitch_mm",), low=1.0, high=2.0).label
         'pitch [mm]'
@@ -119,13 +119,8 @@ class Variable:
         return [self.at(number / (self.steps - 1)) for number in range(self.steps)]
 
 
-def plain(design: SensorDesign) -> Table:
-    """A design as nested tables with every key."""
-    return asdict(design)
-
-
 def value_of(table: Table, key: str) -> Any:
-    """What a table holds under a dotted key."""
+    """The value of a dotted key in a table."""
     for part in key.split("."):
         table = table[part]
     return table
@@ -135,7 +130,7 @@ def with_values(table: Table, variables: Sequence[Variable], numbers: Sequence[f
     """A copy of a full table with a number for each variable; shares are taken last, whole-number keys rounded.
 
     >>> pad = Variable(key=("pad.size_mm",), low=0.5, high=1.0, of="array.pitch_mm")
-    >>> with_values(plain(SensorDesign()), [pad], [0.6])["pad"]["size_mm"]
+    >>> with_values(asdict(SensorDesign()), [pad], [0.6])["pad"]["size_mm"]
     9.0
     """
     changed = {key: dict(value) if isinstance(value, dict) else value for key, value in table.items()}

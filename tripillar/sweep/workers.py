@@ -40,9 +40,9 @@ MEMORY_BYTES = 4 * 2**30  #: a worker that takes more is ended
 LIMIT_S = 3600.0  #: a worker that judges a design for longer is ended: its mesher hangs
 TRIES = 4  #: workers that a design may end before it counts as failed
 KILLS = 20  #: the same with workers that were killed, which is rarely the design's fault
-LOOK_S = 0.5  #: how often memory and time of a worker are looked at
-STOP_S = 0.4  #: how long workers may take to end, half-written files removed, before they are killed
-CONNECT_S = 15  #: how long a scheduler is waited for, and then its first worker
+LOOK_S = 0.5  #: between two looks at the memory and the time of a worker
+STOP_S = 0.4  #: for workers to remove half-written files and end, before they are killed
+CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
 
 
 class Workers(Protocol):

@@ -1,5 +1,7 @@
 """Sweep files and what they ask for: keys, shares, samples; nonsense is refused in one line."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of
 from tripillar.sweep.sweep_file import Bound, Judging, read_sweep, sweep_from_dict
-from tripillar.sweep.variables import KEYS, Variable, plain, value_of, with_values
+from tripillar.sweep.variables import KEYS, Variable, value_of, with_values
 
 PITCH = {"key": "array.pitch_mm", "low": 13.0, "high": 20.0}
 PAD = {"key": "pad.size_mm", "of": "array.pitch_mm", "low": 0.5, "high": 1.0}
@@ -19,7 +21,7 @@ def sweep(*vary, **settings):
 
 
 def test_every_number_of_a_design_can_be_varied():
-    table = plain(SensorDesign())
+    table = asdict(SensorDesign())
     assert {type(value_of(table, key)) for key in KEYS} == {int, float}
     assert len(KEYS) == 15
     for key in KEYS:

@@ -43,7 +43,7 @@ SensorCalibrationOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """Where the page is served, and what may load its array."""
+    """Options of the page: its address, and the sensor that may load its array."""
 
     host: str = LOOPBACK  #: address to listen on
     http_port: int = HTTP_PORT  #: 0 is any free one

@@ -82,7 +82,7 @@ class Page:
         self.scene.plotter.close()
 
     def facts(self) -> dict[str, Any]:
-        """What does not change: the array, and the values that each control may take."""
+        """The facts that do not change: the array, and the values that each control may take."""
         array, feed = self._design.array, self._subject.feed
         return {
             "rows": array.rows,

@@ -71,7 +71,7 @@ class Superposition:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """How the array is drawn."""
+    """Options of the drawing."""
 
     colour: Colour | Literal["resistance"] = "displacement"
     scale: float = 1.0  #: of displacements
@@ -180,7 +180,7 @@ class ArrayScene:
             self.look_from_the_start()
 
     def _outline(self, unit: int) -> FloatArray:
-        """Where the outline of a unit's pad is now, (k, 3) [mm]."""
+        """The outline of a unit's pad as deformed, (k, 3) [mm]."""
         return np.asarray(self._pads.mesh.points).reshape(-1, self._outline_size, 3)[unit].copy()
 
     def _moving(self, surfaces: list[tuple[Surface, IntArray]]) -> Moving:
