@@ -32,6 +32,7 @@ class Forces:
     force_n: FloatArray  #: (n, rows, cols, k)
     resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y as the model saw them
     saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
+    time_s: FloatArray | None = None  #: (n,), of a recording: the board's clock
     model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
 
     @cached_property
@@ -210,6 +211,7 @@ def replay(
         force_n=np.concatenate([part.force_n for part in parts]),
         resistance_ohm=np.concatenate([part.resistance_ohm for part in parts]),
         saturated=np.concatenate([part.saturated for part in parts]),
+        time_s=recording.time_s,
         model=parts[0].model,
     )
 

@@ -11,7 +11,7 @@ from tripillar.face.bodies import response
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from fem.array.response import ArrayResponse
-    from hardware.readout.forces import Replay
+    from hardware.readout.forces import Forces
 
 
 @contextmanager
@@ -136,8 +136,7 @@ def replay(
     model: "Decoupler | Path | str",
     *,
     calibration: Path | str | None = None,
-    error_bars: bool = True,
-) -> "Replay":
+) -> "Forces":
     """Forces of every scan of a recording.
 
     Parameters
@@ -148,14 +147,12 @@ def replay(
         Trained for this array, or its file.
     calibration : path, optional
         Calibration file in place of the one that the recording holds.
-    error_bars : bool
-        False leaves the deviations out, which take ten times as long as the forces.
 
     Returns
     -------
-    Replay
+    Forces
         ``time_s`` (n,), ``force_n`` and ``deviation_n`` (n, rows, cols, axes) [N]: forces and the half-widths that hold
-        68 % of their errors.
+        68 % of their errors, which are computed when they are first asked for, ten times as long as the forces.
 
     Examples
     --------
@@ -178,4 +175,4 @@ def replay(
 
     trained = read_model(Path(model)) if isinstance(model, Path | str) else model
     known = None if calibration is None else read_calibration(Path(calibration))
-    return replay(read_recording(Path(recording)), trained, known, uncertainty=error_bars)
+    return replay(read_recording(Path(recording)), trained, known)
