@@ -115,9 +115,9 @@ def distinct(data: Samples, component: Component) -> Samples:
     A repetition tells nothing new, and where one copy is left out of training the other gives its answer away: errors
     on samples left out would be those of training, and deviations far too small.
     """
-    columns = pillar_columns(data.resistance_ohm, component, data.dead)
-    forces = force_columns(data.force_n, component)
-    keys = [hash(ohm.tobytes() + newton.tobytes()) for ohm, newton in zip(columns, forces, strict=True)]
+    columns_ohm = pillar_columns(data.resistance_ohm, component, data.dead)
+    force_n = force_columns(data.force_n, component)
+    keys = [hash(ohm.tobytes() + newton.tobytes()) for ohm, newton in zip(columns_ohm, force_n, strict=True)]
     first = np.unique(keys, return_index=True)[1]
     return data if len(first) == len(keys) else data[np.sort(first)]
 

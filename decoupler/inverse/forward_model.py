@@ -133,17 +133,17 @@ def explaining(
     return forward
 
 
-def _explained(measured: FloatArray, modelled: FloatArray) -> float:
+def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
     """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
 
     Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
     """
-    measured = measured * (modelled.mean(axis=0) / measured.mean(axis=0))
-    measured, modelled = measured - measured.mean(axis=0), modelled - modelled.mean(axis=0)
-    both, own = (measured * modelled).sum(axis=0), (modelled**2).sum(axis=0)
+    lengths = lengths * (modelled.mean(axis=0) / lengths.mean(axis=0))
+    lengths, modelled = lengths - lengths.mean(axis=0), modelled - modelled.mean(axis=0)
+    both, own = (lengths * modelled).sum(axis=0), (modelled**2).sum(axis=0)
     slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
-    total = (measured**2).sum()
-    return float(1.0 - ((measured - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0
+    total = (lengths**2).sum()
+    return float(1.0 - ((lengths - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0
 
 
 def without_stuck(data: Samples, component: Component, forward: ForwardModel | None) -> Samples:
@@ -156,16 +156,16 @@ def without_stuck(data: Samples, component: Component, forward: ForwardModel | N
     seem stuck, the expectation is wrong and none is.
     """
     some = np.linspace(0, len(data.force_n) - 1, min(MAX_JUDGED, len(data.force_n))).astype(int)
-    columns = pillar_columns(data.resistance_ohm[some], component, data.dead)
+    columns_ohm = pillar_columns(data.resistance_ohm[some], component, data.dead)
     force_n = force_columns(data.force_n[some], component)
-    moved = columns / columns.mean(axis=0) - 1.0
-    if forward is not None and (forward.n_pillars, forward.n_forces) == (columns.shape[1], force_n.shape[1]):
+    moved = columns_ohm / columns_ohm.mean(axis=0) - 1.0
+    if forward is not None and (forward.n_pillars, forward.n_forces) == (columns_ohm.shape[1], force_n.shape[1]):
         modelled = forward.resistances(force_n)
         expected = modelled / modelled.mean(axis=0) - 1.0
     else:
         expected = _as_most(moved, force_n, component)
-    noise = reading_deviation(columns.mean(axis=0), data.noise, data.bits) / columns.mean(axis=0)
-    readable = readable_columns(component, data.dead, columns.shape[1])
+    noise = reading_deviation(columns_ohm.mean(axis=0), data.noise, data.bits) / columns_ohm.mean(axis=0)
+    readable = readable_columns(component, data.dead, columns_ohm.shape[1])
     stuck = readable & _unmoved(moved, expected, noise)
     if not 0 < stuck.sum() <= readable.sum() / 2:
         return data

@@ -113,11 +113,11 @@ def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray
     return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
 
 
-def _near(missed_n: FloatArray, n_usual: int, spread_n: float) -> bool:
+def _near(missing: FloatArray, n_usual: int, spread_n: float) -> bool:
     """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
     return bool(
-        np.std(missed_n[:n_usual]) <= ENOUGH * spread_n
-        and np.sqrt(np.mean(missed_n[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
+        np.std(missing[:n_usual]) <= ENOUGH * spread_n
+        and np.sqrt(np.mean(missing[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
     )
 
 

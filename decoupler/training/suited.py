@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 
-def suited_component(samples: Samples) -> str:
+def suited_component(data: Samples) -> str:
     """The name of the component for the forces that act: fz, fx or fy if they are along one axis alone, else all.
 
     >>> import numpy as np
@@ -21,26 +21,28 @@ def suited_component(samples: Samples) -> str:
     >>> suited_component(Samples(force_n=pressed, resistance_ohm=1e4 + 0 * pressed))
     'fz'
     """
-    acting = [axis for number, axis in enumerate(AXES) if samples.force_n[..., number].any()]
+    acting = [axis for number, axis in enumerate(AXES) if data.force_n[..., number].any()]
     return f"f{acting[0]}" if len(acting) == 1 else "all"
 
 
-def suited_feature(samples: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
+def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
     """`inverse` for a skip net if the response explains the samples, else `root`."""
     if net != "skip" or response is None:
         return "root"
-    samples = without_stuck(samples, component, ForwardModel.of(response, component))
-    columns = pillar_columns(samples.resistance_ohm, component, samples.dead)
-    forces = force_columns(samples.force_n, component)
+    data = without_stuck(data, component, ForwardModel.of(response, component))
+    columns_ohm = pillar_columns(data.resistance_ohm, component, data.dead)
+    force_n = force_columns(data.force_n, component)
     try:
-        explaining(response, component, columns, forces, readable_columns(component, samples.dead, columns.shape[1]))
+        explaining(
+            response, component, columns_ohm, force_n, readable_columns(component, data.dead, columns_ohm.shape[1])
+        )
     except SampleError:
         return "root"
     return "inverse"
 
 
 def suited_training(
-    samples: Samples,
+    data: Samples,
     component: str | None,
     network: NetworkConfig | None,
     training: TrainingConfig | None,
@@ -53,12 +55,12 @@ def suited_training(
     ArgumentError
         If an argument is of another type.
     """
-    require_samples("samples", samples)
+    require_samples("data", data)
     if network is not None:
         require_type("network", network, NetworkConfig, "give its form, or None for one that suits the samples")
     if training is not None:
         require_type("training", training, TrainingConfig, "say how to train, or give None")
-    parts = component_named(suited_component(samples) if component is None else component)
+    parts = component_named(suited_component(data) if component is None else component)
     if network is None:
-        network = NetworkConfig(feature=suited_feature(samples, parts, "skip", response))
+        network = NetworkConfig(feature=suited_feature(data, parts, "skip", response))
     return parts, network, TrainingConfig() if training is None else training

@@ -93,13 +93,15 @@ def train(
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
     data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
-    columns = pillar_columns(data.resistance_ohm, parts, data.dead)
-    forces = force_columns(data.force_n, parts)
-    untrained = _untrained(data, parts, network, columns, forces, response)
+    columns_ohm = pillar_columns(data.resistance_ohm, parts, data.dead)
+    force_n = force_columns(data.force_n, parts)
+    untrained = _untrained(data, parts, network, columns_ohm, force_n, response)
     known = network.feature == "inverse" and network.net == "skip"
-    columns, forces, n_light = _light_samples_too(untrained, columns, forces, data) if known else (columns, forces, 0)
-    inputs = untrained.inputs(columns)
-    targets = untrained.output_scaling.scale(forces)
+    columns_ohm, force_n, n_light = (
+        _light_samples_too(untrained, columns_ohm, force_n, data) if known else (columns_ohm, force_n, 0)
+    )
+    inputs = untrained.inputs(columns_ohm)
+    targets = untrained.output_scaling.scale(force_n)
     if known:
         targets = targets - inputs
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
@@ -126,7 +128,7 @@ def train(
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
     return replace(
         trained,
-        uncertainty=fitted_uncertainty(trained, columns, forces, data.noise, data.bits, ridge, load, n_light),
+        uncertainty=fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light),
         made_from={
             "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
