@@ -1,5 +1,4 @@
-"""What drives the stages from above.
+"""The laboratory: the paper's report, benchmarks, edge cases, robustness, and the pictures of the documentation.
 
-In: a design. Out: files of every stage and a table of decoupling errors beside the paper's. Open `pipeline.py` first,
-then `comparison.py` (what is compared) and `report.py` (how it is shown).
+It is not installed, and no product file imports it. Each room runs as `python -m studies.ROOM`; see the Makefile.
 """

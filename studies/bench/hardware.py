@@ -1,4 +1,4 @@
-"""How fast and how exact the way from a board to forces is: crosstalk, recorded frames, live scans.
+"""Speed and accuracy from a board to forces: crosstalk, recorded frames, live scans.
 
 `python -m studies.bench.hardware` prints three tables; `make bench` runs it. The sensor is the paper's, pressed and
 slid over by a round indenter.
@@ -46,7 +46,7 @@ TITLES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Crosstalk:
-    """What one read-out makes of resistances, in percent."""
+    """Errors of one read-out in resistances, in percent."""
 
     mode: str
     switch_ohm: float
@@ -86,7 +86,7 @@ def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> C
 
 
 def forces_by(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, Any]:
-    """What a read-out's errors cost in forces: root mean square along each axis, beside exact resistances'."""
+    """Errors of forces behind a read-out: root mean square along each axis, beside those of exact resistances."""
     info = board_info(mode)
     found = ForceReader(info, model).forces(Electronics().crossbar(info).counts(motion.resistance_ohm))
     exact_n = model.forces(motion.resistance_ohm)
@@ -100,7 +100,7 @@ def forces_by(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, Any
 
 
 def mistaken(motion: Motion, mode: ScanMode) -> dict[str, Any]:
-    """What is left if switches of 30 Ω are taken for 25 Ω: mean and worst error of a resistance, in percent."""
+    """Mean and worst error of a resistance if switches of 30 Ω are taken for 25 Ω, in percent."""
     true, taken = (Crossbar.suited(mode, switch_ohm=switch_ohm, bits=None) for switch_ohm in (30.0, 25.0))
     states = motion.resistance_ohm[::10]
     error = 100.0 * np.abs(Corrector(taken).correct(true.readings(states)) / states - 1.0)

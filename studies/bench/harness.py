@@ -91,7 +91,7 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How to measure."""
+    """Settings of a measurement."""
 
     runs: int = 3  #: of each setting; the median counts
     slow_s: float = 5.0  #: a run that takes longer is not repeated

@@ -1,4 +1,4 @@
-"""How quick the page is: `python -m studies.bench.page`, in headless Chromium on this machine.
+"""Response times of the page: `python -m studies.bench.page`, in headless Chromium on this machine.
 
 The pressure slider moves by one step; measured are the times until the browser shows the new numbers and
 until it shows a new picture, and what the server says that it took to compute and to draw.

@@ -6,88 +6,110 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene, Sensor
+from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Sensor, Triple
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares
 
-DOWN = (0.0, 0.0, -1.0)  #: traction [MPa]
-ALONG_X = (0.2, 0.0, 0.0)
+TRACTIONS: dict[str, Triple] = {"normal": (0.0, 0.0, -1.0), "tangential": (0.2, 0.0, 0.0)}  #: [MPa]
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
+
+
+def loaded(
+    body: Block | Pillar, material: Material, center_mm: Pair, size_mm: Pair, traction_mpa: Triple, *regions: Inclusion,
+    probes: Mapping[str, tuple[Pair, Pair]] | None = None, probe: str = "patch",
+) -> Scene:  # fmt: skip
+    """A body under one patch; without other probes (centre and size by name) the patch itself is probed."""
+    probed = probes or {probe: (center_mm, size_mm)}
+    return Scene(
+        body=body,
+        material=material,
+        inclusions=regions,
+        loads=(Load(center_mm=center_mm, size_mm=size_mm, traction_mpa=traction_mpa),),
+        probes=tuple(Probe(name=name, kind="mean", center_mm=at, size_mm=size) for name, (at, size) in probed.items()),
+    )
 
 
 def patch_scenes() -> dict[str, Scene]:
     """A 10 mm patch in the middle of a 30 × 30 × 10 mm block, for three Poisson's ratios."""
-    scenes = {}
-    for poisson in (0.3, 0.49, 0.4999):
-        for name, traction in {"normal": DOWN, "tangential": ALONG_X}.items():
-            scenes[f"block-{name}-{poisson:g}"] = Scene(
-                body=Block(size_mm=(30.0, 30.0, 10.0)),
-                material=Material(young_mpa=6.1, poisson=poisson),
-                loads=(Load(center_mm=(15.0, 15.0), size_mm=(10.0, 10.0), traction_mpa=traction),),
-                probes=(_mean("patch", (15.0, 15.0), 10.0),),
-            )
-    return scenes
+    return {
+        f"block-{name}-{poisson:g}": loaded(
+            Block(size_mm=(30.0, 30.0, 10.0)), replace(RUBBER, poisson=poisson), (15.0, 15.0), (10.0, 10.0), push
+        )
+        for poisson in (0.3, 0.49, 0.4999)
+        for name, push in TRACTIONS.items()
+    }  # fmt: skip
 
 
 def pillar_scenes() -> dict[str, Scene]:
     """An upright and an oblique free pillar, loaded all over the top."""
-    oblique_mm = 2.0 * math.sqrt(2.0)
     bodies = {
         "upright": Pillar(section_mm=(2.0, 2.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 10.0)),
-        "oblique": Pillar(section_mm=(oblique_mm, 2.0), base_mm=(10.0, 0.0, 0.0), top_mm=(0.0, 0.0, 10.0)),
+        "oblique": Pillar(section_mm=(2.0 * math.sqrt(2.0), 2.0), base_mm=(10.0, 0.0, 0.0), top_mm=(0.0, 0.0, 10.0)),
     }
-    tractions = {"normal": DOWN, "tangential": ALONG_X}
     return {
-        f"pillar-{kind}-{name}": Scene(
-            body=body,
-            material=RUBBER,
-            loads=(Load(center_mm=(0.0, 0.0), size_mm=body.section_mm, traction_mpa=traction),),
-            probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=body.section_mm),),
-        )
+        f"pillar-{kind}-{name}": loaded(body, RUBBER, (0.0, 0.0), body.section_mm, push, probe="top")
         for kind, body in bodies.items()
-        for name, traction in tractions.items()
+        for name, push in TRACTIONS.items()
     }
 
 
 def slab_scenes() -> dict[str, Scene]:
     """One loaded patch of a 90 × 90 × 10 mm slab, probed there and where its neighbours would be."""
-    centres = {
-        "self": (52.5, 52.5),
-        "first": (37.5, 52.5),
-        "diagonal": (37.5, 37.5),
-        "second": (22.5, 52.5),
-        "edge": (82.5, 52.5),
-    }
+    centres = {"self": (52.5, 52.5), "first": (37.5, 52.5), "diagonal": (37.5, 37.5), "second": (22.5, 52.5)}
+    centres["edge"] = (82.5, 52.5)
     return {
-        f"slab-{size:g}-{name}": Scene(
-            body=Block(size_mm=(90.0, 90.0, 10.0)),
-            material=RUBBER,
-            loads=(Load(center_mm=centres["self"], size_mm=(size, size), traction_mpa=traction),),
-            probes=tuple(_mean(place, centre, size) for place, centre in centres.items()),
+        f"slab-{size:g}-{name}": loaded(
+            Block(size_mm=(90.0, 90.0, 10.0)), RUBBER, centres["self"], (size, size), push,
+            probes={place: (centre, (size, size)) for place, centre in centres.items()},
         )
         for size in (12.0, 4.0)
-        for name, traction in {"normal": DOWN, "tangential": ALONG_X}.items()
-    }
+        for name, push in TRACTIONS.items()
+    }  # fmt: skip
 
 
 def inclusion_scenes() -> dict[str, Scene]:
     """A stiff upright pillar, from base to top, in a soft block."""
-    stiff = Inclusion(
-        base_mm=(7.5, 7.5, 0.0),
-        top_mm=(7.5, 7.5, 10.0),
-        section_mm=(2.0, 2.0),
-        material=Material(young_mpa=61.0, poisson=0.49),
-    )
+    middle, block = (7.5, 7.5), Block(size_mm=(15.0, 15.0, 10.0))
     return {
-        f"stiff-pillar-{name}": Scene(
-            body=Block(size_mm=(15.0, 15.0, 10.0)),
-            material=Material(young_mpa=0.61, poisson=0.49),
-            inclusions=(stiff,),
-            loads=(Load(center_mm=(7.5, 7.5), size_mm=(12.0, 12.0), traction_mpa=traction),),
-            probes=(_mean("patch", (7.5, 7.5), 12.0), _mean("pillar", (7.5, 7.5), 2.0)),
+        f"stiff-pillar-{name}": loaded(
+            block, Material(young_mpa=0.61, poisson=0.49), middle, (12.0, 12.0), push,
+            upright(7.5, 7.5, (0.0, 10.0), (2.0, 2.0), 61.0, 0.49),
+            probes={"patch": (middle, (12.0, 12.0)), "pillar": (middle, (2.0, 2.0))},
         )
-        for name, traction in {"normal": (0.0, 0.0, -0.1), "tangential": (0.02, 0.0, 0.0)}.items()
-    }
+        for name, push in {"normal": (0.0, 0.0, -0.1), "tangential": (0.02, 0.0, 0.0)}.items()
+    }  # fmt: skip
+
+
+def upright(x: float, y: float, z: Pair, section_mm: Pair, young_mpa: float, poisson: float) -> Inclusion:
+    """An upright prism of another rubber between two heights."""
+    material = Material(young_mpa=young_mpa, poisson=poisson)
+    return Inclusion(base_mm=(x, y, z[0]), top_mm=(x, y, z[1]), section_mm=section_mm, material=material)
+
+
+def hard_scenes() -> dict[str, Scene]:
+    """Rubbers 20 to 1000 times apart, a thin plate that keeps its volume, pillars that lean."""
+    soft, dense = Material(young_mpa=1.0, poisson=0.495), Material(young_mpa=6.1, poisson=0.4999)
+    sheared = Pillar(section_mm=(3.0, 2.0), base_mm=(0.0, 0.0, 0.0), top_mm=(6.0, 4.0, 8.0))
+    leaning = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))
+    low, half = (0.02, 0.01, -0.1), (0.1, 0.05, -0.5)
+    return {
+        "two-inclusions": loaded(
+            Block(size_mm=(20.0, 18.0, 8.0)), soft, (10.0, 9.0), (7.0, 6.0), low,
+            upright(7.0, 8.0, (0.0, 8.0), (3.0, 3.0), 30.0, 0.495),
+            upright(13.5, 10.0, (0.0, 8.0), (2.5, 3.5), 0.05, 0.495),
+        ),
+        "void": loaded(
+            Block(size_mm=(15.0, 15.0, 10.0)), RUBBER, (7.0, 8.0), (8.0, 7.0), half,
+            upright(6.0, 7.0, (2.0, 7.0), (4.0, 3.0), 0.0061, 0.3),
+        ),
+        "plate": loaded(Block(size_mm=(20.0, 20.0, 1.0)), dense, (9.0, 11.0), (6.0, 5.0), (0.3, 0.1, -1.0)),
+        "sheared-pillar": loaded(sheared, dense, (6.0, 4.0), (3.0, 2.0), low),
+        "side-inclusion": loaded(
+            Block(size_mm=(16.0, 14.0, 8.0)), RUBBER, (9.0, 7.0), (7.0, 6.0), half,
+            upright(2.0, 7.0, (0.0, 8.0), (4.0, 5.0), 300.0, 0.45),
+        ),
+        "leaning-56": loaded(leaning, RUBBER, (10.0, 2.0), (3.0, 2.0), (0.02, 0.0, -0.1)),
+    }  # fmt: skip
 
 
 def response_scenes(design: SensorDesign | None = None, name: str = "response") -> dict[str, Scene]:
@@ -100,23 +122,15 @@ def response_scenes(design: SensorDesign | None = None, name: str = "response") 
     units = {"inner": design.array.rows // 2 * cols + cols // 2, "edge": cols // 2, "corner": 0}
     electrodes = tuple(
         Probe(
-            name=f"{number // 2}-U{number % 2 + 1}",
-            kind="mean",
-            center_mm=((x0 + x1) / 2, (y0 + y1) / 2),
+            name=f"{number // 2}-U{number % 2 + 1}", kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2),
             size_mm=(x1 - x0, y1 - y0),
         )
         for number, (x0, y0, x1, y1) in enumerate(electrode_squares(design).tolist())
-    )
-    tractions_mpa = np.eye(3) / design.pad.size_mm**2
+    )  # fmt: skip
     return {
-        f"{name}-{place}-{axis}": Scene(
-            body=Sensor(design=design),
-            material=design.matrix_material,
-            loads=_on_pads(design, {unit: traction}),
-            probes=electrodes,
-        )
+        f"{name}-{place}-{axis}": _sensor(design, {unit: traction}, electrodes)
         for place, unit in units.items()
-        for axis, traction in zip(AXES, tractions_mpa, strict=True)
+        for axis, traction in zip(AXES, np.eye(3) / design.pad.size_mm**2, strict=True)
     }
 
 
@@ -131,8 +145,7 @@ def field_scene(design: SensorDesign) -> Scene:
         Probe(name=f"{unit}-{number}", kind="point", position_mm=tuple(points[unit, number].tolist()))
         for unit, number in np.ndindex(units, 5)
     )
-    loads = _on_pads(design, dict(enumerate(tractions_mpa)))
-    return Scene(body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes)
+    return _sensor(design, dict(enumerate(tractions_mpa)), probes)
 
 
 def small_array_scenes() -> dict[str, Scene]:
@@ -143,84 +156,21 @@ def small_array_scenes() -> dict[str, Scene]:
     return response_scenes(oblique, "oblique") | fields
 
 
-def _on_pads(design: SensorDesign, tractions_mpa: Mapping[int, FloatArray]) -> tuple[Load, ...]:
+def _sensor(design: SensorDesign, tractions_mpa: Mapping[int, FloatArray], probes: tuple[Probe, ...]) -> Scene:
+    """An array with tractions on some of its pads."""
     squares = pad_squares(design)
-    return tuple(
+    middles, sizes = (squares[:, :2] + squares[:, 2:]) / 2, squares[:, 2:] - squares[:, :2]
+    loads = tuple(
         Load(
-            center_mm=tuple(((squares[unit, :2] + squares[unit, 2:]) / 2).tolist()),
-            size_mm=tuple((squares[unit, 2:] - squares[unit, :2]).tolist()),
+            center_mm=tuple(middles[unit].tolist()), size_mm=tuple(sizes[unit].tolist()),
             traction_mpa=tuple(traction.tolist()),
         )
         for unit, traction in tractions_mpa.items()
-    )
-
-
-def hard_scenes() -> dict[str, Scene]:
-    """What is hard to solve: rubbers 20 to 1000 times apart, a thin plate that keeps its volume, pillars that lean."""
-
-    def upright(
-        x: float, y: float, z: tuple[float, float], section: tuple[float, float], young: float, poisson: float
-    ) -> Inclusion:
-        material = Material(young_mpa=young, poisson=poisson)
-        return Inclusion(base_mm=(x, y, z[0]), top_mm=(x, y, z[1]), section_mm=section, material=material)
-
-    soft, dense = Material(young_mpa=1.0, poisson=0.495), Material(young_mpa=6.1, poisson=0.4999)
-    sheared = Pillar(section_mm=(3.0, 2.0), base_mm=(0.0, 0.0, 0.0), top_mm=(6.0, 4.0, 8.0))
-    leaning = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))
-    return {
-        "two-inclusions": _loaded(
-            Block(size_mm=(20.0, 18.0, 8.0)),
-            soft,
-            ((10.0, 9.0), (7.0, 6.0), (0.02, 0.01, -0.1)),
-            upright(7.0, 8.0, (0.0, 8.0), (3.0, 3.0), 30.0, 0.495),
-            upright(13.5, 10.0, (0.0, 8.0), (2.5, 3.5), 0.05, 0.495),
-        ),
-        "void": _loaded(
-            Block(size_mm=(15.0, 15.0, 10.0)),
-            RUBBER,
-            ((7.0, 8.0), (8.0, 7.0), (0.1, 0.05, -0.5)),
-            upright(6.0, 7.0, (2.0, 7.0), (4.0, 3.0), 0.0061, 0.3),
-        ),
-        "plate": _loaded(Block(size_mm=(20.0, 20.0, 1.0)), dense, ((9.0, 11.0), (6.0, 5.0), (0.3, 0.1, -1.0))),
-        "sheared-pillar": _loaded(sheared, dense, ((6.0, 4.0), (3.0, 2.0), (0.02, 0.01, -0.1))),
-        "side-inclusion": _loaded(
-            Block(size_mm=(16.0, 14.0, 8.0)),
-            RUBBER,
-            ((9.0, 7.0), (7.0, 6.0), (0.1, 0.05, -0.5)),
-            upright(2.0, 7.0, (0.0, 8.0), (4.0, 5.0), 300.0, 0.45),
-        ),
-        "leaning-56": _loaded(leaning, RUBBER, ((10.0, 2.0), (3.0, 2.0), (0.02, 0.0, -0.1))),
-    }
-
-
-def _loaded(
-    body: Block | Pillar,
-    material: Material,
-    load: tuple[tuple[float, float], tuple[float, float], tuple[float, float, float]],
-    *inclusions: Inclusion,
-) -> Scene:
-    centre, size, traction = load
-    return Scene(
-        body=body,
-        material=material,
-        inclusions=inclusions,
-        loads=(Load(center_mm=centre, size_mm=size, traction_mpa=traction),),
-        probes=(Probe(name="patch", kind="mean", center_mm=centre, size_mm=size),),
-    )
+    )  # fmt: skip
+    return Scene(body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes)
 
 
 def all_scenes() -> dict[str, Scene]:
     """Every scene that has a reference."""
-    return (
-        patch_scenes()
-        | pillar_scenes()
-        | inclusion_scenes()
-        | slab_scenes()
-        | response_scenes()
-        | small_array_scenes()
-        | hard_scenes()
-    )
-
-
-def _mean(name: str, centre_mm: tuple[float, float], size_mm: float) -> Probe:
-    return Probe(name=name, kind="mean", center_mm=centre_mm, size_mm=(size_mm, size_mm))
+    arrays = response_scenes() | small_array_scenes()
+    return patch_scenes() | pillar_scenes() | inclusion_scenes() | slab_scenes() | arrays | hard_scenes()

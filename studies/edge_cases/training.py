@@ -149,7 +149,7 @@ def ten_samples(kind: Kind) -> Judged:
 
 
 def ten_samples_stated(kind: Kind) -> Judged:
-    """What a net of ten samples says of its own error on new ones is of the right size, or too much."""
+    """The error that a net of ten samples states for new ones is of the right size, or too large."""
     new = samples(seed=2)
     model, _ = trained(kind, samples(n=10))
     stated, _ = model.half_widths(new.resistance_ohm)
@@ -206,7 +206,7 @@ def saturated(kind: Kind) -> Judged:
 
 
 def _start(kind: Kind, data: Samples, hidden: int) -> tuple[TrainingSet, Network]:
-    """What a trainer is given: scaled samples, and a random network."""
+    """The input of a trainer: scaled samples, and a random network."""
     A, targets = scaled(data)
     inputs = Scaling.fitted(A[:, :-1]).scale(A[:, :-1])
     start = Network(NetworkConfig(hidden=hidden, net=kind.net), inputs.shape[1], targets.shape[1], seed=0)
@@ -215,7 +215,7 @@ def _start(kind: Kind, data: Samples, hidden: int) -> tuple[TrainingSet, Network
 
 @torch.no_grad()
 def _from(kind: Kind, given: TrainingSet, hidden: torch.Tensor, start: Network, config: TrainingConfig) -> Point:
-    """Where a trainer of second order ends from hidden weights, and from the start's output weights if it heeds any."""
+    """End point of a trainer of second order from hidden weights and the output weights of the start."""
     if kind.trainer == "varpro":
         n = len(given.X)
         return train_varpro(given, hidden, RIDGE * n, int(config.held_out * n), config, lambda i, mse: None)[0]
@@ -261,7 +261,7 @@ def noisy_ahead() -> Judged:
 
 
 def dead_wire(kind: Kind) -> Judged:
-    """Whatever stands in the place of what cannot be read, the net is the same, to the bit."""
+    """The net is the same to the bit, whatever value stands in for an unreadable resistance."""
     data = samples(dead_cols=(2,))
     assert data.dead is not None
     models = []
@@ -318,7 +318,7 @@ def one_pair() -> Judged:
 
 
 def gradient_at_the_end(kind: Kind) -> Judged:
-    """Where a training that may not stop early ends, autograd finds no slope; over that of the start."""
+    """Autograd's slope at the end of a training that may not stop early, over that of the start: none is left."""
     forever = TrainingConfig(
         trainer=kind.trainer, goal_mse=0.0, max_iterations=2000, patience=2000, least_gain=0.0, held_out=0.0
     )

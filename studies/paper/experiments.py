@@ -44,7 +44,7 @@ NETWORKS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Experiments:
-    """How the experiments are done; by default as in the paper, section 3.2 and 3.3."""
+    """Settings of the experiments; by default as in the paper, section 3.2 and 3.3."""
 
     widths: tuple[int, ...] = tuple(range(10, 20))  #: nodes of figure 9: eq. 16 for 36 inputs and 36 outputs
     training_samples: int = 2000  #: of figures 9 and 11

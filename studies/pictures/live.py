@@ -1,4 +1,4 @@
-"""What `tripillar live` shows, as a picture for the README: `python -m studies.pictures.live docs/live.svg`."""
+"""The display of `tripillar live` as a picture for the README: `python -m studies.pictures.live docs/live.svg`."""
 
 import io
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What noise, converters, spread pillars and dead ones cost the joint three-axis nets.
+"""The cost of noise, converters, spread pillars and dead ones to the joint three-axis nets.
 
 Open `study.py` first; `python -m studies.robustness` prints its table and writes JSON and pictures.
 """

@@ -113,7 +113,7 @@ def _lines(axes: "Axes", rows: list[Row]) -> None:
 
 
 def _number(row: Row) -> float:
-    """Where a case is on the axis: its noise in %, its bits, its pairs.
+    """Place of a case on the axis: its noise in %, its bits, its pairs.
 
     >>> _number(Row(part="noise", case="noise 0.5%", net="root", force="fx", error_pct=1.0))
     0.5

@@ -1,4 +1,4 @@
-"""The same loads measured by ever worse sensors: nets trained on each, and what their errors are."""
+"""The same loads measured by ever worse sensors: nets trained on each, and their errors."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -32,7 +32,7 @@ SEEDS = {"train": 1, "test": 2, "pairs": 3}  #: of loads and of noise
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How much is simulated."""
+    """Numbers of simulated samples."""
 
     train: int = 2000
     test: int = 400
@@ -62,7 +62,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Named:
-    """Which outputs a model with dead pillars names as not to be trusted, against those whose error rose."""
+    """The outputs that a model with dead pillars calls untrusted, beside those whose error rose."""
 
     case: str
     net: str
@@ -82,7 +82,7 @@ class Named:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """What the study found."""
+    """The results of the study."""
 
     rows: list[Row]
     named: list[Named]

@@ -16,7 +16,7 @@ from studies.pictures.drawings import draw, prism_faces
 
 
 def volume_of(faces):
-    """What six quadrilaterals enclose, by the divergence theorem over their triangles; outward or inward."""
+    """The volume that six quadrilaterals enclose, by the divergence theorem over their triangles; outward or inward."""
     triangles = np.array([face[list(corners)] for face in faces for corners in ((0, 1, 2), (0, 2, 3))])
     centre = triangles.mean(axis=(0, 1))
     return sum(abs(np.linalg.det(triangle - centre)) / 6 for triangle in triangles)

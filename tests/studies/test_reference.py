@@ -1,4 +1,4 @@
-"""What the benchmark's references are made by is held to closed forms and to itself, since it judges all others."""
+"""The maker of the benchmark's references is held to closed forms and to itself, since it judges all others."""
 
 import json
 from dataclasses import replace

@@ -13,10 +13,9 @@ from decoupler.inverse.limits import bayes, cramer_rao
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
-from studies.robustness.__main__ import write
+from studies.robustness.__main__ import numbers, robustness_table, write
 from studies.robustness.study import BITS, NETS, NOISES, Named, Row, Sizes, dead_cases, sensor_under_load, study
 from studies.robustness.study import unit_bayes as limits_of_units
-from studies.robustness.table import numbers, robustness_table
 from tests.studies.one_process import one_after_another
 
 SIZES = Sizes(train=300, test=100, draws=2, pairs=(0, 1, 20))

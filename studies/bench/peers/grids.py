@@ -45,7 +45,7 @@ def inclusion_box(inclusion: Inclusion) -> tuple[FloatArray, FloatArray]:
 
 
 def lean(scene: Scene, z_mm: FloatArray | float) -> FloatArray:
-    """How far the body's axis lies from the top face's centre at some heights, along x and y; shape (..., 2) [mm]."""
+    """Distance of the body's axis from the top face's centre at some heights, along x and y; shape (..., 2) [mm]."""
     outline = scene.outline
     slope = (np.array(outline.top_mm) - np.array(outline.base_mm))[:2] / outline.height_mm
     return np.multiply.outer(np.asarray(z_mm) - outline.height_mm, slope)

@@ -38,7 +38,7 @@ def dense_jacobian(model: Network, inputs: FloatArray) -> FloatArray:
 
 
 def step_difference(problem: Problem, samples: int = 50) -> float:
-    """How far the structured step is from that of the dense JᵀJ, relative, at the start and its first damping.
+    """Relative distance of the structured step from that of the dense JᵀJ, at the start and its first damping.
 
     The dense Jacobian is torch's, by automatic differentiation, so that the two share no algebra.
     """

@@ -58,7 +58,7 @@ def lbfgs(scaled: Scaled, trace: Trace) -> str:
 
 
 def torch_lm_missing() -> str:
-    """What torch-levenberg-marquardt needs and is not there."""
+    """Packages of torch-levenberg-marquardt that are not installed."""
     absent = [
         name for name in ("torch_levenberg_marquardt", "pytorch_lightning", "torchmetrics") if not find_spec(name)
     ]

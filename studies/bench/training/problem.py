@@ -1,4 +1,4 @@
-"""What every contender is handed: samples, the form of the network, and the seed of its start."""
+"""The input of every contender: samples, the form of the network, and the seed of its start."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""How the error fell with time."""
+"""The error of a training over time."""
 
 from itertools import pairwise
 from statistics import median
@@ -33,10 +33,6 @@ class Trace:
             raise Ended("goal")
         if seconds > self.patience_s:
             raise Ended("time")
-
-    def seconds_to(self, mse: float) -> float | None:
-        """When the error was first at most this; None if it never was."""
-        return next((seconds for _, seconds, found in self.points if found <= mse), None)
 
     def seconds_per_iteration(self) -> float | None:
         """Median over the recorded iterations; None before the first has ended."""
