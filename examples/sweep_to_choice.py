@@ -4,9 +4,7 @@
 designs than these use ``tripillar sweep FILE``, which shares the work among processes and goes on where it was stopped.
 """
 
-from dataset import DatasetSettings, simulate
-from decoupler import assess, train
-from fem import ResponseSettings, array_response
+import tripillar as tp
 from geometry import design_from_toml
 from tripillar.sweep.judge import row_of
 from tripillar.sweep.sampling import samples_of
@@ -43,11 +41,10 @@ for row in best:
 # 4. The choice, trained on loads of a few indenters. It learns what loads are usual, and so may pass the limit of the
 #    readings alone.
 design = design_from_toml(best[0].design)
-response, _, _ = array_response(design, ResponseSettings(tolerance=sweep.judging.tolerance))  # in the cache by now
 training, test = (
-    simulate(response, DatasetSettings(protocol="contact", samples=samples, seed=seed, noise=NOISE, bits=BITS))
+    tp.simulate(design, "contact", samples, seed=seed, noise=NOISE, bits=BITS)
     for samples, seed in ((1000, 1), (200, 2))
 )
-model = train(training, response=response)
-for name, one in assess(model, test, response).items():
+model = tp.train(training)
+for name, one in tp.evaluate(model, test).items():
     print(f"{name}: error {one.errors.rmse_n:.2f} N, {one.ratio:.3f} times the limit of the readings")

@@ -3,9 +3,12 @@
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
+import tripillar as tp
+from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, indented_commands
 
 README = ROOT / "README.md"
@@ -50,6 +53,40 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, pages_cache):
             typed = SHORTER.sub("--seconds 1", FIRST_TYPED if line == FIRST else line)
             terminal.type(Command(typed, ["… Ctrl-C ends it"] if line.endswith("&") else []))
     assert {path.name for path in (tmp_path / "empty").iterdir() if not path.name.startswith(".")} == MADE
+
+
+PROGRAMS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_ten_lines_lead_from_a_design_to_forces_with_error_bars(shared_cache, capsys):
+    """The force is where the error bar says, and errs by no more than the noise and the converter make it."""
+    program, _ = PROGRAMS
+    assert len([line for line in program.splitlines() if line]) <= 10
+    exec(compile(program, "README.md", "exec"), {})
+    error, force = capsys.readouterr().out.splitlines()
+    assert 0.5 < float(re.fullmatch(r"error of Fz: ([\d.]+) N", error)[1]) < 5.0  # of 720 N, through 12 bits
+    found_n, half_width_n, applied_n = map(float, re.findall(r"[\d.]+", force))
+    assert abs(found_n - applied_n) < 4 * half_width_n  # one normal error in 16,000 is larger
+
+
+def test_a_few_lines_read_a_board(tmp_path, shared_cache, monkeypatch):
+    """Typed where the README's board, model and calibration are; Ctrl-C comes after a press."""
+    _, program = PROGRAMS
+    assert len([line for line in program.splitlines() if line]) <= 10
+    monkeypatch.chdir(tmp_path)
+    response, lines = tp.response(), []
+    tp.write(tp.train(tp.simulate(response, samples=300, noise=0.001, bits=10)), "model.safetensors")
+    write_calibration(SensorCalibration.as_designed(6, 6), Path("own.json"))
+
+    def printed(line):
+        lines.append(line)
+        if len(lines) == 40:
+            raise KeyboardInterrupt
+
+    with tp.simulated_board(response, period_s=0.2, link="board"), pytest.raises(KeyboardInterrupt):
+        exec(compile(program, "README.md", "exec"), {"print": printed})
+    forces_n = [float(re.fullmatch(r"[\d.]+ s: Fz +(-?[\d.]+) ± [\d.]+ N", line)[1]) for line in lines]
+    assert max(forces_n) > min(forces_n) + 20.0
 
 
 def test_every_other_command_is_tested_somewhere():
