@@ -12,7 +12,6 @@ import tty
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from enum import Enum, auto
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -29,6 +28,7 @@ Counts = Callable[[float], NDArray[Any]]
 Command = Literal["info", "errors"] | int  #: a question, or the rate that was asked for [Hz]; 65535 stands for more
 _RATES_HZ = range(1, 1001)  # that it can hold
 _MAX_HZ = 65535  # that a command can name
+_MAX_LINE = 1000  # characters of a command
 
 
 class VirtualBoard:
@@ -284,16 +284,10 @@ def _looped(counts: NDArray[Any], step_s: float) -> Counts:
     return lambda time_s: counts[int(time_s / step_s) % len(counts)]
 
 
-class _State(Enum):
-    BETWEEN = auto()
-    NUMBER = auto()
-    MALFORMED = auto()
-
-
 class Commands:
     """Finds the host's commands in a stream of bytes that comes in pieces of any size.
 
-    These are the states of firmware/commands.c; the tests run one table of cases through both.
+    It hears what firmware/commands.c hears; the tests run one table of cases through both.
 
     >>> commands = Commands()
     >>> commands.heard(b"R007"), commands.heard(bytes([10]) + b"?")
@@ -301,30 +295,23 @@ class Commands:
     """
 
     def __init__(self) -> None:
-        self._state = _State.BETWEEN
-        self._number: int | None = None  # None: no digit yet
+        self._line = b""  # an R command that has begun
 
     def heard(self, received: bytes) -> list[Command]:
         """The commands that these bytes complete."""
-        taken = map(self._take, received)
-        return [command for command in taken if command is not None]
-
-    def _take(self, byte: int) -> Command | None:
-        if byte in b"?!":  # always heard, even where a host went away in the middle of a command
-            self._state = _State.BETWEEN
-            return "info" if byte == ord("?") else "errors"
-        if byte == ord("\n"):
-            is_number = self._state is _State.NUMBER
-            self._state = _State.BETWEEN
-            return self._number if is_number else None
-        if self._state is _State.BETWEEN and byte == ord("R"):
-            self._state, self._number = _State.NUMBER, None
-        elif self._state is _State.NUMBER:
-            if ord("0") <= byte <= ord("9"):
-                self._number = min(10 * (self._number or 0) + byte - ord("0"), _MAX_HZ)
-            else:
-                self._state = _State.MALFORMED
-        return None
+        commands: list[Command] = []
+        for k in range(len(received)):
+            byte = received[k : k + 1]
+            if byte in b"?!":  # always heard, even where a host went away in the middle of a command
+                self._line = b""
+                commands.append("info" if byte == b"?" else "errors")
+            elif byte == b"\n":
+                if self._line[1:].isdigit():
+                    commands.append(min(int(self._line[1:]), _MAX_HZ))
+                self._line = b""
+            elif self._line or byte == b"R":
+                self._line = self._line + byte if len(self._line) < _MAX_LINE else b"R?"  # is no number any more
+        return commands
 
 
 def recording_from_resistances(

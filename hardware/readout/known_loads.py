@@ -2,6 +2,7 @@
 
 import csv
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,21 +107,17 @@ def _number(line: dict[str, str], column: str, source: str, default: float | Non
     text = (line.get(column) or "").strip()
     if not text and default is not None:
         return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise FileFormatError(f"{source}: {column} is {text!r}, must be a number.")
-    return value
+    with suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise FileFormatError(f"{source}: {column} is {text!r}, must be a number.")
 
 
 def _whole(line: dict[str, str], column: str, source: str) -> int:
     text = (line.get(column) or "").strip()
-    try:
+    with suppress(ValueError):
         return int(text)
-    except ValueError:
-        raise FileFormatError(f"{source}: {column} is {text!r}, must be a whole number.") from None
+    raise FileFormatError(f"{source}: {column} is {text!r}, must be a whole number.")
 
 
 def _forces(pads: list[tuple[tuple[int, int], list[float]]], rows: int, cols: int, source: str) -> FloatArray:

@@ -1,14 +1,17 @@
-"""Means of many scans: what they are worth, and what is refused."""
+"""Means of many scans: what they are worth; motion meanwhile is found at every speed, and not seen in noise."""
 
 import numpy as np
 import pytest
 
+from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
+from hardware.boards.simulated import PressAndSlide
 from hardware.link.frames import ScanMode
-from hardware.readout.averaging import averaged
+from hardware.readout.averaging import averaged, min_scans, movement, require_still
 from hardware.readout.crossbar import Corrector, Crossbar
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (6, 6, 1))
+RATE_HZ, N = 150, 300  # of the 2 s that a tare takes
 
 
 @pytest.mark.parametrize("mode", list(ScanMode))
@@ -45,3 +48,72 @@ def test_an_open_pillar_is_not_a_number_and_a_short_one_is_refused():
     state[3, 4, 1] = 3e3  # below the feedback resistor
     with pytest.raises(FileFormatError, match=r"pillar x of row 3, col 4 reads full scale, .* than 4700 Ω"):
         averaged(crossbar.counts(state[None]), crossbar)
+
+
+def counts_of(ohms, crossbar, generator):
+    """Of resistances (n, 6, 6, 3), with a place of each pillar within the converter's steps that is its own."""
+    return crossbar.counts(ohms * generator.uniform(0.95, 1.05, (6, 6, 3)), generator)
+
+
+@pytest.mark.parametrize(
+    ("mode", "bits", "noise"),
+    [
+        (ScanMode.ZERO_POTENTIAL, 10, 0.0),
+        (ScanMode.ZERO_POTENTIAL, 10, 3e-4),
+        (ScanMode.ZERO_POTENTIAL, 10, 2e-3),
+        (ScanMode.ZERO_POTENTIAL, 16, 1e-4),
+        (ScanMode.GROUNDED, 10, 3e-4),
+        (ScanMode.DIVIDER, 10, 3e-4),
+    ],
+)
+def test_rest_is_rarely_taken_for_motion(mode, bits, noise):
+    """One in a thousand is promised; of 200, three or more would come once in a thousand times."""
+    generator = np.random.default_rng(0)
+    crossbar = Crossbar.suited(mode, bits=bits, noise=noise)
+    x = crossbar.readings(REST_OHM[None]) * generator.uniform(0.95, 1.05, (200, 108))
+    alarms = 0
+    for place in x:
+        seen = place + noise * generator.standard_normal((N, 108))
+        alarms += movement(np.rint(crossbar.full_scale * seen), crossbar, RATE_HZ) is not None
+    assert alarms <= 2
+
+
+@pytest.mark.parametrize("period_s", [0.3, 0.5, 1.0, 2.0, 6.0, 20.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_an_indenter_that_moves_is_seen(period_s, noise):
+    """From whatever moment on, if it moves within these two seconds: by 6 % of a resistance for each MPa."""
+    generator = np.random.default_rng(1)
+    crossbar = Crossbar(noise=noise)
+    script = PressAndSlide(seconds=period_s)
+    for start_s in generator.uniform(0.0, period_s, 20):
+        traction = script.tractions(start_s + np.arange(N) / RATE_HZ, SensorDesign())
+        ohms = REST_OHM * (1.0 + 0.06 * traction[:, :, 2].reshape(N, 6, 6, 1))
+        moved = movement(counts_of(ohms, crossbar, generator), crossbar, RATE_HZ)
+        if np.ptp(traction[: N - 20, :, 2], axis=0).max() > 0.1:  # beyond its start in the last moment
+            assert moved
+
+
+def test_the_pillar_that_moves_most_is_named():
+    ohms = np.repeat(REST_OHM[None], N, axis=0)
+    ohms[:, 2, 3, 1] *= np.linspace(1.0, 0.9, N)
+    counts = counts_of(ohms, Crossbar(), np.random.default_rng(2))
+    with pytest.raises(FileFormatError, match=r"pillar x of row 2, col 3 changes by 9\.?\d* % within 2 s.* --force"):
+        require_still(counts, Crossbar(), RATE_HZ, 2.0)
+
+
+def test_noise_that_scans_share_is_no_motion():
+    """A board of 1000 Hz that averages over 5 ms."""
+    crossbar = Crossbar(noise=1e-3)
+    generator = np.random.default_rng(3)
+    counts = np.repeat(counts_of(np.repeat(REST_OHM[None], 400, axis=0), crossbar, generator), 5, axis=0)
+    assert movement(counts, crossbar, 1000) is None
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10, 150, 1000])
+def test_so_many_scans_are_enough_and_fewer_are_refused(rate_hz):
+    n, crossbar = min_scans(rate_hz), Crossbar()
+    ohms = REST_OHM * np.linspace(1.0, 0.9, n)[:, None, None, None]
+    counts = crossbar.counts(ohms)
+    assert movement(counts, crossbar, rate_hz)
+    with pytest.raises(FileFormatError, match=rf"{n - 1} scans within 2 s are too few .*: give --seconds \d"):
+        require_still(counts[1:], crossbar, rate_hz, 2.0)
