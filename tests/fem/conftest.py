@@ -1,8 +1,14 @@
 """Fixtures of the finite-element tests."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import pytest
 from skfem import MeshTet
 
+from fem.array.coupled_cells import CoupledArray
+from fem.fields.array_field import ArrayField, array_field
+from geometry.design import Array, SensorDesign
 from tests.fem.boxes import box_mesh
 
 
@@ -10,3 +16,20 @@ from tests.fem.boxes import box_mesh
 def disordered_cube() -> MeshTet:
     """A 10 mm cube in 384 distorted tetrahedra."""
     return box_mesh((4, 4, 4), (10.0, 10.0, 10.0), disorder=0.25)
+
+
+@pytest.fixture(scope="session")
+def pair_field() -> ArrayField:
+    """The paper's unit twice, 1 × 2, ready to be loaded."""
+    return array_field(SensorDesign(array=Array(rows=1, cols=2)))
+
+
+@pytest.fixture(scope="session")
+def field_of(pair_field: ArrayField) -> Callable[[int, int], ArrayField]:
+    """Arrays of the paper's unit of other sizes, coupled from the cell of `pair_field`."""
+
+    def field_of(rows: int, cols: int) -> ArrayField:
+        design = SensorDesign(array=Array(rows=rows, cols=cols))
+        return replace(pair_field, design=design, coupled=CoupledArray(pair_field.interior.cell, rows, cols))
+
+    return field_of

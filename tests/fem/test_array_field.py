@@ -8,7 +8,7 @@ import pytest
 from fem.array.cell import condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.port_modes import PortModes
-from fem.array.solving import solve_response
+from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import condensed_cell
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
@@ -30,8 +30,8 @@ def square(centre, side, z):
 
 
 @pytest.fixture(scope="module")
-def field():
-    return array_field(DESIGN)
+def field(field_of):
+    return field_of(2, 3)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def state(field):
 
 def test_electrodes_move_as_the_response_says(field, state):
     """Another grid, other ports, no extrapolation: 0.6 to 0.8 % was measured."""
-    response = solve_response(DESIGN).influence_mm_per_n.reshape(6, 2, 3, 18)
+    response = solve_response(DESIGN, ResponseSettings(tolerance=2.9e-3)).influence_mm_per_n.reshape(6, 2, 3, 18)
     expected = response @ (TRACTION * DESIGN.pad.size_mm**2).ravel()
     for number, centre in enumerate(upper_electrodes(DESIGN.unit)):
         points, weights = square(centre, DESIGN.unit.electrode_mm, DESIGN.unit.height_mm)
@@ -80,16 +80,16 @@ def test_a_wide_thin_slab_pressed_all_over_is_confined_in_its_middle():
     """σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), u_z = −p z/(λ + 2μ), the rim being far."""
     rubber = Material(young_mpa=6.1, poisson=0.3)
     design = SensorDesign(
-        unit=Unit(height_mm=5.0, span_mm=5.0), array=Array(rows=5, cols=5, pitch_mm=20.0), pad=Pad(size_mm=20.0),
+        unit=Unit(height_mm=5.0, span_mm=5.0), array=Array(rows=3, cols=3, pitch_mm=34.0), pad=Pad(size_mm=34.0),
         pillar_material=rubber, matrix_material=rubber,
     )  # fmt: skip
     field = array_field(design)
-    state = field.state(np.tile([0.0, 0.0, -2.0], (25, 1)))
+    state = field.state(np.tile([0.0, 0.0, -2.0], (9, 1)))
     points = np.random.default_rng(1).uniform([-10, -10, 0.5], [10, 10, 5], (40, 3))
     observer = field.observe(points)
     lame, mu = rubber.lame_mpa
     side = -2.0 * 0.3 / 0.7
-    stress, sunk = observer.stress_mpa(state)[12], observer.displacement_mm(state)[12]
+    stress, sunk = observer.stress_mpa(state)[4], observer.displacement_mm(state)[4]
     # the rim, eight heights away, is felt by exp(−0.74 · 8) = 0.3 % at most
     assert np.abs(stress - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 2e-3
     expected = np.outer(points[:, 2], [0.0, 0.0, -2.0 / (lame + 2 * mu)])
@@ -119,15 +119,14 @@ def test_the_inside_belongs_to_the_condensed_cell():
         assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
 
 
-def test_pillars_of_another_rubber_are_seen(tmp_path, monkeypatch):
+def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
-    monkeypatch.setattr("fem.fields.array_field.MESH_LEVEL", 0.6)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.fields.array_field.MESH_LEVEL", 0.8)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
     rectangles = np.vstack([pad_squares(design), electrode_squares(design)])
-    cell, _ = condensed_cell(design, 0.6, MESH_DEGREE, rectangles)
+    cell, _ = condensed_cell(design, 0.8, MESH_DEGREE, rectangles)
     influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 9))
     expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(2, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):

@@ -65,9 +65,9 @@ def test_an_estimate_covers_the_error():
     assert error < 3 * loose.error_estimate
 
 
-def test_the_usual_response_is_as_accurate_as_it_says():
+def test_the_usual_response_is_as_accurate_as_it_says(shared_cache):
     """Against hexahedra of high order on grids of the whole array, converged to 1e-4: an inner unit's three columns."""
-    response = solve_response(SensorDesign())
+    response, _, _ = array_response(SensorDesign())
     scenes = json.loads(Path(bench.__file__).with_name("references.json").read_text(encoding="utf-8"))["scenes"]
     probes = [scenes[f"response-inner-{axis}"]["probes"] for axis in "xyz"]
     columns = [[column[f"{unit}-U{electrode}"] for unit in range(36) for electrode in (1, 2)] for column in probes]
@@ -100,7 +100,7 @@ def test_unrolling_keeps_offsets_and_rims():
     assert (whole[0, 0, :, :, 3, 0] == 0).all()  # beyond reach
 
 
-def test_pillars_of_another_rubber_are_solved_from_one_cell():
+def test_pillars_of_another_rubber_are_solved_from_one_cell(shared_cache):
     """A matrix ten times softer moves more, and one cell's answer carries to its neighbour."""
     soft = replace(SMALL, matrix_material=Material(young_mpa=0.61))
     cells = solve_response(soft, ResponseSettings(tolerance=0.2))

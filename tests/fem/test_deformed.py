@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fem.fields.array_field import array_field
 from fem.fields.deformed import electrode_surface, pillar_surface, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
@@ -13,8 +12,8 @@ TRACTION = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
 
 
 @pytest.fixture(scope="module")
-def field():
-    return array_field(DESIGN)
+def field(field_of):
+    return field_of(2, 1)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fem.fields.array_field import array_field
 from fem.fields.deformed import sensor_parts
 from fem.fields.pad_loads import bell_pressure, uniform_pressure
 from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
@@ -17,13 +16,8 @@ DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 
 
 @pytest.fixture(scope="module")
-def field():
-    return array_field(DESIGN)
-
-
-@pytest.fixture(scope="module")
-def parts(field):
-    return sensor_parts(field, field.state(bell_pressure(DESIGN, 2.0)))
+def parts(pair_field):
+    return sensor_parts(pair_field, pair_field.state(bell_pressure(DESIGN, 2.0)))
 
 
 def drawn(panels, **how):
@@ -76,8 +70,7 @@ def test_signed_values_are_white_at_0_and_as_strong_either_way(parts):
     assert colours[-1].min() > colours[0].min()
 
 
-def test_a_bar_of_stress_says_that_it_is_cut(field):
-    parts = sensor_parts(field, field.state(bell_pressure(DESIGN, 2.0)), stress=True)
+def test_a_bar_of_stress_says_that_it_is_cut(parts):
     bar = bar_of(QUANTITIES["mises"], [parts])
     assert bar.labels[bar.high].startswith("≥ ")
     assert bar.labels[0.0] == "0"

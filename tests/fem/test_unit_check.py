@@ -81,11 +81,10 @@ def test_a_uniform_load_is_the_sum_of_its_pads(young_mpa):
 
 
 @pytest.mark.parametrize("matrix_mpa", [6.1, 1.0])
-def test_the_cell_of_a_response_is_close_to_a_unit_solved_by_other_tools(tmp_path, monkeypatch, matrix_mpa):
+def test_the_cell_of_a_response_is_close_to_a_unit_solved_by_other_tools(shared_cache, monkeypatch, matrix_mpa):
     """The mesh's own error at its usual edges: 1.1 % of one rubber, 0.4 % with stiffer pillars. Found again at once."""
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
     monkeypatch.setattr("fem.array.unit_check.usual_tolerance", lambda design: 2e-2 if matrix_mpa == 6.1 else 0.1)
-    design = replace(PAIR, matrix_material=Material(young_mpa=matrix_mpa))
+    design = replace(PAIR, pad=Pad(size_mm=11.0), matrix_material=Material(young_mpa=matrix_mpa))  # no other test's
     unit = check_unit(design)
     assert 1e-4 < unit.difference < (0.02 if matrix_mpa == 6.1 else 0.05)
     assert not unit.reused
