@@ -1,7 +1,6 @@
 """The array's response: displacement of every upper electrode per newton on every pad, along each axis.
 
-The body is linear, so unit loads hold all there is to know; samples are superposition. How it is computed is in
-`array_response.py`.
+The body is linear, so samples are superpositions of unit loads. `solving.py` computes the response.
 """
 
 from dataclasses import dataclass, field
@@ -31,7 +30,7 @@ class ArrayResponse:
     method: str = "cells"  #: a key of `solving.METHODS`, or what a benchmark calls its own
     error_estimate: float = np.nan  #: relative, of each pad's own block; NaN where the method gives none
     mesh_hash: str = ""  #: of the mesh's content, where there is one mesh
-    recipe: str = ""  #: hash of the design and settings it was asked for
+    cache_key: str = ""  #: hash of the design and settings it was asked for
     steps: tuple[str, ...] = field(default=(), repr=False)  #: what was done on the way; not kept in files
 
     @property
@@ -46,7 +45,7 @@ def write_response(response: ArrayResponse, path: Path) -> None:
     coordinates = {"electrode": list(ELECTRODES), "axis": list(AXES), "load_axis": list(AXES)}
     attributes = {
         "design": design_to_toml(response.design),
-        "recipe": response.recipe,
+        "recipe": response.cache_key,
         "content_hash": response.content_hash,
         "mesh_hash": response.mesh_hash,
         "method": response.method,
@@ -75,7 +74,7 @@ def read_response(path: Path) -> ArrayResponse:
                 for key, value in data.attrs.items()
                 if key.startswith("seconds_")
             },
-            recipe=str(data.attrs["recipe"]),
+            cache_key=str(data.attrs["recipe"]),
         )
         intact = response.content_hash == data.attrs["content_hash"]
     except KeyError as error:

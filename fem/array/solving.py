@@ -1,4 +1,4 @@
-"""How an array's response is computed: by copies of one condensed cell, unless told otherwise."""
+"""The response of an array by each method, from the cache if it is there: open this file first."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -57,20 +57,20 @@ def array_response(
         If the mesh or an answer cannot be trusted.
     """
     settings = (settings or ResponseSettings()).suited(design)
-    recipe = response_recipe(design, settings)
-    path = cache_folder() / f"response-{recipe}.nc"
+    cache_key = response_cache_key(design, settings)
+    path = cache_folder() / f"response-{cache_key}.nc"
     try:
         response = read_response(path)
-        if response.recipe == recipe:
+        if response.cache_key == cache_key:
             return replace(response, design=design), path, True
     except FileFormatError:
         say_made_anew(path)
-    response = replace(solve_response(design, settings, progress, cached=True), recipe=recipe)
+    response = replace(solve_response(design, settings, progress, cached=True), cache_key=cache_key)
     keep(lambda path: write_response(response, path), path)
     return response, path, False
 
 
-def response_recipe(design: SensorDesign, settings: ResponseSettings) -> str:
+def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     """Hash of all that a response depends on: the design without its resistivity, the settings, the version."""
     stated = asdict(settings.suited(design)) | {"element": "Q2", "far": True, "mesh": None}  # as in older files
     return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
@@ -91,14 +91,4 @@ def solve_response(
         return layer_response(design)
     if settings.method == "halfspace":
         return halfspace_response(design)
-    answer = response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=answer.influence_mm_per_n,
-        residual=answer.residual,
-        unknowns=answer.unknowns,
-        seconds=answer.seconds,
-        method="cells",
-        error_estimate=answer.error_estimate,
-        steps=answer.steps,
-    )
+    return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)

@@ -5,7 +5,7 @@ mesh of tetrahedra. Either way the array itself is never meshed.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -16,6 +16,7 @@ from fem.array.cell_file import RefinedCell, read_refined, write_refined
 from fem.array.coupled_cells import CoupledArray
 from fem.array.layer import layer_mean_compliance
 from fem.array.port_modes import PortModes
+from fem.array.response import ArrayResponse
 from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.grid import Attractor, Grid, graded_lines
 from fem.discretization.hexahedra import GridBasis, grid_stiffness
@@ -48,24 +49,12 @@ PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
 JUDGED = 3  #: rows and columns of the array that a cell's error is judged on, at most
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CellAnswer:
-    """Influence of an array, and what it took."""
-
-    influence_mm_per_n: FloatArray  #: (rows, cols, 2, 3, rows, cols, 3)
-    error_estimate: float  #: of any block, relative to the loaded unit's own
-    residual: float
-    unknowns: int  #: of the largest system factored
-    seconds: dict[str, float]  #: mesh, condense, couple
-    steps: tuple[str, ...]  #: one line a stage
-
-
 def response_by_cells(
     design: SensorDesign,
     tolerance: float,
     progress: Callable[[str], None] = lambda step: None,
     cached: bool = False,
-) -> CellAnswer:
+) -> ArrayResponse:
     """Influence of every pad on every electrode, from one condensed cell.
 
     Parameters
@@ -97,7 +86,8 @@ def response_by_cells(
     influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
     seconds["couple"] += perf_counter() - start
     shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
-    return CellAnswer(
+    return ArrayResponse(
+        design=design,
         influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
         error_estimate=refined.error_estimate,
         residual=max(refined.cell.residual, misfit),
@@ -112,7 +102,7 @@ def usual_tolerance(design: SensorDesign) -> float:
     return 1e-3 if design.is_homogeneous else 1e-2
 
 
-def cell_recipe(design: SensorDesign, tolerance: float) -> str:
+def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `JUDGED`."""
     array = replace(design.array, rows=min(JUDGED, design.array.rows), cols=min(JUDGED, design.array.cols))
     bent = replace(design, array=array, resistivity_ohm_mm=1.0)
@@ -130,7 +120,7 @@ def refined_cell(
 
     Parameters and errors as of `response_by_cells`; seconds of meshing, condensing and coupling are added to `seconds`.
     """
-    path = cache_folder() / f"cell-{cell_recipe(design, tolerance)}.npz"
+    path = cache_folder() / f"cell-{cell_cache_key(design, tolerance)}.npz"
     refined = read_refined(path) if cached else None
     if refined is not None:
         return refined

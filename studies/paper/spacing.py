@@ -20,7 +20,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from fem.array.layer import decay_length_mm, layer_mean_compliance
 from fem.array.response import ArrayResponse
-from fem.array.solving import ResponseSettings, array_response, response_recipe
+from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from geometry.design import Array, SensorDesign
 from geometry.layout import (
     AXES,
@@ -101,7 +101,7 @@ class Spacing:
 def spacing_cache_key(design: SensorDesign, asked: Asked) -> str:
     """Hash of all that the study depends on."""
     settings = ResponseSettings(tolerance=asked.tolerance)
-    responses = [response_recipe(design_at(design, pitch), settings) for pitch in asked.pitches_mm]
+    responses = [response_cache_key(design_at(design, pitch), settings) for pitch in asked.pitches_mm]
     return digest("spacing", VERSION, design, asked, responses)
 
 

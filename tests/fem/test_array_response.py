@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fem.array.solving import ResponseSettings, array_response, response_recipe, solve_response
+from fem.array.solving import ResponseSettings, array_response, response_cache_key, solve_response
 from fem.array.substructured import block_error, influence_range, unrolled
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -26,14 +26,14 @@ def blocks(response):
 
 def test_only_what_bends_the_body_needs_a_new_solve():
     settings = ResponseSettings()
-    recipe = response_recipe(SMALL, settings)
-    assert response_recipe(replace(SMALL, resistivity_ohm_mm=1.0), settings) == recipe
-    assert response_recipe(SMALL, ResponseSettings(tolerance=1e-3)) == recipe  # which is the default
+    key = response_cache_key(SMALL, settings)
+    assert response_cache_key(replace(SMALL, resistivity_ohm_mm=1.0), settings) == key
+    assert response_cache_key(SMALL, ResponseSettings(tolerance=1e-3)) == key  # which is the default
     layer = ResponseSettings(method="layer", tolerance=2e-3)
-    assert response_recipe(SMALL, layer) == response_recipe(SMALL, ResponseSettings(method="layer"))  # not heeded
-    assert response_recipe(SMALL, ResponseSettings(tolerance=2e-3)) != recipe
-    assert response_recipe(replace(SMALL, pad=Pad(size_mm=11.0)), settings) != recipe
-    assert response_recipe(replace(SMALL, matrix_material=Material(poisson=0.4)), settings) != recipe
+    assert response_cache_key(SMALL, layer) == response_cache_key(SMALL, ResponseSettings(method="layer"))  # not heeded
+    assert response_cache_key(SMALL, ResponseSettings(tolerance=2e-3)) != key
+    assert response_cache_key(replace(SMALL, pad=Pad(size_mm=11.0)), settings) != key
+    assert response_cache_key(replace(SMALL, matrix_material=Material(poisson=0.4)), settings) != key
 
 
 def test_a_response_is_found_again():

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from time import monotonic
 
-from fem.array.solving import ResponseSettings, response_recipe
-from fem.array.substructured import cell_recipe, lone_unit
+from fem.array.solving import ResponseSettings, response_cache_key
+from fem.array.substructured import cell_cache_key, lone_unit
 from geometry.design import SensorDesign
 from geometry.mesh import mesh_cache_key, suited_settings
 from tripillar.sweep.rows import Row, read_row, write_row
@@ -84,7 +84,7 @@ def shared_stages(sample: Sample, judging: Judging) -> set[str]:
     settings = ResponseSettings(tolerance=judging.tolerance).suited(design)
     alone = lone_unit(design)
     stages = {
-        f"cell {cell_recipe(design, judging.tolerance)}",
-        f"response {response_recipe(design, settings)}",
+        f"cell {cell_cache_key(design, judging.tolerance)}",
+        f"response {response_cache_key(design, settings)}",
     }
     return stages if design.is_homogeneous else stages | {f"mesh {mesh_cache_key(alone, suited_settings(alone))}"}

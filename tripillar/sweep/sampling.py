@@ -7,7 +7,7 @@ from math import ceil, log2
 
 from scipy.stats import qmc
 
-from fem.array.solving import ResponseSettings, response_recipe
+from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
@@ -64,5 +64,5 @@ def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
 
 def row_key(design: SensorDesign, judging: Judging) -> str:
     """Hash of all that a design's row depends on."""
-    response = response_recipe(design, ResponseSettings(tolerance=judging.tolerance))
+    response = response_cache_key(design, ResponseSettings(tolerance=judging.tolerance))
     return digest("row", VERSION, response, design, judging)
