@@ -15,9 +15,9 @@ PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
 def apart(place: str, *arguments: Any, **named: Any) -> Any:
-    """What a function gives that is loaded and run in a new process.
+    """Load and run a function in a new process, and return its result.
 
-    A copy of this process (fork) would be quicker to have, but the mesher crashes in a copy of one that has used TBB.
+    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where everything of a design is: unit centres, electrodes, pillars and pads as plain arrays (mm).
+"""Places of a design's unit centres, electrodes, pillars and pads as plain arrays (mm).
 
 Units run k = i·cols + j over rows i (along y) and columns j (along x); electrodes and pillars in the order of
 `ELECTRODES` and `PILLARS`.

@@ -35,7 +35,7 @@ FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  #: of a tetrahedron, by it
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSettings:
-    """How fine a sensor's mesh is. Edges in mm, never a share of the bounding box: they mean the same in any array."""
+    """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
 
     edge_top_mm: float = quantity(1.25, "wanted edge length at the touched surface, where loads begin and end")
     edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base")

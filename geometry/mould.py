@@ -33,7 +33,7 @@ from geometry.storage.files import require_folder
 
 @dataclass(frozen=True, kw_only=True)
 class Mould:
-    """How the mould's parts are printed. Lengths in mm."""
+    """Settings for printing the mould's parts. Lengths in mm."""
 
     wall_mm: float = quantity(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = quantity(3.0, "thickness of the lid and of the floors")
@@ -69,7 +69,7 @@ def write_cad(design: SensorDesign, folder: Path, mould: Mould | None = None) ->
 
 
 def _block(design: SensorDesign, mould: Mould, bottom_mm: float, top_mm: float) -> Solid:
-    """What every part is cut from: the slab's outline with the rim around it."""
+    """The block that every part is cut from: the slab's outline with the rim around it."""
     x, y, _ = design.slab_mm
     return box(x + 2 * mould.wall_mm, y + 2 * mould.wall_mm, bottom_mm, top_mm)
 

@@ -47,14 +47,14 @@ class Prism:
         return base[:2] + share[:, None] * (top - base)[:2]
 
     def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> np.ndarray:
-        """Which of the points (n, 3) lie inside or on its faces, widened by a slack, shape (n,)."""
+        """True for points (n, 3) inside or on its faces, widened by a slack, shape (n,)."""
         z = points_mm[:, 2]
         level = (z >= self.base_mm[2] - slack_mm) & (z <= self.top_mm[2] + slack_mm)
         across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
         return level & across.all(axis=1)
 
     def distance(self, points_mm: FloatArray) -> FloatArray:
-        """How far points (n, 3) are outside along the axis by which they are furthest out, shape (n,) [mm]."""
+        """Distance of points (n, 3) from the prism along the axis by which they are furthest out, shape (n,) [mm]."""
         z = points_mm[:, 2]
         level = np.clip(z, self.base_mm[2], self.top_mm[2])
         across = np.abs(points_mm[:, :2] - self.axis_at(level)) - np.array(self.section_mm) / 2

@@ -1,4 +1,4 @@
-"""Which crossing of the crossbar reads which pillar.
+"""The crossing of the crossbar that reads each pillar.
 
 U1 of array row i lies on row wire 2i, U2 on 2i+1; L1 of array column j on column wire 2j, L2 on 2j+1. A
 rows × cols array is thus a crossbar of 2·rows × 2·cols wires. Of each unit's four crossings (U2, L2) is

@@ -41,7 +41,7 @@ class CondensedCell:
 
     @property
     def is_definite(self) -> bool:
-        """Whether every displacement of the ports stores energy, as it must with a clamped base."""
+        """True if every displacement of the ports stores energy, as it must with a clamped base."""
         try:
             np.linalg.cholesky(self.stiffness)
         except np.linalg.LinAlgError:
@@ -187,7 +187,7 @@ def condense_by_parity(
 def _parity_part(
     basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, means: FloatArray, parity: Parity
 ) -> CondensedCell:
-    """What displacements of one parity add to a cell; `means` of `_image_means`."""
+    """The share of a cell's matrices that displacements of one parity have; `means` of `_image_means`."""
     nodes = basis.doflocs
     on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
     body = grid_body(basis, stiffness, mirrors=parity)
@@ -211,7 +211,7 @@ def _parity_part(
 
 
 def _is_square(grid: Grid) -> bool:
-    """Whether a grid stays what it is when x and y are exchanged."""
+    """True if a grid stays the same when x and y are exchanged."""
     if not (np.array_equal(grid.x, grid.y) and grid.lean[0] == grid.lean[1]):
         return False
     region = np.broadcast_to(grid.region, grid.shape)

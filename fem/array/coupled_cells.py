@@ -60,7 +60,7 @@ class CoupledArray:
         return q[self._dofs], residual
 
     def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:
-        """What 1 N on one functional of a cell does to another functional of each cell, for all cells.
+        """Influence of 1 N on one functional of a cell on another functional of each cell, for all cells.
 
         Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
         """

@@ -28,7 +28,7 @@ POINTS = 400_000  #: Gauss points at a time, which bounds the memory to some 100
 
 
 def layer_spectrum(q: ArrayLike, poisson: float) -> FloatArray:
-    """What the rigid base takes from a half-space's surface compliance, at wavenumber k, height h and q = k h.
+    """Difference that a rigid base makes to a half-space's surface compliance, at wavenumber k, height h and q = k h.
 
     Parameters
     ----------

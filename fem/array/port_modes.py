@@ -31,7 +31,7 @@ def lobatto(degree: int, t: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PortModes:
-    """Which polynomials a cell's side faces have.
+    """The polynomials of a cell's side faces.
 
     Modes are numbered first over the four vertical edges (`EDGES`), upward functions within, then over the four faces
     (`FACES`), bubbles and upward functions within. Degree of freedom mode·3 + axis moves a mode along an axis.

@@ -24,7 +24,7 @@ METHODS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseSettings:
-    """How a response is computed."""
+    """Method and tolerance of a response."""
 
     method: Literal["cells", "layer", "halfspace"] = "cells"  #: see METHODS
     tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 with other pillars

@@ -26,27 +26,25 @@ from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squar
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 
-VERSION = (
-    2  #: raise when the same design gives another refined cell, by another mesh too: cached ones are not reused then
-)
+VERSION = 2  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
-#: two levels of the grid and the degree of the port modes, dearer from stage to stage
+#: stages of refinement: two levels of the grid, and the degree of the port modes
 GRID_STAGES = ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9))
-#: two levels of the mesh, which divide the edges of the usual settings, and the degree
+#: the same for meshes, whose levels divide the usual edges
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
-COARSE, FINE = 3e-3, 5e-4  #: tolerances: from which the first stage is worth trying, below which the last one is
-COARSE_MESH = 2e-2  #: tolerance from which the first stage of meshes is worth trying
-GRID_RATE = 3.0  #: at which condensed grids are extrapolated; 2.3 to 4 was measured
-LEFT = 0.35  #: share of the extrapolation's own step that is left as error, for rates from 2.3 to 4
-#: share of what the highest degree of the ports changed that is left as error; times 1.2 height over pitch where that
-#: is more than 1, because polynomials up a tall side converge slowly: held against scenes of the whole slab
-PORTS_LEFT = 0.7
-#: weights of attractors of a cell's grid; side and base matter at the rim of the array, where a clamped edge is free
+COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
+COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
+GRID_RATE = 3.0  #: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured
+LEVEL_ERROR = 0.35  #: fraction of the extrapolation's step kept as the error estimate, for rates from 2.3 to 4
+#: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
+#: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
+PORT_ERROR = 0.7
+#: weights of attractors of a cell's grid; side and base count at the rim of the array
 PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0
-FAR = 0.1  #: of the tolerance: influence below this share of a pad's own is far, and left out
-#: among a cell's functionals
+FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
+#: numbers of a cell's functionals: forces on its pad, mean displacements of its electrodes
 PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
-JUDGED = 3  #: rows and columns of the array that a cell's error is judged on, at most
+MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
 
 def response_by_cells(
@@ -103,8 +101,8 @@ def usual_tolerance(design: SensorDesign) -> float:
 
 
 def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
-    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `JUDGED`."""
-    array = replace(design.array, rows=min(JUDGED, design.array.rows), cols=min(JUDGED, design.array.cols))
+    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
+    array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
     bent = replace(design, array=array, resistivity_ohm_mm=1.0)
     return digest("cell", VERSION, bent, tolerance, "Q2")
 
@@ -146,7 +144,7 @@ def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float,
 
 
 def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
-    """Those of `MESH_STAGES` that are worth trying."""
+    """The stages of meshes to try for a tolerance."""
     return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
 
 
@@ -155,9 +153,9 @@ def _cell_of_stage(
 ) -> tuple[CondensedCell, float, str]:
     """A cell condensed at two levels, the estimated error of arrays of it, and a line that says so.
 
-    Condensed grids are extrapolated to the limit; meshes, which differ by chance as well, are not. The error is judged
-    on an array of `JUDGED` rows and columns at most, which has every kind of neighbourhood. It has two parts: of the
-    levels, and of the ports, from what the highest degree of the port modes changed.
+    Grids get a Richardson extrapolation; meshes, which also differ by chance, do not. The error is estimated on an
+    array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood. It is the sum of the error of
+    the levels and that of the ports, a fraction of what their highest degree changed.
     """
     coarse, fine, degree = stage
     start = perf_counter()
@@ -167,7 +165,7 @@ def _cell_of_stage(
         condensed_cell(design, level, degree, rectangles) for level in (coarse, fine)
     )
     condensed = perf_counter()
-    rows, cols = min(JUDGED, design.array.rows), min(JUDGED, design.array.cols)
+    rows, cols = min(MAX_TESTED, design.array.rows), min(MAX_TESTED, design.array.cols)
 
     def array_of(cell: CondensedCell) -> FloatArray:
         return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
@@ -177,13 +175,13 @@ def _cell_of_stage(
         if not cell.is_definite:  # the coarse level may not know the highest modes
             cell = two
         answer = array_of(cell)
-        step_on = LEFT * block_error(array_of(two), answer)
+        step_on = LEVEL_ERROR * block_error(array_of(two), answer)
         levels = step_on or error_after([coarse, fine], [block_error(array_of(one), answer)])
     else:
         cell, answer = two, array_of(two)
         levels = error_after([coarse, fine], [block_error(array_of(one), answer)])
     slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
-    ports = PORTS_LEFT * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
+    ports = PORT_ERROR * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
     seconds["mesh"] += meshed_one + meshed_two
     seconds["condense"] += condensed - start - meshed_one - meshed_two
     seconds["couple"] += perf_counter() - condensed

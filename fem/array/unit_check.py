@@ -31,7 +31,7 @@ VERSION = 1  #: raise when the same mesh gives another solution, so that cached 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitCheck:
-    """How far the cell of an array's response is from a unit solved by other tools."""
+    """Difference between the cell of an array's response and a unit solved by other tools."""
 
     difference: float  #: of the electrodes' displacements per newton on the pad, relative to the response's own
     cells: int  #: tetrahedra of the unit's mesh

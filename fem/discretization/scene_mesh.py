@@ -1,4 +1,4 @@
-"""What is meshed for a scene: its body and the prisms inside it, coarsely; they are refined where it counts later."""
+"""The coarse mesh of a scene's body and of the prisms inside it; it is refined later, where that counts."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -70,7 +70,7 @@ def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
 
 
 def scene_task(outline: Prism, prisms: Sequence[Prism], edge_mm: float, envelope_mm: float) -> MeshTask:
-    """What the mesher is to do: each prism a region of its own, with the volume that it has where none cuts it."""
+    """The mesher's task: each prism is a region of its own, its volume known where no other cuts it."""
     background, wanted_mm = wanted_edges(outline, prisms, edge_mm)
     alone = [
         not any(prism.cuts(other, 1e-9 * prism.height_mm) for other in prisms if other is not prism) for prism in prisms

@@ -22,17 +22,15 @@ from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
 
-GRID_LEVEL, GRID_DEGREE = (
-    2,
-    6,
-)  #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (3, 6: 0.3 %, in four times the time)
+#: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time)
+GRID_LEVEL, GRID_DEGREE = 2, 6
 MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FieldState:
-    """What loads an array, and how its cells answer: all that observers need."""
+    """The loads of an array and the displacements of its ports: all that observers need."""
 
     force_n: FloatArray  #: (n_units, 3) on each pad, z negative pushing down; of k loaded rectangles (n_units, k·3)
     port_mm: FloatArray  #: (n_units, n_modes·3), port displacements of each cell

@@ -14,7 +14,7 @@ from geometry.layout import FloatArray
 
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 
-MOST = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
+MAX_PERCENTILE = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
 ROOM = 0.15  #: of a scale, that a label takes
 SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
 BELOW = ("#053061", "#3f8ec0", "#ffffff")  #: from the least value to 0
@@ -25,7 +25,7 @@ COLOURED_NOT = ("matrix", "electrodes", "pads")  #: parts whose colour says noth
 
 @dataclass(frozen=True)
 class Quantity:
-    """What colour shows."""
+    """A quantity that colour can show."""
 
     title: str
     of: Callable[[Part], FloatArray]  #: a part to values (n,) at its points
@@ -53,7 +53,7 @@ class Bar:
 
     @property
     def labels(self) -> dict[float, str]:
-        """What stands beside which value: round numbers, and both ends as they are."""
+        """Labels by value: round numbers, and both ends as they are."""
         words = {tick: _number(tick) for tick in colour_ticks(self.low, self.high).tolist()}
         if self.is_cut:
             words[self.high] = f"≥ {words[self.high]}"
@@ -69,7 +69,7 @@ def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
     solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
     values = np.concatenate([quantity.of(part) for _, part in solid])
     whose = "" if solid[0][0] == "body" else f" of the {solid[0][0]}"
-    share = MOST if quantity.of_stress else 100.0
+    share = MAX_PERCENTILE if quantity.of_stress else 100.0
     low, high = (float(np.percentile(values, q)) for q in (100 - share, share))
     low, high = min(low, 0.0), max(high, 0.0)
     if low == high:

@@ -1,6 +1,6 @@
-"""What stands beside a body in a picture: a scale bar and the axes, as meshes that lie where the body stands.
+"""The scale bar and the axes beside a body in a picture, as meshes in its coordinates.
 
-They are part of what is looked at: as right in perspective, in a film or turned in a browser as in a plain view.
+So they are right in perspective, in a film and turned in a browser, too.
 """
 
 from typing import Literal

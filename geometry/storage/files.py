@@ -1,7 +1,7 @@
-"""Writing files whole or not at all, and knowing what made them.
+"""Files are written whole or not at all, and carry the cache key of what made them.
 
-Every file that a stage hands over carries a *recipe*: a short hash of all that its content depends on. A file
-whose recipe equals the wanted one need not be made again.
+A cache key is a short hash of all that a file's content depends on (`digest`); files call it `recipe`. A file with the
+wanted key is not made again.
 """
 
 import errno
@@ -215,5 +215,5 @@ def uninterrupted() -> Iterator[None]:
 
 
 def cache_folder() -> Path:
-    """Where meshes and responses are kept by recipe: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
+    """Folder of meshes and responses, named by their cache keys: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
     return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))

@@ -80,7 +80,7 @@ def say_made_anew(path: Path) -> None:
 
 
 def _seal_at(content: mmap) -> int:
-    """Where the 64 digits of the hash begin; below 0 if there are none."""
+    """Offset of the hash's 64 digits; below 0 if there are none."""
     at = content.rfind(MARK, max(0, len(content) - _TAIL))
     if at < 0:
         at = content.find(MARK, 0, _HEADER)

@@ -9,7 +9,7 @@ VTK_POLY_DATA = 0  #: VTK's number of surfaces among its kinds of data
 
 
 def vtk_content(grid: "pv.DataSet") -> bytes:
-    """What the VTU file of a grid or the VTP file of a surface holds."""
+    """Content of the VTU file of a grid or the VTP file of a surface."""
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
     is_surface = grid.GetDataObjectType() == VTK_POLY_DATA

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and a recipe changes with whatever it is made of."""
+"""Files are written whole or not at all, and a cache key changes with all that it is made of."""
 
 import os
 import signal
@@ -67,7 +67,7 @@ def test_files_have_the_permissions_that_open_gives(tmp_path, umask):
 
 
 def test_digest_is_the_same_in_every_process():
-    """Pinned: a change here makes every cache and every recorded recipe worthless."""
+    """Pinned: a change here makes every cache and every recorded key worthless."""
     assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
 
 

@@ -1,4 +1,4 @@
-"""Meshes: exact boxes, regions of the right volume, one mesh a recipe, and no trace but the cache file."""
+"""Meshes: exact boxes, regions of the right volume, one mesh a cache key, and no trace but the cache file."""
 
 import os
 from dataclasses import replace
