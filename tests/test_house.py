@@ -22,7 +22,6 @@ RIDDLES = ("What", "How", "Who")
 #: rooms of one floor that import each other all the same
 TANGLED = {
     ("fem.array", "fem.methods"), ("fem.discretization", "fem.methods"), ("fem.methods", "fem.scene"),
-    ("tripillar.pipeline", "tripillar.terminal"),
 }  # fmt: skip
 #: functions named like their module all the same
 SAME_NAME = {

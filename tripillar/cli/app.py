@@ -41,6 +41,7 @@ app = typer.Typer(
 
 
 def show_version(asked: bool) -> None:
+    """Print the version and end, if asked to."""
     if asked:
         print(f"tripillar {metadata.version('tripillar')}")
         raise typer.Exit

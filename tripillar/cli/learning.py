@@ -228,7 +228,8 @@ def evaluate(
 
         show_json(as_plain(assessed))
     else:
-        from tripillar.terminal.tables import assessment_table, show
+        from tripillar.cli.tables import assessment_table
+        from tripillar.terminal.tables import show
 
         show(assessment_table(assessed))
         say_untrusted(decoupler)
@@ -265,7 +266,8 @@ def crossval(
     if json_:
         show_json({"feature": network.feature} | summary(tested))
     else:
-        from tripillar.terminal.tables import crossval_table, show
+        from tripillar.cli.tables import crossval_table
+        from tripillar.terminal.tables import show
 
         show(crossval_table(tested))
 

@@ -30,8 +30,9 @@ def run(
 
     The stages are CAD, response, unit, data sets, networks and table. What did not change is not made again.
     """
+    from tripillar.cli.tables import comparison_table, stage_table, touch_table
     from tripillar.pipeline.run import run_pipeline
-    from tripillar.terminal.tables import comparison_table, show, stage_table, touch_table
+    from tripillar.terminal.tables import show
 
     sensor = chosen(design)
     with progress_bars(verbosity) as bars:

@@ -63,7 +63,8 @@ def solve(
     if json_:
         show_json(solution_as_plain(solution, plan))
     else:
-        from tripillar.terminal.tables import show, solution_table
+        from tripillar.cli.tables import solution_table
+        from tripillar.terminal.tables import show
 
         if explain:
             print(*solution.steps, sep="\n")

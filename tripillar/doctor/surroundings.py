@@ -1,4 +1,4 @@
-"""What TriPillar finds on this machine: packages, solver, memory, display, serial ports, the simulated chip's tools."""
+"""Checks of what is on this machine: packages, solver, memory, display, serial ports, the simulated chip's tools."""
 
 import os
 import platform
@@ -47,6 +47,7 @@ def surroundings() -> Iterator[Check]:
 
 
 def python() -> Check:
+    """Check the version of Python."""
     found = f"{platform.python_version()} on {platform.platform(terse=True)}"
     new_enough = sys.version_info >= (3, 11)
     advice = "" if new_enough else "TriPillar needs Python 3.11 or newer."
@@ -78,6 +79,7 @@ def packages() -> Iterator[Check]:
 
 
 def solver() -> Check:
+    """Name the linear solver that is installed."""
     from fem.linear.linear_solver import solver_name
 
     name = solver_name()
@@ -87,6 +89,7 @@ def solver() -> Check:
 
 
 def machine() -> Check:
+    """Count the cores and the free memory."""
     import psutil
 
     memory = psutil.virtual_memory()
@@ -99,6 +102,7 @@ def machine() -> Check:
 
 
 def cache() -> Check:
+    """Try whether the cache's folder can be written."""
     from geometry.storage.files import cache_folder
 
     folder = cache_folder()
@@ -127,6 +131,7 @@ def display() -> Check:
 
 
 def serial_ports() -> Check:
+    """List the serial ports and whether this user may open them."""
     from hardware.link.serial_ports import list_ports
 
     found = [port.device for port in list_ports()]
@@ -141,6 +146,7 @@ def serial_ports() -> Check:
 
 
 def firmware_tools() -> Check:
+    """Find the tools that build and run a simulated board."""
     from hardware.boards.simavr_board import find_tools
 
     missing = find_tools()

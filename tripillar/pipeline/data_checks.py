@@ -21,7 +21,7 @@ def warn(note: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Caller:
-    """Who asks: the command line, which names its files, or Python. It gets messages and progress."""
+    """The command line, which names its files, or Python: gets messages and progress."""
 
     samples: str = "samples"  #: name of the samples in messages
     model: str = "model"  #: name of the model in messages

@@ -1,1 +1,1 @@
-"""What every command shares: output, progress, errors, interrupts."""
+"""Parts that all commands share: output, progress, errors, interrupts."""

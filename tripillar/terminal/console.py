@@ -1,4 +1,4 @@
-"""What all commands share: options, and how results and messages leave: results on stdout, the rest on stderr."""
+"""Options that all commands share; results go to stdout, all else to stderr."""
 
 import json
 import sys
@@ -64,6 +64,7 @@ def say(note: str) -> None:
 
 
 def show_json(result: dict[str, Any]) -> None:
+    """Print a result as one JSON object on stdout."""
     print(json.dumps(result, indent=2))
 
 

@@ -1,4 +1,4 @@
-"""How every program here ends: 0, 2 with one line for a user's mistake, 130 for Ctrl-C."""
+"""The end of every program here: exit code 0, 2 with one line for a user's mistake, 130 for Ctrl-C."""
 
 import io
 import os

@@ -56,7 +56,7 @@ def ending() -> bool:
 
 @contextmanager
 def last_words(said: str) -> Iterator[None]:
-    """What is said if the process is interrupted meanwhile."""
+    """Say this if the process is interrupted meanwhile."""
     _last_words.append(said)
     try:
         yield

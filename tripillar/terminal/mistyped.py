@@ -1,4 +1,4 @@
-"""What is said of a mistyped command: one line with what was given, what is allowed, and where to read more."""
+"""Messages for mistyped commands: one line with what was given, what is allowed, and where to read more."""
 
 from typing import Any
 

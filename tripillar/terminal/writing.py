@@ -1,4 +1,4 @@
-"""How studies write what they found, whole or not at all."""
+"""Writing of text and JSON, whole or not at all."""
 
 import json
 from pathlib import Path
@@ -8,6 +8,7 @@ from geometry.storage.files import replacing
 
 
 def write_text(text: str, path: Path) -> None:
+    """Write a text in UTF-8."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

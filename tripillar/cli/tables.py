@@ -1,0 +1,156 @@
+"""Tables of results that the commands print."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from decoupler.evaluation.assessment import Assessment
+from decoupler.evaluation.crossval import Fold, over_folds
+from decoupler.evaluation.metrics import ForceErrors
+from fem.scene.solution import Solution
+from geometry.layout import AXES
+from tripillar.pipeline.comparison import AT_REST, TOUCHES_N, Comparison
+from tripillar.pipeline.manufactured import PAIRS, READ
+from tripillar.pipeline.run import CAP, SPLITS, Stage
+
+AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
+
+
+def comparison_table(comparisons: list[Comparison]) -> Table:
+    """Errors of every decoupler on every protocol's test samples, beside the paper's."""
+    (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
+    table = Table(
+        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%}), noise-free",
+        caption="Test samples come from the response that ours starts from; full scale is the largest force on a pad.\n"
+        f"{AS_READ}: relative error of the same networks on the same samples, read with that noise and converter.\n"
+        "At rest: nothing is on the sensor. As made: relative error on a sensor whose geometry, rubber, gains and\n"
+        f"offsets are a little off, with that noise and converter; tuned: after {PAIRS} measured pairs of it",
+    )
+    table.add_column("data")
+    table.add_column("decoupler")
+    for header in ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "tuned"):
+        table.add_column(escape(header), justify="right")
+    for comparison in comparisons:
+        title = f"{comparison.protocol}\nto {comparison.full_scale_n:.0f} N a pad"
+        table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}")
+        for entry in comparison.entries:
+            at_rest = "" if entry.at_rest_n is None else f"{entry.at_rest_n:.3f}"
+            read, *made = [
+                f"{errors.rel_err:.2%}" if errors and errors.rel_err else ""
+                for errors in (entry.as_read, entry.as_made, entry.as_made_tuned)
+            ]
+            table.add_row("", entry.decoupler, *_error_cells(entry.errors), read, at_rest, *made)
+        floor = f"PCA floor of {comparison.floor_hidden} nodes"
+        table.add_row("", floor, *_error_cells(comparison.plain_floor), style="dim", end_section=True)
+    return table
+
+
+def touch_table(comparisons: list[Comparison]) -> Table:
+    """Errors in newtons of the force on one pad that is touched, for networks trained under load."""
+    table = Table(
+        title="One pad touched, nothing else on the sensor: error of its force [N], exact readings / " + AS_READ,
+        caption="Root mean square over all pads; the networks of the table above. As made, tuned, zeroed: what the\n"
+        f"sensor shows with nothing on it, the mean of {AT_REST} readings, is taken off",
+    )
+    table.add_column("data")
+    table.add_column("decoupler")
+    for size_n in TOUCHES_N:
+        table.add_column(f"{size_n:g} N", justify="right")
+    for comparison in comparisons:
+        for number, one in enumerate(comparison.touches):
+            cells = [
+                f"{_newtons(exact)} / {_newtons(read)}" for exact, read in zip(one.exact_n, one.read_n, strict=True)
+            ]
+            table.add_row("" if number else comparison.protocol, one.decoupler, *cells)
+        table.add_section()
+    return table
+
+
+def _newtons(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
+
+
+def stage_table(stages: list[Stage]) -> Table:
+    """Time of every stage, and what was reused."""
+    table = Table(title="Stages")
+    table.add_column("stage")
+    table.add_column("seconds", justify="right")
+    table.add_column("")
+    for stage in stages:
+        table.add_row(stage.name, f"{stage.seconds:.1f}", "reused, nothing changed" if stage.reused else stage.note)
+    table.add_row("all", f"{sum(stage.seconds for stage in stages):.1f}", "")
+    return table
+
+
+def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
+    """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
+    table = Table(caption=_coverage(assessed))
+    table.add_column("force")
+    table.add_column("decoupler")
+    for header in ("relative error", "RMSE [N]", "% of full scale", "times the limit"):
+        table.add_column(escape(header), justify="right")
+    for name, one in assessed.items():
+        table.add_row(name, "this model", *_error_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
+        if one.limits is not None:
+            unbiased = one.limits.cramer_rao_n
+            shown = "not determined" if unbiased is None else f"{unbiased:.3f}"
+            table.add_row("", "limit without bias (Cramér-Rao)", "", shown, "", "", style="dim")
+            table.add_row("", "limit knowing the usual loads", "", f"{one.limits.bayes_n:.3f}", "", "", style="dim")
+        for label, errors in one.baselines.items():
+            table.add_row("", label, *_error_cells(errors), "")
+        if one.light is not None:
+            light, limit = one.light, one.light.touch_limit_n
+            times = "–" if limit is None else f"{light.touch_rmse_n / limit:.3f}"
+            table.add_row("", "this model with nothing on the sensor", "", f"{light.at_rest_rmse_n:.3f}", "", "")
+            table.add_row("", "this model under 0-10 N on one pad", "", f"{light.touch_rmse_n:.3f}", "", times)
+        table.add_section()
+    return table
+
+
+def _coverage(assessed: Mapping[str, Assessment]) -> str:
+    shares = [
+        f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}"
+        for name, one in assessed.items()
+        if one.coverage is not None
+    ]
+    return f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
+
+
+def crossval_table(tested: list[Fold]) -> Table:
+    """Errors of every fold, their mean and their spread."""
+    table = Table(title=f"{len(tested)}-fold cross-validation")
+    for header in ("fold", "force", "relative error", "RMSE [N]", "% of full scale", "iterations", "seconds"):
+        table.add_column(escape(header), justify="right")
+    for number, fold in enumerate(tested, 1):
+        for row, (name, errors) in enumerate(fold.errors.items()):
+            trained = ("", "") if row else (str(fold.iterations), f"{fold.seconds:.1f}")
+            table.add_row("" if row else str(number), name, *_error_cells(errors), *trained)
+    table.add_section()
+    for label, statistic in (("mean", np.mean), ("spread", np.std)):
+        for name, errors in over_folds(tested, statistic).items():
+            table.add_row(label, name, *_error_cells(errors), "", "")
+    return table
+
+
+def solution_table(solution: Solution) -> Table:
+    """Displacement of every probe of a scene, with how far to trust it below."""
+    seconds = sum(solution.seconds.values())
+    table = Table(
+        min_width=100,
+        caption=f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, "
+        f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s",
+    )
+    table.add_column("probe")
+    for axis in AXES:
+        table.add_column(escape(f"u{axis} [mm]"), justify="right")  # else rich takes [mm] for a style
+    for name, displacement in solution.probes.items():
+        table.add_row(escape(name), *(f"{u:.6g}" for u in displacement))
+    return table
+
+
+def _error_cells(errors: ForceErrors) -> tuple[str, str, str]:
+    relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
+    share = "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
+    return relative, f"{errors.rmse_n:.3f}", share
