@@ -5,7 +5,6 @@ slid over by a round indenter.
 """
 
 import time
-from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any
@@ -44,22 +43,8 @@ TITLES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Crosstalk:
-    """Errors of one read-out in resistances, in percent."""
-
-    mode: str
-    switch_ohm: float
-    bits: int
-    uncorrected_mean_pct: float
-    rms_pct: float
-    worst_pct: float
-    batch_us: float  #: a scan, many together
-    single_us: float  #: a scan alone, one after another
-
-
-def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> Crosstalk:
-    """Errors and times of one read-out over a motion."""
+def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> dict[str, Any]:
+    """Errors of one read-out in percent, and times of a scan, many together and alone, over a motion."""
     rows, cols = motion.resistance_ohm.shape[1:3]
     crossbar = Crossbar.suited(mode, rows=rows, cols=cols, switch_ohm=switch_ohm, bits=bits)
     exact = motion.resistance_ohm
@@ -73,16 +58,16 @@ def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> C
         corrector.correct(readings[k : k + 1])
         alone_s.append(time.perf_counter() - start)
     error = 100.0 * (found / exact - 1.0)
-    return Crosstalk(
-        mode=mode.name,
-        switch_ohm=switch_ohm,
-        bits=bits,
-        uncorrected_mean_pct=float(100.0 * np.abs(crossbar.uncorrected(readings) / exact - 1.0).mean()),
-        rms_pct=float(np.sqrt((error**2).mean())),
-        worst_pct=float(np.abs(error).max()),
-        batch_us=1e6 * batch_s,
-        single_us=1e6 * float(np.median(alone_s)),
-    )
+    return {
+        "mode": mode.name,
+        "switch_ohm": switch_ohm,
+        "bits": bits,
+        "uncorrected_mean_pct": float(100.0 * np.abs(crossbar.uncorrected(readings) / exact - 1.0).mean()),
+        "rms_pct": float(np.sqrt((error**2).mean())),
+        "worst_pct": float(np.abs(error).max()),
+        "batch_us": 1e6 * batch_s,
+        "single_us": 1e6 * float(np.median(alone_s)),
+    }
 
 
 def forces_by(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, Any]:
@@ -174,7 +159,7 @@ def bench(
         model = joint_net(response)
         found = {
             "crosstalk": [
-                asdict(crosstalk(motion, mode, switch_ohm, bits))
+                crosstalk(motion, mode, switch_ohm, bits)
                 for mode in ScanMode
                 for switch_ohm in (25.0, 100.0)
                 for bits in (10, 12, 16)

@@ -46,9 +46,7 @@ def draw_figure_8(response: ArrayResponse, sample: Sample, path: Path) -> None:
     draw_electrode_grid(response, np.array(sample.traction_mpa), path)
 
 
-def draw_electrode_grid(
-    response: ArrayResponse, traction_mpa: FloatArray | None, path: Path, scale: float = 1.0
-) -> None:
+def draw_electrode_grid(response: ArrayResponse, traction_mpa: FloatArray | None, path: Path) -> None:
     """Write a PNG of the grid of upper electrodes U1, as the paper's figures 6 and 8.
 
     Circles are the electrodes at rest; loaded, a net joins where they have moved to, coloured by how far.
@@ -60,8 +58,6 @@ def draw_electrode_grid(
         Traction on each pad, z negative pushing down [MPa]; None: the grid at rest (figure 6).
     path : Path
         PNG file to write.
-    scale : float
-        Factor by which displacement is drawn; 1 is true.
     """
     from matplotlib.figure import Figure
 
@@ -73,7 +69,7 @@ def draw_electrode_grid(
     if traction_mpa is not None:
         force = (np.asarray(traction_mpa) * design.pad.size_mm**2).reshape(shape)
         moved = np.tensordot(response.influence_mm_per_n[:, :, 0], force, axes=3)
-    now, far = rest + scale * moved, np.linalg.norm(moved, axis=2)
+    now, far = rest + moved, np.linalg.norm(moved, axis=2)
     wide = 7.6 if traction_mpa is None else 9.2  # inches, with room for the colour bar
     figure = Figure(figsize=(wide, 5.4))
     axes: Any = figure.add_axes((0.0, -0.12, 7.0 / wide, 1.26), projection="3d", computed_zorder=False)
@@ -94,8 +90,7 @@ def draw_electrode_grid(
         bar = figure.colorbar(dots, cax=figure.add_axes((0.86, 0.22, 0.025, 0.6)))
         bar.set_label("displacement of the electrode [mm]", fontsize=13)
         bar.ax.tick_params(labelsize=12)
-        times = "" if scale == 1 else f", displacement drawn {scale:g} times"
-        figure.legend(loc="upper left", title=f"electrodes U1{times}", frameon=False, fontsize=12, title_fontsize=13)
+        figure.legend(loc="upper left", title="electrodes U1", frameon=False, fontsize=12, title_fontsize=13)
     reach = np.abs(np.concatenate([rest, now])[..., :2]).max() * 1.05
     low = min(0.0, float(now[..., 2].min()))
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))

@@ -6,7 +6,6 @@ Files are small: colours are rounded where nobody sees it, and the moving pictur
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from fem.fields.array_field import array_field
@@ -15,11 +14,11 @@ from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
+from studies.charts import save_small
 from tripillar.terminal.entry import run_alone
 from tripillar.viewer.page.controls import Indenter, PadLoad
 from tripillar.viewer.sights import panels_of
 
-STEP = 5  #: of 255 levels of a colour: nobody sees it, and a PNG is half as large
 PRESSED_MPA, DRAGGED_MPA = 5.0, 1.0  #: of the moving picture: the most of the datasets
 DOWN, ROUND = 8, 30  #: its frames: to press or to lift, and to go round
 WIDE, FRAME_MS, QUALITY = 720, 80, 45
@@ -37,13 +36,6 @@ def draw(folder: Path) -> None:
         save_small(picture.plotter.screenshot(return_img=True), folder / name)
         picture.plotter.close()
     draw_moving(SensorDesign(), folder / "deforming-array.webp")
-
-
-def save_small(image: NDArray[np.uint8], path: Path) -> None:
-    """Write a picture (rows, cols, 3) as a small PNG."""
-    levels = np.clip(np.rint(image / STEP) * STEP, 0, 255).astype(np.uint8)
-    with replacing(path) as temporary:
-        Image.fromarray(levels).save(temporary, "PNG", optimize=True)
 
 
 def draw_moving(design: SensorDesign, path: Path) -> None:

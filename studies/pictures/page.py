@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from geometry.storage.files import replacing
+from studies.charts import save_small
 from studies.pictures.browser import page_in_chromium
 from tripillar.terminal.entry import run_alone
 
-STEP = 5  #: of 255 levels of a colour: nobody sees it, and the file is half as large
 SETTLED_MS = 2500  #: without news: the fine picture has come
 
 
@@ -29,9 +28,7 @@ def draw(out: Path) -> None:
             said = now
             page.wait_for_timeout(SETTLED_MS)
         with Image.open(io.BytesIO(page.screenshot())) as screen:
-            levels = np.rint(np.asarray(screen.convert("RGB")) / STEP) * STEP
-        with replacing(out) as temporary:
-            Image.fromarray(levels.astype(np.uint8)).save(temporary, "PNG", optimize=True)
+            save_small(np.asarray(screen.convert("RGB")), out)
 
 
 if __name__ == "__main__":
