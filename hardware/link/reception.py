@@ -8,6 +8,7 @@ from hardware.link.frames import MAX_DRIFT, Errors, Frame, FrameDecoder, Info, S
 
 _TURN_US = 2**32  # the board's clock starts again from 0
 _BUCKET_S = 1.0  # the quickest frame of each second is kept
+_MAX_POINTS = 20  # so many seconds back frames count
 _MIN_POINTS = 4  # for a drift: with fewer, one second without a quick frame would tilt the line
 
 
@@ -182,11 +183,6 @@ class DeviceClock:
     A frame may arrive late by anything (buffers, other programs) but never early. So only the quickest frames of the
     last seconds set the offset and the drift.
 
-    Parameters
-    ----------
-    window_s : float
-        How far back frames count [s].
-
     Notes
     -----
     `host_time` is late by the link's least delay, which cannot be told from the clock's offset.
@@ -204,8 +200,8 @@ class DeviceClock:
     12.6
     """
 
-    def __init__(self, window_s: float = 20.0) -> None:
-        self._quickest: deque[tuple[float, float]] = deque(maxlen=max(_MIN_POINTS, round(window_s / _BUCKET_S)))
+    def __init__(self) -> None:
+        self._quickest: deque[tuple[float, float]] = deque(maxlen=_MAX_POINTS)
         self.restart()
 
     def restart(self) -> None:

@@ -128,7 +128,7 @@ def record(
 
     stated = None if calibration is None else Path(calibration)
     with connect(port, stated, queue=RECORDING_QUEUE, **settings) as (scanner, known):
-        return record_scans(scanner, Path(path), seconds, known, append=append)[0]
+        return record_scans(scanner, Path(path), seconds, known if calibration else None, append=append)[0]
 
 
 def replay(
