@@ -11,7 +11,11 @@ from fem.pictures.colours import Bar
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.layout import AXES, PILLARS, FloatArray, unit_centres
+from tripillar.viewer.page.controls import MAX_PRESSURE_MPA
+from tripillar.viewer.page.sensing import Reading
 
+CAP = 0.3  #: largest pillar strain of the datasets and of the paper
+FULL_AT = {"resistance": 2.0, "force": 10.0}  #: smallest % and N that a map's strongest colour stands for
 UP, DOWN = (214, 69, 65), (47, 110, 186)  #: red above, blue below 0
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 MIN_SHOWN_MPA = 0.02  #: of a pad's pressure or shear; less is not shown
@@ -28,6 +32,53 @@ kind = "array"
 
 [design]
 """
+
+
+def beside_picture(
+    tab: str, unit: int, traction_mpa: FloatArray, applied_n: FloatArray, reading: Reading, change: FloatArray
+) -> dict[str, Any]:
+    """The numbers beside the picture: those of the chosen tab, of the chosen unit, and of the whole array.
+
+    Parameters
+    ----------
+    tab, unit : str, int
+        The chosen ones.
+    traction_mpa : array, shape (n_units, 3)
+    applied_n, change : arrays, shape (rows, cols, 3)
+        Forces, NaN where unknown; relative change of the resistances from rest.
+    reading : Reading
+    """
+    _, cols, _ = change.shape
+    row, col = divmod(unit, cols)
+    if tab == "table":
+        of_tab: dict[str, Any] = {"rows": table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)}
+    elif tab == "time":
+        of_tab = {"sample": sample(change, reading.force_n)}
+    else:
+        of_tab = {
+            "resistance_maps": [
+                as_map(f"{name} pillar", "%", 100.0 * change[..., k], FULL_AT["resistance"])
+                for k, name in enumerate(PILLARS)
+            ],
+            "force_maps": [
+                as_map(f"F{name}", "N", reading.force_n[..., k], FULL_AT["force"], digits=0)
+                for k, name in enumerate(AXES)
+            ],
+        }
+    shown = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
+    worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)
+    strain = float(reading.strain[worst])
+    missed = reading.force_n - applied_n
+    known = missed[np.isfinite(missed)]
+    return of_tab | unit_rows(*(values[row, col] for values in shown)) | {
+        "pads": pad_cells(traction_mpa, cols, MAX_PRESSURE_MPA),
+        "unit_name": f"row {row}, col {col}",
+        "strain": text(100.0 * strain, 1),
+        "strain_share": min(strain / CAP, 1.0) * 100.0,
+        "strain_over": strain > CAP,
+        "strain_at": f"{PILLARS[worst[2]]} pillar of row {worst[0]}, col {worst[1]}",
+        "rms": text(float(np.sqrt(np.mean(known**2))), 2) if known.size else "",
+    }  # fmt: skip
 
 
 def as_map(title: str, unit: str, values: FloatArray, full_at: float, digits: int = 1) -> dict[str, Any]:

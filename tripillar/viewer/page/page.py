@@ -12,7 +12,7 @@ from dataset.resistance import rest_resistances
 from dataset.simulation import forces
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import FloatArray
 from tripillar.viewer.page import numbers
 from tripillar.viewer.page.controls import (
     MAX_PRESSURE_MPA,
@@ -30,8 +30,6 @@ from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Shown, Superposition
 from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel, by_unit, tractions
 
-CAP = 0.3  #: largest pillar strain of the datasets and of the paper
-FULL_AT = {"resistance": 2.0, "force": 10.0}  #: smallest % and N that a map's strongest colour stands for
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
 
@@ -88,7 +86,7 @@ class Page:
             "rows": array.rows,
             "cols": array.cols,
             "pitch_mm": array.pitch_mm,
-            "cap": 100 * CAP,
+            "cap": 100 * numbers.CAP,
             "friction": FRICTION,
             "decoupler": self._subject.decoupler,
             "sensor": None if feed is None else feed.port,
@@ -171,7 +169,10 @@ class Page:
         self.pictures.schedule_render()
         feed = self._subject.feed
         heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
-        return self._numbers(reading, change) | heard | {
+        shown_numbers = numbers.beside_picture(
+            controls["tab"], controls["pad"], self._traction, self._applied_n(), reading, change
+        )
+        return shown_numbers | heard | {
             "trouble": "" if feed is None else feed.trouble,
             "legend": [numbers.legend(bar) for bar in (legend, PADS_BAR)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
@@ -209,37 +210,3 @@ class Page:
         """Forces on the pads, (rows, cols, 3) [N]; NaN for a sensor, of which they are unknown."""
         applied_n = by_unit(forces(self._traction, self._design), self._design)
         return np.full_like(applied_n, np.nan) if self.controls["source"] == "sensor" else applied_n
-
-    def _numbers(self, reading: Reading, change: FloatArray) -> dict[str, Any]:
-        """The numbers beside the picture: those of the chosen tab, of the chosen unit, and of the whole array."""
-        controls, cols, applied_n = self.controls, self._design.array.cols, self._applied_n()
-        row, col = divmod(controls["pad"], cols)
-        if controls["tab"] == "table":
-            tab: dict[str, Any] = {"rows": numbers.table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)}
-        elif controls["tab"] == "time":
-            tab = {"sample": numbers.sample(change, reading.force_n)}
-        else:
-            tab = {
-                "resistance_maps": [
-                    numbers.as_map(f"{name} pillar", "%", 100.0 * change[..., k], FULL_AT["resistance"])
-                    for k, name in enumerate(PILLARS)
-                ],
-                "force_maps": [
-                    numbers.as_map(f"F{name}", "N", reading.force_n[..., k], FULL_AT["force"], digits=0)
-                    for k, name in enumerate(AXES)
-                ],
-            }
-        of_unit = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
-        worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)
-        strain = float(reading.strain[worst])
-        missed = reading.force_n - applied_n
-        known = missed[np.isfinite(missed)]
-        return tab | numbers.unit_rows(*(values[row, col] for values in of_unit)) | {
-            "pads": numbers.pad_cells(self._traction, cols, MAX_PRESSURE_MPA),
-            "unit_name": f"row {row}, col {col}",
-            "strain": numbers.text(100.0 * strain, 1),
-            "strain_share": min(strain / CAP, 1.0) * 100.0,
-            "strain_over": strain > CAP,
-            "strain_at": f"{PILLARS[worst[2]]} pillar of row {worst[0]}, col {worst[1]}",
-            "rms": numbers.text(float(np.sqrt(np.mean(known**2))), 2) if known.size else "",
-        }  # fmt: skip
