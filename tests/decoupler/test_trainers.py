@@ -1,0 +1,187 @@
+"""The trainers' algebra: structured matrices, gradients and steps against dense ones from autograd, eq. 15 by hand."""
+
+import numpy as np
+import pytest
+import torch
+
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.training.levenberg_marquardt import GaussNewton
+from decoupler.training.momentum import momentum_step
+from decoupler.training.network import Network, TrainingSet
+from decoupler.training.varpro import Projected, projected, train_varpro
+
+N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 50, 4, 3, 5
+RIDGE = 0.1
+
+
+def assert_close(actual, expected):
+    """1e-10 is for rounding only."""
+    assert torch.linalg.norm(actual - expected) <= 1e-10 * torch.linalg.norm(expected)
+
+
+@pytest.fixture(params=["plain", "skip"])
+def problem(request):
+    """Samples, and a network away from any special point."""
+    generator = torch.Generator().manual_seed(1)
+    inputs = torch.rand(N_SAMPLES, N_IN, generator=generator, dtype=torch.float64) * 2 - 1
+    targets = torch.rand(N_SAMPLES, N_OUT, generator=generator, dtype=torch.float64) * 2 - 1
+    network = Network(NetworkConfig(hidden=N_HIDDEN, net=request.param), N_IN, N_OUT, seed=2)
+    return TrainingSet(inputs, targets, network.skip), network
+
+
+@pytest.fixture
+def dense(problem):
+    """The problem's matrix of blocks, the dense Jacobian of its residuals, and these."""
+    samples, network = problem
+    hidden, output = network.hidden.detach(), network.output.detach()
+
+    def residual(hidden, output):
+        weights = {"hidden": hidden, "output": output}
+        return (torch.func.functional_call(network, weights, samples.X[:, :-1]) - samples.targets).reshape(-1)
+
+    by_hidden, by_output = torch.func.jacrev(residual, argnums=(0, 1))(hidden, output)
+    J = torch.cat([by_hidden.flatten(1), by_output.flatten(1)], dim=1)
+    return GaussNewton(samples, hidden, output), J, residual(hidden, output)
+
+
+@pytest.fixture
+def variable(problem):
+    """The problem at the best output weights, and Kaufman's matrix: J₁ᵀJ₁ less what the output layer can follow."""
+    samples, network = problem
+    point = projected(samples, network.hidden.detach(), RIDGE)
+
+    def outputs(hidden, output):
+        return (samples.activations(hidden) @ output.T).reshape(-1)
+
+    J1, J2 = (J.flatten(1) for J in torch.func.jacrev(outputs, argnums=(0, 1))(point.hidden, point.output))
+    M = J2.T @ J2 + RIDGE * torch.eye(J2.shape[1], dtype=torch.float64)
+    return samples, point, J1.T @ J1 - J1.T @ J2 @ torch.linalg.solve(M, J2.T @ J1)
+
+
+def test_blocks_equal_the_dense_matrix(dense):
+    """K ∘ ZᵀZ, I ⊗ AᵀA and W₂ C between them, put together, are JᵀJ."""
+    blocks, J, _ = dense
+    p = N_IN + 1
+    K = blocks.K.repeat_interleave(p, 0).repeat_interleave(p, 1)
+    C = blocks.C.view(N_HIDDEN, p, -1)
+    between = torch.einsum("kj,jab->jakb", blocks.W2, C).reshape(N_HIDDEN * p, -1)
+    AtA = torch.kron(torch.eye(N_OUT, dtype=torch.float64), blocks.AtA)
+    matrix = torch.cat([torch.cat([K * blocks.ZtZ, between], 1), torch.cat([between.T, AtA], 1)], 0)
+    assert_close(matrix, J.T @ J)
+    assert blocks.largest_diagonal() == pytest.approx((J.T @ J).diagonal().max().item(), rel=1e-12)
+
+
+def test_gradient_equals_the_dense_one(dense):
+    blocks, J, residual = dense
+    gradient = torch.cat([blocks.gradient_hidden.flatten(), blocks.gradient_output.flatten()])
+    assert_close(gradient, J.T @ residual)
+
+
+@pytest.mark.parametrize("damping", [1e-3, 1.0, 1e3])
+def test_damped_step_equals_the_dense_one(dense, damping):
+    blocks, J, residual = dense
+    expected = torch.linalg.solve(J.T @ J + damping * torch.eye(J.shape[1], dtype=torch.float64), -J.T @ residual)
+    step = blocks.step(damping)
+    assert step is not None
+    assert_close(torch.cat([step[0].flatten(), step[1].flatten()]), expected)
+
+
+def test_singular_matrix_gives_no_step():
+    """Without damping a constant input doubles the bias: no step rather than a wild one."""
+    inputs = torch.ones(10, 1, dtype=torch.float64)
+    samples = TrainingSet(inputs, inputs, skip=True)
+    blocks = GaussNewton(samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64))
+    assert blocks.step(0.0) is None
+
+
+def test_product_is_kaufmans_matrix_times_the_direction(variable):
+    samples, point, matrix = variable
+    model = Projected(samples, RIDGE, point)
+    columns = [model.product(e.reshape(N_HIDDEN, N_IN + 1)).reshape(-1) for e in torch.eye(len(matrix)).double()]
+    assert_close(torch.stack(columns, dim=1), matrix)
+
+
+def test_blocks_are_its_diagonal_ones(variable):
+    samples, point, matrix = variable
+    p = N_IN + 1
+    expected = torch.stack([matrix[j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(N_HIDDEN)])
+    model = Projected(samples, RIDGE, point)
+    assert_close(model.blocks, expected)
+    assert model.scale == pytest.approx(matrix.diagonal().max().item(), rel=1e-10)
+
+
+def test_gradient_is_that_of_the_projected_cost(variable):
+    samples, point, _ = variable
+    hidden = point.hidden.clone().requires_grad_()
+    A = samples.activations(hidden)
+    output = torch.linalg.solve(A.T @ A + RIDGE * torch.eye(A.shape[1], dtype=torch.float64), A.T @ samples.targets)
+    cost = 0.5 * ((A @ output - samples.targets) ** 2).sum() + 0.5 * RIDGE * (output**2).sum()
+    cost.backward()
+    assert point.cost == pytest.approx(cost.item(), rel=1e-12)
+    assert_close(Projected(samples, RIDGE, point).gradient, hidden.grad)
+
+
+@pytest.mark.parametrize("damping", [1e-2, 1.0, 1e2])
+def test_conjugate_gradients_to_the_end_give_the_factored_step(variable, damping):
+    samples, point, matrix = variable
+    model = Projected(samples, RIDGE, point)
+    found = model.direction(damping, close_enough=0.0, most_products=3 * len(matrix))
+    damped = matrix + damping * torch.eye(len(matrix), dtype=torch.float64)
+    assert_close(found.reshape(-1), torch.linalg.solve(damped, -model.gradient.reshape(-1)))
+
+
+def test_promise_holds_for_steps_that_stop_early(variable):
+    """The fall of the quadratic −gᵀd − ½ dᵀHd, worked out by the matrix."""
+    samples, point, matrix = variable
+    model = Projected(samples, RIDGE, point)
+    trial, promised = model.step(0.1)
+    d = (trial.hidden - point.hidden).reshape(-1)
+    assert promised == pytest.approx((-model.gradient.reshape(-1) @ d - d @ matrix @ d / 2).item(), rel=1e-8)
+
+
+def test_hidden_layer_never_sees_what_is_held_out():
+    """Other targets of the held-out samples leave the path of hidden layers as it was, whichever of them is chosen."""
+    generator = torch.Generator().manual_seed(3)
+    inputs = torch.rand(80, 2, generator=generator, dtype=torch.float64) * 2 - 1
+    targets = torch.sin(2 * inputs) + inputs[:, :1] * inputs[:, 1:]
+    hidden = Network(NetworkConfig(hidden=4), 2, 2, seed=0).hidden.detach()
+    config = TrainingConfig(max_iterations=6, goal_mse=0.0, patience=100)
+    paths = []
+    for changed in (0.0, 0.01):
+        other = targets.clone()
+        other[70:] += changed
+        errors = []
+        train_varpro(
+            TrainingSet(inputs, other, True), hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse)
+        )
+        paths.append(errors)
+    assert paths[0] == paths[1]
+
+
+def test_noise_leaves_a_linear_map():
+    """Nothing but noise beyond a line: the samples held out like no hidden layer better than none."""
+    generator = np.random.default_rng(0)
+    x = generator.uniform(-1, 1, (60, 3))
+    noise = generator.standard_normal((60, 2))
+    samples = TrainingSet(torch.from_numpy(x), torch.from_numpy(x[:, :2] + noise), skip=True)
+    hidden = Network(NetworkConfig(hidden=12), 3, 2, seed=0).hidden.detach()
+    point, outcome = train_varpro(samples, hidden, 1e-9, 15, TrainingConfig(), lambda *_: None)
+    assert outcome.reason == "validation"
+    assert not point.hidden.any()
+    X = samples.X.numpy()
+    linear = np.linalg.lstsq(X, samples.targets.numpy(), rcond=None)[0]
+    np.testing.assert_allclose(point.output[:, 12:].numpy(), linear.T, atol=1e-6)  # the ridge's own size
+
+
+def test_follows_eq_15():
+    """v(N+1) = v(N) + α[(1−η) g(N) + η g(N−1)] on f = Σ c v²/2 with g = −c v and g(−1) = 0, to rounding."""
+    config = TrainingConfig(trainer="momentum", learning_rate=0.3, momentum=0.4)
+    c = torch.tensor([0.5, 1.0, 2.0], dtype=torch.float64)
+    v = by_hand = torch.tensor([1.0, -2.0, 3.0], dtype=torch.float64)
+    before = g_before = torch.zeros(3, dtype=torch.float64)
+    for _ in range(20):
+        gradient = c * v
+        v, before = momentum_step(v, gradient, before, config), gradient
+        g = -c * by_hand
+        by_hand, g_before = by_hand + 0.3 * ((1 - 0.4) * g + 0.4 * g_before), g
+        torch.testing.assert_close(v, by_hand, rtol=1e-13, atol=0)
