@@ -1,1 +1,1 @@
-"""Columns of resistances and forces: which, scaled how, and which samples."""
+"""Columns of resistances and forces: `columns` takes them from samples, `scaling` prepares them for a network."""

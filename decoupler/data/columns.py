@@ -113,7 +113,7 @@ def distinct(data: Samples, component: Component) -> Samples:
     """The samples without those that repeat an earlier one to the bit, in what the component takes and gives.
 
     A repetition tells nothing new, and where one copy is left out of training the other gives its answer away: errors
-    on samples left out would be those of training, and deviations far too small.
+    on samples left out would be those of training, and half-widths far too small.
     """
     columns_ohm = pillar_columns(data.resistance_ohm, component, data.dead)
     force_n = force_columns(data.force_n, component)

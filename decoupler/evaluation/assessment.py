@@ -38,7 +38,7 @@ class LightTouch:
     at_rest_rmse_n: float  #: [N]
     touch_rmse_n: float  #: [N]
     touch_limit_n: float | None  #: Cramér-Rao limit of the readings; None without noise or with dead pillars
-    coverage: tuple[float, float] | None  #: shares of both kinds of errors within the 68 % and the 95 % deviation
+    coverage: tuple[float, float] | None  #: shares of both kinds of errors within the 68 % and the 95 % half-width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Assessment:
     limits: Limits | None  #: None if the response is unknown or other forces act as well
     ratio: float | None  #: error over the lower bound without bias; None without noise
     baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
-    coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % deviation
+    coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % half-width
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 

@@ -1,1 +1,5 @@
-"""The array's response turned around: forces from resistances, and the limit that noise sets."""
+"""The array's response turned around.
+
+`forward_model` gives resistances for forces, `model_inverse` forces for resistances, `limits` the least error that
+noise leaves.
+"""

@@ -75,8 +75,8 @@ def bayes(
     found = np.empty_like(force_n)
     for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
         JC = J @ C
-        least = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
-        S = JC @ J.swapaxes(1, 2) + np.maximum(deviation, least)[..., None] ** 2 * np.eye(J.shape[1])
+        floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
+        S = JC @ J.swapaxes(1, 2) + np.maximum(deviation, floor)[..., None] ** 2 * np.eye(J.shape[1])
         taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
         found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
     return found
