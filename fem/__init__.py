@@ -10,7 +10,7 @@ electrode. The rooms, in the order of the data: `scene/` (a scene and its file),
 
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.discretization.elasticity import ElasticBody, displacement_form, taylor_hood
+from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.patch import PatchError, patch_integrals, patch_means
 from fem.linear.linear_solver import SolverError
 from fem.methods.solving import solve_scene
@@ -28,7 +28,6 @@ __all__ = [
     "Solution",
     "SolverError",
     "array_response",
-    "displacement_form",
     "patch_integrals",
     "patch_means",
     "read_response",

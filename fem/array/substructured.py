@@ -20,7 +20,7 @@ from fem.array.response import ArrayResponse
 from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.grid import Attractor, Grid, graded_lines
 from fem.discretization.hexahedra import GridBasis, grid_stiffness
-from fem.methods.richardson import error_after
+from fem.discretization.richardson import richardson_factor
 from geometry.design import SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -104,7 +104,7 @@ def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
     array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
     bent = replace(design, array=array, resistivity_ohm_mm=1.0)
-    return digest("cell", VERSION, bent, tolerance, "Q2")
+    return digest("cell", VERSION, bent, tolerance)
 
 
 def refined_cell(
@@ -171,15 +171,15 @@ def _cell_of_stage(
         return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
 
     if design.is_homogeneous:
-        cell = two.extrapolated(one, 1 / ((fine / coarse) ** GRID_RATE - 1))
+        cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE))
         if not cell.is_definite:  # the coarse level may not know the highest modes
             cell = two
         answer = array_of(cell)
         step_on = LEVEL_ERROR * block_error(array_of(two), answer)
-        levels = step_on or error_after([coarse, fine], [block_error(array_of(one), answer)])
+        levels = step_on or richardson_factor(coarse, fine) * block_error(array_of(one), answer)
     else:
         cell, answer = two, array_of(two)
-        levels = error_after([coarse, fine], [block_error(array_of(one), answer)])
+        levels = richardson_factor(coarse, fine) * block_error(array_of(one), answer)
     slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
     ports = PORT_ERROR * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
     seconds["mesh"] += meshed_one + meshed_two

@@ -2,7 +2,7 @@
 
 scikit-fem's stock vector forms evaluate each pair of the 30 displacement functions of a P2 tetrahedron in turn. Here
 the scalar gradient products D[a i, b j] = ∫ ∂ᵢφₐ ∂ⱼφ_b dx of all elements come from one batched matrix product, and
-every elastic block is a combination of them.
+the shear stiffness is a combination of them.
 """
 
 import numpy as np
@@ -15,25 +15,15 @@ from geometry.layout import FloatArray
 IntArray = NDArray[np.integer]
 
 
-def scaled_gradients(basis: CellBasis) -> FloatArray:
-    """Gradients of the scalar shape functions at the quadrature points, times the root of the weight.
-
-    Returns shape (n_elements, n_functions, 3, n_points): entry [e, a, i, q] = ∂ᵢφₐ √dx. Products summed over q are
-    integrals over the element.
-    """
-    gradients = np.stack([functions[0].grad for functions in basis.basis])  # (a, i, e, q)
-    return np.ascontiguousarray((gradients * np.sqrt(basis.dx)).transpose(2, 0, 1, 3))
-
-
-def elastic_blocks(basis: CellBasis, lame_mpa: FloatArray, mu_mpa: FloatArray) -> FloatArray:
-    """Element stiffness ∫ λ div u div v + 2μ ε(u):ε(v) of linear elasticity.
+def shear_blocks(basis: CellBasis, mu_mpa: FloatArray) -> FloatArray:
+    """Element stiffness ∫ 2μ ε(u):ε(v), the shear part of linear elasticity.
 
     Parameters
     ----------
     basis : CellBasis
         Of a scalar element, with a quadrature exact for products of gradients.
-    lame_mpa, mu_mpa : arrays, shape (n_elements,)
-        Lamé's λ and μ of each element [MPa]; λ = 0 leaves the shear part alone, as the mixed form needs it.
+    mu_mpa : array, shape (n_elements,)
+        Lamé's μ of each element [MPa].
 
     Returns
     -------
@@ -42,18 +32,16 @@ def elastic_blocks(basis: CellBasis, lame_mpa: FloatArray, mu_mpa: FloatArray) -
 
     Notes
     -----
-    For v = φₐ eᵢ and u = φ_b eⱼ, with D[i, j] = ∫ ∂ᵢφₐ ∂ⱼφ_b dx:
-    div u div v gives D[i, j]; 2 ε(u):ε(v) gives δᵢⱼ tr D + D[j, i].
+    For v = φₐ eᵢ and u = φ_b eⱼ, with D[i, j] = ∫ ∂ᵢφₐ ∂ⱼφ_b dx, 2 ε(u):ε(v) gives δᵢⱼ tr D + D[j, i].
     """
-    root = scaled_gradients(basis)
+    gradients = np.stack([functions[0].grad for functions in basis.basis])  # (a, i, e, q)
+    root = np.ascontiguousarray((gradients * np.sqrt(basis.dx)).transpose(2, 0, 1, 3))  # products sum to integrals
     n_elements, n_functions, _, n_points = root.shape
     flat = root.reshape(n_elements, n_functions * 3, n_points)
     D = (flat @ flat.transpose(0, 2, 1)).reshape(n_elements, n_functions, 3, n_functions, 3)
     D = D.transpose(0, 1, 3, 2, 4)
     mu = mu_mpa[:, None, None]
     K = mu[..., None, None] * D.swapaxes(3, 4)
-    if lame_mpa.any():
-        K += lame_mpa[:, None, None, None, None] * D
     trace = mu * np.einsum("eabii->eab", D)
     for i in range(3):
         K[..., i, i] += trace

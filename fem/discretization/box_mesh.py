@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.discretization.kronecker import lobatto_points, shape_functions
+from fem.discretization.lagrange import lobatto_points, shape_functions
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]

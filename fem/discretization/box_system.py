@@ -6,6 +6,7 @@ meshes II", Numer. Math. 83 (1999)). Projected to one degree less, at ν = 0.499
 wide, pressures and the indicators by them grew with each splitting.
 """
 
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from typing import NamedTuple
 
@@ -15,10 +16,18 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fem.discretization.box_mesh import BoxMesh, IntArray
-from fem.discretization.kronecker import elastic_tensors, gauss_points, lobatto_points, shape_functions
-from fem.discretization.mirrors import flipped_points, flipped_rectangle, images, parities, sign
-from fem.methods.plan import Plan
-from fem.scene.scene import Probe, Rectangle, Scene
+from fem.discretization.lagrange import (
+    cube_functions,
+    cube_products,
+    element_terms,
+    gauss_points,
+    interval_integral,
+    lobatto_points,
+    shape_functions,
+    term_scales,
+)
+from fem.discretization.mirrors import Mirror, folded_integrals, folded_point, held_components, parities
+from fem.scene.scene import Probe, Rectangle, Region, Scene, regions_at
 from geometry.design import Material
 from geometry.layout import FloatArray
 
@@ -34,20 +43,6 @@ def node_places(order: int) -> tuple[IntArray, IntArray]:
 
 
 @cache
-def _nodal_products(order: int) -> FloatArray:
-    """∫ φₐ⁽ᵏ⁾ φ_b⁽ˡ⁾ over the cube [−1, 1]³, differentiated along k and l, shape (3, 3, n, n)."""
-    x, weights = gauss_points(order + 1)
-    functions = shape_functions(order, x)
-    one = {(i, j): np.einsum("q,qa,qb->ab", weights, functions[i], functions[j]) for i in (0, 1) for j in (0, 1)}
-    n = (order + 1) ** 3
-    products = np.empty((3, 3, n, n))
-    for k, m in np.ndindex(3, 3):
-        X, Y, Z = (one[int(k == d), int(m == d)] for d in range(3))
-        products[k, m] = np.einsum("ad,be,cf->abcdef", X, Y, Z).reshape(n, n)
-    return products
-
-
-@cache
 def divergence_modes(order: int) -> FloatArray:
     """Legendre coefficients of ∂φ/∂k up to degree order − 2 along each axis, orthonormal; shape (3, n_modes, n)."""
     x, weights = gauss_points(order + 1)
@@ -58,41 +53,13 @@ def divergence_modes(order: int) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def element_terms(
-    order: int, material: Material, lean: tuple[float, float]
-) -> tuple[list[tuple[int, int]], FloatArray]:
-    """Stiffness of boxes as a sum of fixed matrices: K = Σ s_kl M_kl, s_kl = (volume/8) (2/h_k) (2/h_l).
-
-    Parameters
-    ----------
-    order : int
-        Of the functions along each axis.
-    material : Material
-    lean : tuple
-        Shift of the body along x and y per height.
-
-    Returns
-    -------
-    list of (k, l) and array, shape (n_terms, 3n, 3n)
-        Rows run over nodes, those on the surface first, then components.
-    """
-    n = (order + 1) ** 3
-    volumetric, shear = elastic_tensors(material, lean)
-    products, modes = _nodal_products(order), divergence_modes(order)
-    pairs, terms = [], []
-    for k in range(3):
-        for m in range(k, 3):
-            M = np.zeros((n, 3, n, 3))
-            for row, column in {(k, m), (m, k)}:
-                projected = modes[row].T @ modes[column]
-                for a, b in np.ndindex(3, 3):
-                    M[:, a, :, b] += volumetric[a, row, b, column] * projected
-                    M[:, a, :, b] += shear[a, row, b, column] * products[row, column]
-            if M.any():
-                pairs.append((k, m))
-                by_place = np.concatenate(node_places(order))
-                terms.append(M[by_place][:, :, by_place].reshape(3 * n, 3 * n))
-    return pairs, np.array(terms)
+def box_terms(order: int, material: Material, lean: tuple[float, float]) -> tuple[list[tuple[int, int]], FloatArray]:
+    """`lagrange.element_terms` of boxes, shape (n_terms, 3n, 3n): nodes on the surface first, then components."""
+    modes = divergence_modes(order)
+    projected = np.einsum("kma,lmb->klab", modes, modes)
+    pairs, terms = element_terms(material, lean, projected, cube_products(order, order + 1))
+    by_place = np.concatenate(node_places(order))
+    return pairs, terms[:, by_place][:, :, :, by_place].reshape(len(pairs), 3 * len(by_place), -1)
 
 
 class Condensed(NamedTuple):
@@ -106,7 +73,7 @@ Kind = tuple[float, ...]  #: size of a box relative to the body's height, and it
 
 
 class BoxSystem:
-    """The equations of a scene on a mesh of boxes, for displacements of one parity in each of the plan's mirrors.
+    """The equations of a scene on a mesh of boxes, for displacements of one parity in each of the mirrors.
 
     Unknowns are displacements of the independent nodes above the base: node, then component. Elements of an
     earlier mesh are taken from `condensed`, by size and region, and new ones kept there.
@@ -115,28 +82,26 @@ class BoxSystem:
     def __init__(
         self,
         scene: Scene,
-        plan: Plan,
+        regions: Sequence[Region],
+        mirrors: tuple[Mirror, ...],
         mesh: BoxMesh,
-        lean: tuple[float, float],
         condensed: dict[Kind, Condensed],
         order: int,
     ) -> None:
-        self.scene, self.mirrors, self.mesh, self.lean = scene, plan.mirrors, mesh, lean
-        (self.parity,) = parities(plan.mirrors)
+        self.scene, self.mirrors, self.mesh, self.lean = scene, mirrors, mesh, scene.outline.lean
+        (self.parity,) = parities(mirrors)
         self.order = order
         self._surface, self._inside = node_places(order)
-        self.materials = [scene.material, *(material for _, material in plan.regions)]
+        self.materials = [scene.material, *(material for _, material in regions)]
         self.low, self.high = mesh.corners
         self.size = self.high - self.low
-        self.region = np.zeros(len(mesh.boxes), dtype=np.int64)
-        for number, (prism, _) in enumerate(plan.regions, start=1):
-            self.region[prism.holds((self.low + self.high) / 2)] = number
+        self.region = regions_at((self.low + self.high) / 2, regions)
         #: boxes of one size and rubber are alike; sizes that only rounding tells apart are one
         self._kinds = [
             (*size, region)
             for size, region in zip((self.size / scene.height_mm).round(12).tolist(), self.region.tolist(), strict=True)
         ]
-        self._terms = [element_terms(order, material, lean) for material in self.materials]
+        self._terms = [box_terms(order, material, self.lean) for material in self.materials]
 
         nodes = mesh.nodes(order)
         self._nodes = nodes
@@ -147,9 +112,8 @@ class BoxSystem:
         first = nodes.vertex[free][:, :2] == [axis.first for axis in mesh.axes[:2]]
         #: components that vanish on a mirror plane, shape (n_nodes, 3)
         self.held = np.zeros((self.n_nodes, 3), dtype=bool)
-        for mirror in self.mirrors:
-            odd = [sign(a, mirror.axis, self.parity) == -1 for a in range(3)]
-            self.held |= first[:, mirror.axis, None] & np.array(odd)
+        for mirror in mirrors:
+            self.held |= first[:, mirror.axis, None] & held_components(mirror.axis, self.parity)
         self._weights = [self._element_weights(number) for number in range(len(mesh.boxes))]
         self._condense(condensed)
         self._condensed = [condensed[kind] for kind in self._kinds]
@@ -161,7 +125,7 @@ class BoxSystem:
 
     @property
     def share(self) -> float:
-        """Of the whole body."""
+        """The solved part's share of the whole body."""
         return 0.5 ** len(self.mirrors)
 
     def _element_weights(self, number: int) -> tuple[FloatArray | None, IntArray, NDArray[np.bool_] | None]:
@@ -179,14 +143,12 @@ class BoxSystem:
         return rows[:, columns].toarray(), self._number[columns], None
 
     def _stiffness(self, elements: IntArray) -> FloatArray:
-        """Of whole elements, shape (n, 3·(self.order + 1)³, the same), their surfaces first."""
+        """Stiffness of whole elements, shape (n, 3·(order + 1)³, the same), their surfaces first."""
         n = 3 * (self.order + 1) ** 3
         K = np.empty((len(elements), n, n))
         for region, (pairs, terms) in enumerate(self._terms):
             mine = self.region[elements] == region
-            size = self.size[elements[mine]]
-            scale = np.stack([size.prod(axis=1) / 2 / size[:, k] / size[:, m] for k, m in pairs], axis=1)
-            K[mine] = (scale @ terms.reshape(len(pairs), -1)).reshape(-1, n, n)
+            K[mine] = np.tensordot(term_scales(pairs, self.size[elements[mine]]), terms, 1)
         return K
 
     def _condense(self, known: dict[Kind, Condensed]) -> None:
@@ -255,45 +217,28 @@ class BoxSystem:
 
     def _integrals(self, rectangle: Rectangle) -> FloatArray:
         """∫ of the top's functions over a rectangle anywhere on the body, for each component, shape (n_nodes, 3)."""
-        total = np.zeros((self.n_nodes, 3))
-        for flipped, signs in images(self.mirrors, self.parity):
-            total += self._integral(flipped_rectangle(rectangle, flipped))[:, None] * signs
-        return total
+        return folded_integrals(self._integral, np.array(rectangle), self.mirrors, self.parity)
 
     def _integral(self, rectangle: FloatArray) -> FloatArray:
-        x, weights = gauss_points(self.order // 2 + 1)
-        height = self.scene.height_mm
+        shift = self.scene.height_mm * np.array(self.lean)
         low, high = self.low[:, :2], self.high[:, :2]
-        shift = height * np.array(self.lean)
         start, end = np.maximum(low, rectangle[:2] - shift), np.minimum(high, rectangle[2:] - shift)
         at_top = self.high[:, 2] == self.mesh.axes[2].high[self.mesh.axes[2].last]
         top = np.arange((self.order + 1) ** 3).reshape((self.order + 1,) * 3)[:, :, -1].ravel()
         columns = np.searchsorted(self._surface, top)
         total = np.zeros(len(self._number))
-        for element in np.flatnonzero(at_top & (end > start).all(axis=1)):
-            along = []
-            for d in range(2):
-                half = (end[element, d] - start[element, d]) / 2
-                places = start[element, d] + half * (x + 1)
-                within = (2 * places - low[element, d] - high[element, d]) / self.size[element, d]
-                along.append(half * (weights @ shape_functions(self.order, within)[0]))
-            total[self._nodes.of_elements[element, columns]] += np.multiply.outer(*along).ravel()
+        for e in np.flatnonzero(at_top & (end > start).all(axis=1)):
+            along = [interval_integral(self.order, low[e, d], high[e, d], start[e, d], end[e, d]) for d in range(2)]
+            total[self._nodes.of_elements[e, columns]] += np.multiply.outer(*along).ravel()
         return (self._nodes.constraint.T @ total)[self._free]
 
     def _add_point(self, row: FloatArray, probe: Probe) -> None:
         """Add the functions at a point, anywhere on the body, to a probe's rows, shape (3, n_nodes, 3)."""
         point = np.array(probe.position_mm)
         point[:2] -= np.array(self.lean) * point[2]
-        beyond = {mirror.axis for mirror in self.mirrors if point[mirror.axis] < mirror.position_mm}
-        flipped, signs = next(
-            image for image in images(self.mirrors, self.parity) if {mirror.axis for mirror in image[0]} == beyond
-        )
-        point = flipped_points(point, flipped)
-        outside = np.maximum(self.low - point, point - self.high).max(axis=1)
-        element = int(np.argmin(outside))
-        within = 2 * (point - self.low[element]) / self.size[element] - 1
-        X, Y, Z = (shape_functions(self.order, within[d : d + 1])[0][0] for d in range(3))
-        values = np.einsum("i,j,k->ijk", X, Y, Z).ravel()
+        point, signs = folded_point(point, self.mirrors, self.parity)
+        element = int(np.argmin(np.maximum(self.low - point, point - self.high).max(axis=1)))
+        values = self._functions(element, point[None])[0]
         recovered = self._condensed[element].inner.reshape(len(self._inside), 3, len(self._surface), 3)
         weights, numbers, kept = self._weights[element]
         for a in range(3):
@@ -301,6 +246,14 @@ class BoxSystem:
             functions[:, a] += values[self._surface]
             functions = functions[kept] if weights is None else weights.T @ functions
             row[a, numbers] += signs[a] * functions
+
+    def _functions(self, element: int, points_mm: FloatArray) -> FloatArray:
+        """An element's functions at points (k, 3) in it, shape (k, (order + 1)³)."""
+        return cube_functions(self.order, 2 * (points_mm - self.low[element]) / self.size[element] - 1)
+
+    def at(self, element: int, points_mm: FloatArray, u: FloatArray) -> FloatArray:
+        """Displacements of a solution u (n_unknowns,) at points (k, 3) of an element, shape (k, 3)."""
+        return self._functions(element, points_mm) @ self.element_values(element, u[:, None])[:, :, 0]
 
     def element_values(self, element: int, u: FloatArray) -> FloatArray:
         """Displacements at all nodes of an element, shape ((self.order + 1)³, 3, k), of solutions u (n_unknowns, k)."""

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
 
-from fem.discretization.assembly import IntArray, SparsePattern, elastic_blocks
+from fem.discretization.assembly import IntArray, SparsePattern, shear_blocks
 from geometry.design import Material
 from geometry.layout import FloatArray
 
@@ -28,10 +28,10 @@ class ElasticBody:
     """A meshed elastic body with its base clamped, ready to be factored.
 
     Displacement degrees of freedom interleave: component i of P2 node n is n·3 + i. In the system matrix they come
-    first, the P1 pressures (absent in the displacement-only form) after them.
+    first, the P1 pressures (of tetrahedra only) after them.
     """
 
-    basis: Basis  #: scalar P1 or P2 basis of one displacement component
+    basis: Basis  #: scalar basis of one displacement component
     matrix: sp.csr_matrix  #: system on the free degrees of freedom, symmetric
     free: NDArray[np.int64]  #: free displacement degrees of freedom
     n_pressure: int  #: pressure unknowns at the end of the system
@@ -75,10 +75,10 @@ def taylor_hood(mesh: MeshTet, material: list[Material], region: IntArray) -> El
     """
     basis = Basis(mesh, ElementTetP2(), intorder=2)
     pressure = Basis(mesh, ElementTetP1(), quadrature=basis.quadrature)
-    lame_mpa, mu_mpa = lame_of_regions(material, region, at_least_poisson=MIN_POISSON)
+    lame_mpa, mu_mpa = lame_of_regions(material, region, min_poisson=MIN_POISSON)
 
     nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
-    A = nodes.vector_matrix(elastic_blocks(basis, np.zeros_like(mu_mpa), mu_mpa))
+    A = nodes.vector_matrix(shear_blocks(basis, mu_mpa))
 
     shape_p = np.stack([np.broadcast_to(np.asarray(functions[0]), basis.dx.shape) for functions in pressure.basis])
     gradients = np.stack([functions[0].grad for functions in basis.basis])  # (b, j, e, q)
@@ -106,27 +106,11 @@ def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
     return numbers.reshape(keys.shape)
 
 
-def displacement_form(
-    mesh: MeshTet, material: list[Material], region: IntArray, element: type[ElementTetP1 | ElementTetP2]
-) -> ElasticBody:
-    """The plain displacement form with P1 or P2 tetrahedra: kept as the contrast; it locks as ν → 0.5.
-
-    Parameters as for `taylor_hood`; `element` is scikit-fem's ElementTetP1 or ElementTetP2.
-    """
-    basis = Basis(mesh, element(), intorder=2)
-    nodes = SparsePattern(basis.element_dofs, basis.element_dofs, (basis.N, basis.N))
-    A = nodes.vector_matrix(elastic_blocks(basis, *lame_of_regions(material, region)))
-    free = _free_dofs(basis)
-    return ElasticBody(basis=basis, matrix=A[free][:, free].tocsr(), free=free, n_pressure=0)
-
-
 def lame_of_regions(
-    material: list[Material], region: IntArray, at_least_poisson: float = 0.0
+    material: list[Material], region: IntArray, min_poisson: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
-    table = np.array(
-        [Material(young_mpa=m.young_mpa, poisson=max(m.poisson, at_least_poisson)).lame_mpa for m in material]
-    )
+    table = np.array([Material(young_mpa=m.young_mpa, poisson=max(m.poisson, min_poisson)).lame_mpa for m in material])
     return table[region, 0], table[region, 1]
 
 

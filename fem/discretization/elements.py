@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementHex1, ElementTetP1
 
-from fem.discretization.hexahedra import ELEMENTS, GridBasis
+from fem.discretization.hexahedra import ELEMENT, GridBasis
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are
@@ -28,12 +28,12 @@ class Elements:
     @classmethod
     def of_basis(cls, basis: Basis | GridBasis, region: NDArray[np.int64]) -> "Elements":
         """The elements of a scikit-fem basis or of a grid's; `region` (m,)."""
-        element = ELEMENTS[basis.element][0] if isinstance(basis, GridBasis) else basis.elem
+        element = ELEMENT if isinstance(basis, GridBasis) else basis.elem
         return cls(element, basis.doflocs.T.copy(), basis.element_dofs.T.astype(np.int64), region)
 
     @property
     def is_box(self) -> bool:
-        return len(self.element.doflocs) >= 20
+        return len(self.element.doflocs) == 27
 
     @property
     def corner_element(self) -> Element:

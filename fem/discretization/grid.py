@@ -32,6 +32,10 @@ class Grid:
     #: (nx, ny, nz), or broadcastable to it: which material fills each box
 
     @property
+    def lines(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.x, self.y, self.z
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """Number of boxes along each axis."""
         return len(self.x) - 1, len(self.y) - 1, len(self.z) - 1

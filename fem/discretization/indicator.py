@@ -9,27 +9,27 @@ unit load on the probe (Becker and Rannacher, Acta Numerica 10, 2001).
 from collections.abc import Callable
 
 import numpy as np
-from skfem import MeshTet
+from skfem import Basis, MeshTet
 
 from fem.discretization.assembly import IntArray
 from fem.discretization.elasticity import ElasticBody, pressure_dofs
+from fem.discretization.elements import Elements, shape_gradients
 from fem.scene.solution import SMALLEST_SHARE
 from geometry.layout import FloatArray
 
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  #: of a tetrahedron, in scikit-fem's order and VTK's
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
 SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
 
 Traction = Callable[[FloatArray], FloatArray]  #: points (..., 3) on the top face to tractions (..., 3) [MPa]
 
 
-def corner_gradients(body: ElasticBody, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+def corner_gradients(basis: Basis, u: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gradient of a displacement at the corners of each element.
 
     Parameters
     ----------
-    body : ElasticBody
-        Of P1 or P2 tetrahedra: gradients are linear, so their values at the corners say all.
+    basis : Basis
+        Of P2 tetrahedra, whose gradients are linear: their values at the corners say all.
     u : array, shape (n_displacement,)
 
     Returns
@@ -37,22 +37,11 @@ def corner_gradients(body: ElasticBody, u: FloatArray) -> tuple[FloatArray, Floa
     array, shape (m, 4, 3, 3): entry [e, v, i, j] is ∂ⱼuᵢ at corner v
     array, shape (m, 4, 3): gradients of the barycentric coordinates [1/mm]
     """
-    mesh = body.basis.mesh
-    corners = mesh.p.T[mesh.t.T]
-    of_last_three = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    slopes = np.concatenate([-of_last_three.sum(axis=1, keepdims=True), of_last_three], axis=1)
-    nodes = u.reshape(-1, 3)
-    at_corners = nodes[body.basis.nodal_dofs[0][mesh.t.T]]
-    if not body.basis.edge_dofs.size:
-        gradient = np.einsum("eai,eaj->eij", at_corners, slopes)
-        return np.repeat(gradient[:, None], 4, axis=1), slopes
-    at_edges = nodes[body.basis.edge_dofs[0][mesh.t2e.T]]
-    # at a corner v the slope of φₐ = Lₐ(2Lₐ − 1) is (4δ(a,v) − 1) ∇Lₐ, that of 4LₐL_b is 4(δ(a,v) ∇L_b + δ(b,v) ∇Lₐ)
-    gradient = np.einsum("va,eai,eaj->evij", 4 * np.eye(4) - 1, at_corners, slopes, optimize=True)
-    for number, (a, b) in enumerate(EDGES):
-        gradient[:, a] += 4 * at_edges[:, number, :, None] * slopes[:, b, None, :]
-        gradient[:, b] += 4 * at_edges[:, number, :, None] * slopes[:, a, None, :]
-    return gradient, slopes
+    elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
+    local = shape_gradients(elements.element, elements.element.doflocs[:4].T)  # (v, a, k)
+    inverse = elements.inverse_jacobian
+    gradient = np.einsum("eai,vak,ekj->evij", u.reshape(-1, 3)[elements.nodes], local, inverse, optimize=True)
+    return gradient, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
 
 def residuals(
@@ -72,7 +61,7 @@ def residuals(
     u : array, shape (n_displacement,)
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
-        Of the mixed form; empty in the displacement form.
+        Corner pressures of the mixed form [MPa].
     region, lame_mpa, mu_mpa : arrays, shape (m,)
         Region, λ and μ of each element.
     traction : function, optional
@@ -84,12 +73,9 @@ def residuals(
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
-    gradient, slopes = corner_gradients(body, u)
+    gradient, slopes = corner_gradients(body.basis, u)
     divergence = np.trace(gradient, axis1=2, axis2=3)
-    if len(pressure):
-        p = pressure[pressure_dofs(mesh, region).T]
-    else:
-        p = lame_mpa[:, None] * divergence
+    p = pressure[pressure_dofs(mesh, region).T]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
     for i in range(3):
         stress[..., i, i] += p
@@ -98,8 +84,7 @@ def residuals(
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
     unbalanced = np.einsum("evij,evj->ei", stress, slopes)
     squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
-    if len(pressure):
-        squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
+    squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
 
     facets, sides = mesh.facets.T, mesh.f2t
     triangles = points[facets]

@@ -11,134 +11,27 @@ never formed: applying it is a handful of small dense products along each axis.
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy.linalg import eigh
 
+from fem.discretization.lagrange import reference_matrices
 from fem.linear.factors import SolverError
-from geometry.design import Material
 from geometry.layout import FloatArray
 
 Lines = tuple[FloatArray, FloatArray, FloatArray]  #: element boundaries along x, y, z [mm]
 
 
-@cache
-def lobatto_points(order: int) -> FloatArray:
-    """The order + 1 Gauss-Lobatto points of [-1, 1]: nodes of the Lagrange functions; not to be written to."""
-    inner = np.sort(legendre.legroots(legendre.legder([0.0] * order + [1.0]))) if order > 1 else np.zeros(0)
-    return _constant(np.concatenate([[-1.0], inner, [1.0]]))
-
-
-@cache
-def gauss_points(count: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss points of [-1, 1] and their weights; not to be written to."""
-    x, weights = legendre.leggauss(count)
-    return _constant(x), _constant(weights)
-
-
-def _constant(values: FloatArray) -> FloatArray:
-    values.flags.writeable = False
-    return values
-
-
-@cache
-def _to_legendre(order: int) -> tuple[FloatArray, FloatArray]:
-    """Legendre coefficients of the Lagrange functions, and of their derivatives; columns are functions."""
-    coefficients: FloatArray = np.asarray(np.linalg.inv(legendre.legvander(lobatto_points(order), order)), np.float64)
-    return coefficients, np.asarray(legendre.legder(coefficients), np.float64)
-
-
-def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lagrange functions on the Lobatto points and their derivatives at x, both of shape (n_x, order + 1).
-
-    Examples
-    --------
-    >>> shape_functions(1, np.array([0.0]))
-    (array([[0.5, 0.5]]), array([[-0.5,  0.5]]))
-    """
-    functions, derivatives = _to_legendre(order)
-    powers = legendre.legvander(x, order)
-    return powers @ functions, powers[:, :order] @ derivatives
-
-
-def line_nodes(lines: FloatArray, order: int) -> FloatArray:
-    """Position of every node of a line, shape (n_elements·order + 1,)."""
-    share = (lobatto_points(order)[1:] + 1) / 2
-    return np.concatenate([lines[:1], (lines[:-1, None] + np.diff(lines)[:, None] * share).ravel()])
-
-
-@cache
-def _reference_matrices(order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
-    """∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx over [−1, 1], keyed by (i, j)."""
-    x, weights = gauss_points(n_points)
-    functions = shape_functions(order, x)
-    return {
-        (test, trial): np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
-        for test in (False, True)
-        for trial in (False, True)
-    }
-
-
 def line_matrices(lines: FloatArray, order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
     """Dense ∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx of a line, n_points Gauss points an element; keyed by (i, j): which is differentiated."""
     matrices = {}
-    for (test, trial), element in _reference_matrices(order, n_points).items():
+    for (test, trial), element in reference_matrices(order, n_points).items():
         A = np.zeros((order * (len(lines) - 1) + 1,) * 2)
         for e, half in enumerate(np.diff(lines) / 2):
             mine = slice(e * order, (e + 1) * order + 1)
             A[mine, mine] += half ** (1 - test - trial) * element
         matrices[test, trial] = A
     return matrices
-
-
-def line_integral(lines: FloatArray, order: int, start: float, end: float) -> FloatArray:
-    """∫ φₐ dx over [start, end] of every function of a line; exact, whether or not the ends are on the lines."""
-    x, weights = gauss_points(order // 2 + 1)
-    integral = np.zeros(order * (len(lines) - 1) + 1)
-    for e, (left, right) in enumerate(pairwise(lines)):
-        a, b = max(left, start), min(right, end)
-        if b > a:
-            within = (2 * (a + (b - a) * (x + 1) / 2) - left - right) / (right - left)
-            integral[e * order : (e + 1) * order + 1] += weights @ shape_functions(order, within)[0] * (b - a) / 2
-    return integral
-
-
-def line_values(lines: FloatArray, order: int, positions: FloatArray) -> FloatArray:
-    """Value of every function of a line at positions (k,) on it, shape (k, n_elements·order + 1)."""
-    e = np.clip(np.searchsorted(lines, positions, side="right") - 1, 0, len(lines) - 2)
-    within = (2 * positions - lines[e] - lines[e + 1]) / (lines[e + 1] - lines[e])
-    values = np.zeros((len(positions), order * (len(lines) - 1) + 1))
-    columns = e[:, None] * order + np.arange(order + 1)
-    np.put_along_axis(values, columns, shape_functions(order, within)[0], axis=1)
-    return values
-
-
-def elastic_tensors(material: Material, shear: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Volumetric (λ) and shear (μ) part of the elastic tensor in the coordinates of a sheared box.
-
-    Parameters
-    ----------
-    material : Material
-    shear : tuple
-        Shift of the body along x and y per height, x = ξ + shear·ζ; (0, 0) for an upright box.
-
-    Returns
-    -------
-    two arrays, shape (3, 3, 3, 3)
-        Entry [a, k, b, l] multiplies ∂_k v_a ∂_l u_b, u and v along x, y, z, derivatives along ξ, η, ζ: C is pulled
-        back by the constant Jacobian of the shear, whose determinant is 1.
-    """
-    lame, mu = material.lame_mpa
-    one = np.eye(3)
-    pull = np.eye(3)  # ∂_x = Σ_m pull[m, x] ∂_m
-    pull[:2, 2] = -np.array(shear)
-    volumetric = lame * np.einsum("ak,bl->akbl", one, one)
-    deviatoric = mu * (np.einsum("ab,kl->akbl", one, one) + np.einsum("al,bk->akbl", one, one))
-    first, second = (np.einsum("mk,akbl,nl->ambn", pull, C, pull) for C in (volumetric, deviatoric))
-    return first, second
 
 
 class Term:
@@ -293,5 +186,5 @@ def conjugate_gradients(
         p += z
     raise SolverError(
         f"conjugate gradients left a residual of {tolerance * (rz / enough) ** 0.5:.1e} after {most} steps: the moduli "
-        "may differ too widely or ν be too near 0.5; take element Q2."
+        "may differ too widely or ν be too near 0.5."
     )

@@ -38,7 +38,7 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     Parameters
     ----------
     basis : Basis
-        Scalar P1 or P2 basis on a MeshTet whose highest points form the plane top face.
+        Scalar P2 basis on a MeshTet whose highest points form the plane top face.
     rectangles : array, shape (n_rectangles, 4)
         x0, y0, x1, y1 of each [mm].
 
@@ -52,12 +52,12 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     PatchError
         If a rectangle is not covered by the top face to a relative 1e-9 of its area.
     """
-    corners, dofs = _top_triangles(basis)  # (n, 3, 2), (n, 3 or 6)
+    corners, dofs = _top_triangles(basis)  # (n, 3, 2), (n, 6)
     low, high = corners.min(axis=1), corners.max(axis=1)
     rows, cols, values = [], [], []
     for number, (x0, y0, x1, y1) in enumerate(rectangles):
         near = np.flatnonzero(((high > (x0, y0)) & (low < (x1, y1))).all(axis=1))
-        weights = [_clipped_integrals(corners[t], (x0, y0, x1, y1), dofs.shape[1]) for t in near]
+        weights = [_clipped_integrals(corners[t], (x0, y0, x1, y1)) for t in near]
         area_mm2 = (x1 - x0) * (y1 - y0)
         covered_mm2 = float(np.sum(weights))
         if abs(covered_mm2 - area_mm2) > 1e-9 * area_mm2:
@@ -73,30 +73,29 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
 
 
 def _top_triangles(basis: Basis) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Corners (n, 3, 2) of the top face's triangles, and the degrees of freedom (n, 3 or 6) on each."""
+    """Corners (n, 3, 2) of the top face's triangles, and the degrees of freedom (n, 6) on each."""
     mesh = basis.mesh
     boundary = mesh.boundary_facets()
     z = mesh.p[2, mesh.facets[:, boundary]]
     top = boundary[(z == mesh.p[2].max()).all(axis=0)]
     vertices = mesh.facets[:, top]
-    dofs = basis.nodal_dofs[0, vertices]
-    if basis.edge_dofs.size:  # P2: scikit-fem's facet edges run (0,1), (1,2), (0,2)
-        dofs = np.vstack([dofs, basis.edge_dofs[0, mesh.f2e[:, top]]])
+    # scikit-fem's facet edges run (0,1), (1,2), (0,2)
+    dofs = np.vstack([basis.nodal_dofs[0, vertices], basis.edge_dofs[0, mesh.f2e[:, top]]])
     return mesh.p[:2, vertices].transpose(2, 1, 0), dofs.T
 
 
-def _clipped_integrals(triangle: FloatArray, rectangle: tuple[float, ...], n_functions: int) -> FloatArray:
-    """∫ φₐ dA over the part of a triangle (3, 2) inside a rectangle, shape (n_functions,)."""
+def _clipped_integrals(triangle: FloatArray, rectangle: tuple[float, ...]) -> FloatArray:
+    """∫ φₐ dA over the part of a triangle (3, 2) inside a rectangle, shape (6,)."""
     polygon = triangle
     x0, y0, x1, y1 = rectangle
     for axis, sign, limit in ((0, 1.0, x0), (0, -1.0, -x1), (1, 1.0, y0), (1, -1.0, -y1)):
         polygon = _clip(polygon, sign * polygon[:, axis] - limit)
         if len(polygon) < 3:
-            return np.zeros(n_functions)
+            return np.zeros(6)
     fan = np.stack([np.broadcast_to(polygon[0], (len(polygon) - 2, 2)), polygon[1:-1], polygon[2:]], axis=1)
     area = np.abs(_cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0])) / 2
     midpoints = (fan + np.roll(fan, -1, axis=1)) / 2  # mid-edge rule: exact for quadratics
-    return np.einsum("t,tqa->a", area / 3, _shape_functions(triangle, midpoints, n_functions))
+    return np.einsum("t,tqa->a", area / 3, _shape_functions(triangle, midpoints))
 
 
 def _clip(polygon: FloatArray, inside: FloatArray) -> FloatArray:
@@ -110,15 +109,12 @@ def _clip(polygon: FloatArray, inside: FloatArray) -> FloatArray:
     return np.array(corners).reshape(-1, 2)
 
 
-def _shape_functions(triangle: FloatArray, points: FloatArray, n_functions: int) -> FloatArray:
-    """P1 or P2 shape functions of a triangle (3, 2) at points (..., 2), shape (..., n_functions)."""
+def _shape_functions(triangle: FloatArray, points: FloatArray) -> FloatArray:
+    """P2 shape functions of a triangle (3, 2) at points (..., 2), shape (..., 6)."""
     a, b, c = triangle
     twice = _cross(b - a, c - a)
-    L1 = _cross(points - a, c - a) / twice
-    L2 = _cross(b - a, points - a) / twice
+    L1, L2 = _cross(points - a, c - a) / twice, _cross(b - a, points - a) / twice
     L0 = 1.0 - L1 - L2
-    if n_functions == 3:
-        return np.stack([L0, L1, L2], axis=-1)
     return np.stack(
         [L0 * (2 * L0 - 1), L1 * (2 * L1 - 1), L2 * (2 * L2 - 1), 4 * L0 * L1, 4 * L1 * L2, 4 * L0 * L2], axis=-1
     )

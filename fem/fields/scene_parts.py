@@ -5,26 +5,25 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Element, ElementHex2, ElementHexS2, ElementTetP1, ElementTetP2
+from skfem import Element, ElementHex2, ElementTetP2
 
 from fem.discretization.elements import Elements
 from fem.fields.array_field import array_field
 from fem.fields.deformed import Part, sensor_parts
 from fem.fields.stress import nodal_stress
+from fem.methods.box_field import VTK_PLACES
 from fem.methods.cell_scene import forces_on_cells
+from fem.methods.picture_grid import picture_field
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.methods.structured import VTK_PLACES
 from fem.scene.scene import Rectangle, Scene, Sensor
-from fem.scene.solution import QUADRATIC_HEXAHEDRON, QUADRATIC_TETRAHEDRON, TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON, Field
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON, Field
 
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
 SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a point
 #: scikit-fem's element of VTK's cells
 ELEMENTS: dict[int, Element] = {
-    TETRAHEDRON: ElementTetP1(),
     QUADRATIC_TETRAHEDRON: ElementTetP2(),
-    QUADRATIC_HEXAHEDRON: ElementHexS2(),
     TRIQUADRATIC_HEXAHEDRON: ElementHex2(),
 }
 
@@ -45,9 +44,7 @@ def scene_parts(scene: Scene, stress: bool, progress: Callable[[str], None] = la
     progress("solve")
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
     plan = make_plan(coarse, field=True)
-    if plan.element in ("Qp", "Q4"):  # whose few large elements say little between their nodes
-        plan = make_plan(coarse, element="Q2", field=True)
-    found = follow(plan, coarse, field=True).field
+    found = picture_field(coarse, plan) if plan.method == "grid" else follow(plan, coarse, field=True).field
     assert found is not None  # it was asked for
     field = merged(found)
     progress("stress" if stress else "parts")
@@ -101,7 +98,7 @@ def elements_of(field: Field) -> Elements:
     """The elements of a field, their nodes in scikit-fem's order."""
     element = ELEMENTS[field.cell_type]
     order = np.arange(len(element.doflocs))
-    if field.cell_type in (QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON):
+    if field.cell_type == TRIQUADRATIC_HEXAHEDRON:
         places = np.rint(element.doflocs * 2).astype(np.int64)
         order = (places[:, None] == VTK_PLACES).all(axis=2).argmax(axis=1)
     return Elements(element, field.points_mm, field.cells[:, order], field.region)

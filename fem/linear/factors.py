@@ -37,7 +37,7 @@ class Factor(ABC):
     Answers are not checked here: go through `linear_solver.checked_solve`. Memory goes back when the object dies.
     """
 
-    solver: str  #: "pardiso", "cholmod", "superlu" or "multigrid"
+    solver: str  #: "pardiso", "cholmod" or "superlu"
     halves: bool = False  #: whether `half_solve` is there
 
     def __init__(self, matrix: sp.csr_matrix | sp.bsr_matrix) -> None:
@@ -117,7 +117,7 @@ class PardisoFactor(Factor):
         if self.memory_gb > memory_gb:
             raise FactorMemoryError(
                 f"the factor of {self.n_unknowns} unknowns needs {self.memory_gb:.3g} GB of {memory_gb:.3g} GB "
-                "available: take a coarser mesh, or the iterative solver for a definite matrix."
+                "available: take a coarser mesh."
             )
         handle.call(22)
 
@@ -335,4 +335,4 @@ def _not_definite(n: int) -> str:
 
 
 def _out_of_memory(n: int) -> str:
-    return f"the factor of {n} unknowns does not fit in memory: take a coarser mesh, or the iterative solver."
+    return f"the factor of {n} unknowns does not fit in memory: take a coarser mesh."

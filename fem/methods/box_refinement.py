@@ -5,23 +5,19 @@ errors of the probes come from, and along which axis; those are split, the other
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 """
 
-from time import perf_counter
-
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem, Condensed, Kind
 from fem.discretization.indicator import dual_weights
-from fem.discretization.kronecker import shape_functions
-from fem.discretization.mirrors import flipped_points, images
-from fem.linear.factors import FactorMemoryError, SolverError
 from fem.linear.linear_solver import checked_solve, factorized
+from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.box_field import crossings, lattice_boxes, picture_lines, unfolded_field
 from fem.methods.plan import Plan
-from fem.methods.richardson import estimated_errors
-from fem.methods.structured import VTK_MIRRORED, VTK_PLACES
+from fem.methods.stopwatch import Stopwatch
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_HEXAHEDRON, Field, Solution
+from fem.scene.solution import Field, Solution
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
@@ -30,12 +26,59 @@ WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, a
 MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
 HAIR = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
-MIN_BOXES = 24  #: fewer see too little for their estimate to be believed: 5e-3 for 1e-2 on a pillar that leans by 67°
+MIN_BOXES = 24  #: with fewer an estimate is not believed: 5e-3 for 1e-2 on a pillar that leans by 67°
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
-MAX_MESHES = 30
 SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
 LAST_SHARE = 0.4
 GROWTH = 2.5  #: of the number of boxes, at most, from mesh to mesh
+
+
+class SplitBoxes:
+    """A scene on boxes; the plan's mirrors have one parity each."""
+
+    min_meshes = 2
+
+    def __init__(self, scene: Scene, plan: Plan) -> None:
+        self.scene, self.plan = scene, plan
+        self.mesh = first_mesh(scene, plan)
+        self.order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
+        self._condensed: dict[Kind, Condensed] = {}
+
+    def __str__(self) -> str:
+        return f"{len(self.mesh.boxes)} boxes of order {self.order}"
+
+    def is_trusted(self) -> bool:
+        return len(self.mesh.boxes) >= MIN_BOXES
+
+    def limit(self, unknowns: int) -> str | None:
+        return f"{MAX_BOXES} boxes" if len(self.mesh.boxes) >= MAX_BOXES else None
+
+    def solve(self, watch: Stopwatch) -> MeshAnswer:
+        system = BoxSystem(self.scene, self.plan.regions, self.plan.mirrors, self.mesh, self._condensed, self.order)
+        forces, rows = system.loads(), system.probe_rows()
+        watch.spent("assemble")
+        factor = factorized(system.matrix, definite=True)
+        watch.spent("factor")
+        x, residual = checked_solve(system.matrix, factor, forces[:, None])
+        u = x[:, 0]
+        probes = rows @ u
+        weights, scales = dual_weights(probes)
+        unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
+        duals, _ = checked_solve(system.matrix, factor, np.ascontiguousarray(unit))
+        del factor
+        indicators = system.indicators(u, duals, scales)
+        watch.spent("solve")
+        return MeshAnswer(
+            probes=probes,
+            energy_mj=float(forces @ u) / 2 / system.share,
+            residual=residual,
+            unknowns=system.n_unknowns,
+            indicators=indicators,
+            field=lambda: _field(self.scene, self.plan, system, u),
+        )
+
+    def refine(self, indicators: FloatArray, excess: float) -> None:
+        self.mesh.split(marked(indicators, SHARE if excess > 2 else LAST_SHARE))
 
 
 def solve_by_splitting(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
@@ -45,95 +88,21 @@ def solve_by_splitting(scene: Scene, plan: Plan, with_field: bool = False) -> So
     ----------
     scene : Scene
     plan : Plan
-        Of method "grid" and element "Q4"; of its mirrors, each with one parity.
+        Of element "Q4"; of its mirrors, each with one parity.
     with_field : bool
-        Also hand back the displacement of the whole body.
-
-    Notes
-    -----
-    The estimate is that of `richardson.estimated_errors`. Where the tolerance asks for more than `MAX_BOXES`,
-    or more memory than there is, the answer is that of the last mesh, its estimate says so, and so do the steps.
+        Also return the displacement of the whole body.
 
     Raises
     ------
     SolverError
         If an answer cannot be trusted.
     """
+    watch = Stopwatch()
     # OpenBLAS gets products too small for two threads; MKL's factorisation keeps its own
     with ThreadpoolController().select(internal_api="openblas").limit(limits=1):
-        return _solve(scene, plan, with_field)
-
-
-def _solve(scene: Scene, plan: Plan, with_field: bool) -> Solution:
-    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
-    clock = perf_counter()
-
-    def spent(step: str) -> None:
-        nonlocal clock
-        now = perf_counter()
-        seconds[step] += now - clock
-        clock = now
-
-    outline = scene.outline
-    lean_x, lean_y, _ = (np.array(outline.top_mm) - outline.base_mm) / outline.height_mm
-    lean = float(lean_x), float(lean_y)
-    mesh = first_mesh(scene, plan, lean)
-    condensed: dict[Kind, Condensed] = {}
-    order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
-    steps: list[str] = []
-    history: list[tuple[float, FloatArray]] = []
-    found: tuple[BoxSystem, FloatArray, float] | None = None
-    estimate = np.inf
-    while True:
-        spent("mesh")
-        system = BoxSystem(scene, plan, mesh, lean, condensed, order)
-        forces, rows = system.loads(), system.probe_rows()
-        spent("assemble")
-        try:
-            factor = factorized(system.matrix, plan.solver, definite=True)
-        except FactorMemoryError:
-            if found is None:
-                raise
-            steps.append(f"stopped: the factor of {system.n_unknowns} unknowns does not fit in memory")
-            break
-        spent("factor")
-        x, residual = checked_solve(system.matrix, factor, forces[:, None])
-        u = x[:, 0]
-        probes = rows @ u
-        weights, scales = dual_weights(probes)
-        unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
-        duals, _ = checked_solve(system.matrix, factor, np.ascontiguousarray(unit))
-        del factor
-        indicators = system.indicators(u, duals, scales)
-        if not np.isfinite(indicators).all():
-            raise SolverError("indicators of boxes are not numbers: bring moduli and sizes closer.")
-        found = system, u, residual
-        history.append((float(indicators.sum()), probes))
-        worst = max(estimated_errors([probe.name for probe in scene.probes], history, least=2).values())
-        estimate = worst
-        steps.append(
-            f"{len(mesh.boxes)} boxes of order {order}: {system.n_unknowns} unknowns"
-            + (f", estimated error {worst:.1e}" if np.isfinite(worst) else "")
-        )
-        spent("solve")
-        if worst <= scene.tolerance and len(mesh.boxes) >= MIN_BOXES:
-            break
-        if len(mesh.boxes) >= MAX_BOXES or len(history) >= MAX_MESHES:
-            steps.append(f"stopped at {len(mesh.boxes)} boxes, short of the tolerance {scene.tolerance:g}")
-            break
-        share = SHARE if worst > 2 * scene.tolerance else LAST_SHARE
-        mesh.split(marked(indicators, share))
-    system, u, residual = found
-    return Solution(
-        probes={probe.name: history[-1][1][number] for number, probe in enumerate(scene.probes)},
-        energy_mj=float(system.loads() @ u) / 2 / system.share,
-        residual=residual,
-        unknowns=system.n_unknowns,
-        error_estimate=estimate,
-        seconds=seconds,
-        steps=tuple(steps),
-        field=_field(system, u) if with_field else None,
-    )
+        mesh = SplitBoxes(scene, plan)
+        watch.spent("mesh")
+        return solve_adaptively(scene, mesh, watch, [], with_field)
 
 
 def marked(indicators: FloatArray, share: float) -> np.ndarray:
@@ -151,12 +120,12 @@ def marked(indicators: FloatArray, share: float) -> np.ndarray:
     return marks
 
 
-def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
+def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
     """Boxes none of which is much wider than the body's least extent, split at the faces of regions and edges of loads.
 
     A box is split only where such a face or edge cuts it, so none of them runs through the body.
     """
-    (low, high), *inner = _solids(scene, plan, lean)
+    (low, high), *inner = _solids(scene, plan)
     slack = scene.rounding_mm
     stops = [
         np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
@@ -186,13 +155,15 @@ def first_mesh(scene: Scene, plan: Plan, lean: tuple[float, float]) -> BoxMesh:
         mesh.split(marks)
 
 
-def _solids(scene: Scene, plan: Plan, lean: tuple[float, float]) -> list[tuple[FloatArray, FloatArray]]:
+def _solids(scene: Scene, plan: Plan) -> list[tuple[FloatArray, FloatArray]]:
     """Lowest and highest corner of the body's solved part, of regions and, flat, of loads, where the base shows them.
 
     What lies beyond a mirror plane is folded to this side. Loads' edges a hair from a face are moved to it.
     """
     height = scene.height_mm
-    shift = np.array([*lean, 0.0]) * height  # from the base, where lines are stated, to the top with its loads
+    shift = (
+        np.array([*scene.outline.lean, 0.0]) * height
+    )  # from the base, where lines are stated, to the top with its loads
     solids = []
     for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
         half = np.array([*prism.section_mm, 0.0]) / 2
@@ -226,32 +197,14 @@ def _apart(places: list[float], slack: float) -> list[float]:
     return sorted(kept)
 
 
-def _field(system: BoxSystem, u: FloatArray) -> Field:
-    """Displacement of the whole body at the edge nodes of its boxes and midway between them."""
-    corner = system.low[:, None, :] + VTK_PLACES[None, :20] / 2 * system.size[:, None, :]
-    corner[..., :2] += np.array(system.lean) * corner[..., 2:]
-    at = np.stack([_functions_at(system.order, place) for place in VTK_PLACES[:20] - 1.0])
-    moved = np.stack([at @ system.element_values(e, u[:, None])[:, :, 0] for e in range(len(system.size))])
-    points, displacements, cells = [], [], []
-    count = len(system.size) * 20
-    for number, (flipped, signs) in enumerate(images(system.mirrors, system.parity)):
-        own = np.arange(count).reshape(-1, 20)
-        for mirror in flipped:
-            own = own[:, VTK_MIRRORED[mirror.axis][:20]]
-        cells.append(own + number * count)
-        points.append(flipped_points(corner.reshape(-1, 3), flipped))
-        displacements.append(moved.reshape(-1, 3) * signs)
-    return Field(
-        points_mm=np.vstack(points),
-        cells=np.vstack(cells),
-        cell_type=QUADRATIC_HEXAHEDRON,
-        displacement_mm=np.vstack(displacements),
-        region=np.tile(system.region, len(cells)),
-        material=tuple(system.materials),
-    )
-
-
-def _functions_at(order: int, place: FloatArray) -> FloatArray:
-    """An element's functions at a place of [−1, 1]³, shape ((order + 1)³,)."""
-    X, Y, Z = (shape_functions(order, place[d : d + 1])[0][0] for d in range(3))
-    return np.einsum("i,j,k->ijk", X, Y, Z).ravel()
+def _field(scene: Scene, plan: Plan, system: BoxSystem, u: FloatArray) -> Field:
+    """Displacement of the whole body on quadratic boxes, the wide ones split."""
+    points, cells, moved, count = [], [], [], 0
+    for element, (low, high) in enumerate(zip(system.low, system.high, strict=True)):
+        halves, own = lattice_boxes([picture_lines(scene, np.array(ends)) for ends in zip(low, high, strict=True)])
+        at = crossings(halves)
+        points.append(at)
+        cells.append(own + count)
+        moved.append(system.at(element, at, u))
+        count += len(at)
+    return unfolded_field(scene, plan, np.vstack(points), np.vstack(cells), [(system.parity, np.vstack(moved))])

@@ -6,8 +6,8 @@ import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.substructured import condensed_cell, mesh_stages
+from fem.discretization.richardson import richardson_factor
 from fem.methods.plan import Plan
-from fem.methods.richardson import error_after
 from fem.scene.scene import Rectangle, Scene, SceneError, Sensor
 from fem.scene.solution import Solution, largest_error
 from geometry.layout import FloatArray, unit_centres
@@ -56,7 +56,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
             answers.append((means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual))
         seconds["solve"] += perf_counter() - start
         (one, _, _), (two, energy, residual), (lower, _, _) = answers
-        estimate = error_after([coarse, fine], [largest_error(one, two)]) + largest_error(lower, two)
+        estimate = richardson_factor(coarse, fine) * largest_error(one, two) + largest_error(lower, two)
         steps.append(f"cells of level {fine:g}, ports of degree {degree}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break

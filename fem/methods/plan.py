@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangle, parities
+from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangles, parities
 from fem.methods.cost import seconds_by_order, seconds_by_splitting
-from fem.scene.scene import Load, Prism, Rectangle, Scene, SceneError, Sensor
+from fem.scene.scene import Rectangle, Region, Scene, SceneError, Sensor
 from geometry.design import Material
 from geometry.layout import AXES
 
@@ -21,29 +21,21 @@ Method = Literal["nothing", "grid", "cells", "tetrahedra"]
 SAVINGS = {
     "zero-load": "a scene without load is answered without a mesh",
     "one-material": "what is of the body's own material gets no region",
-    "hexahedra": "a structured grid of hexahedra where sides allow; off: tetrahedra",
+    "hexahedra": "hexahedra where sides allow; off: tetrahedra",
     "symmetry": "a half or a quarter of the grid where the body mirrors itself, loads in even and odd parts",
     "substructuring": "arrays with pillars from one condensed cell; off: the whole array meshed",
     "field": "no displacement of the whole body, no file for pictures, unless asked for",
     "cache": "tetrahedral meshes are kept on disk and found again; off: meshed anew",
 }
-GRID_ELEMENTS = {
+ELEMENTS = {
     "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
     "Q4": "boxes of order 4, split where the probes need it, factored: whatever contrast, ν, shear and slenderness",
-    "Q2": "27-node hexahedra, the volume change integrated on 2×2×2 points: fourth order, whatever ν",
-    "S2": "20-node hexahedra, integrated on 2×2×2 points",
-}
-TETRAHEDRAL_ELEMENTS = {
     "TH": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
-    "P2": "10-node tetrahedra, which converge slowly as ν nears 0.5",
-    "P1": "4-node tetrahedra, which lock as ν nears 0.5",
 }
-SOLVERS = ("pardiso", "cholmod", "superlu", "multigrid")
 SOFT = 0.1  #: modulus of pillars over the matrix's, below which cells err more than they estimate: 1.4 % for 0.9 % at
 #: 0.2, 3.4 % for 1.5 % at 0.025
 SOFT_CELLS = 5e-2  #: tolerance that cells of such pillars keep
 MAX_WHOLE = 4  #: units of such arrays that are meshed as a whole instead
-FOR_DEFINITE = ("cholmod", "multigrid")  #: which the mixed form, TH, is not
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +55,8 @@ class Plan:
     """What will be computed, what is skipped, and why."""
 
     method: Method
-    element: str  #: a key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`
-    solver: str | None  #: one of `SOLVERS`; None: the solver module chooses
-    regions: tuple[tuple[Prism, Material], ...]  #: prisms inside the body that need a region of their own
+    element: str  #: a key of `ELEMENTS`; empty where nothing is computed
+    regions: tuple[Region, ...]  #: prisms inside the body that need a region of their own
     mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
     keeps: frozenset[str]  #: names of the savings switched off
     decisions: tuple[Decision, ...]
@@ -84,14 +75,7 @@ class Plan:
         return replace(self, decisions=(*self.decisions, Decision(name=name, choice=choice, reason=reason)))
 
 
-def make_plan(
-    scene: Scene,
-    *,
-    no_skip: Iterable[str] = (),
-    element: str | None = None,
-    solver: str | None = None,
-    field: bool = False,
-) -> Plan:
+def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False) -> Plan:
     """Decide how to solve a scene.
 
     Parameters
@@ -99,59 +83,39 @@ def make_plan(
     scene : Scene
     no_skip : names of `SAVINGS`
         Savings to switch off.
-    element : str, optional
-        A key of `GRID_ELEMENTS` or `TETRAHEDRAL_ELEMENTS`; a tetrahedral one also switches the grid off.
-    solver : str, optional
-        One of `SOLVERS`.
     field : bool
         True if the displacement of the whole body is asked for.
 
     Raises
     ------
     SceneError
-        For an unknown name, or an element that this scene cannot be meshed with.
+        For an unknown name, or a tolerance that arrays of soft pillars cannot keep.
     """
     keeps = frozenset(no_skip)
     for name in sorted(keeps - SAVINGS.keys()):
         raise SceneError(f"unknown saving '{name}'; known are {', '.join(SAVINGS)}.")
-    if element is not None and element not in GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS:
-        known = ", ".join(GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS)
-        raise SceneError(f"unknown element '{element}'; known are {known}.")
-    if solver is not None and solver not in SOLVERS:
-        raise SceneError(f"unknown solver '{solver}'; known are {', '.join(SOLVERS)}.")
-
-    regions, one_material = _regions(scene, keeps)
-    method, mesh = _method(scene, regions, keeps, element, field)
+    regions, decisions = _regions(scene, keeps)
+    method, mesh = _method(scene, regions, keeps, field)
+    decisions.append(mesh)
     mirrors: tuple[Mirror, ...] = ()
-    decisions = [*one_material, mesh]
-    chosen, why = element or "", ""
+    element, why = "", ""
     if method == "grid":
-        mirrors, symmetry = _symmetry(scene, regions, keeps, solver)
-        chosen, why = _element(scene, regions, mirrors, element, solver)
-        if chosen == "Q4" and any(len(mirror.parities) > 1 for mirror in mirrors):
+        mirrors, symmetry = _symmetry(scene, regions, keeps)
+        seconds = {"Qp": seconds_by_order(scene, regions, mirrors), "Q4": seconds_by_splitting(scene, regions)}
+        element, other = sorted(seconds, key=seconds.__getitem__)
+        why = f"predicted {seconds[element]:.1g} s (by {other} {seconds[other]:.1g} s): {ELEMENTS[element]}"
+        if element == "Q4" and any(len(mirror.parities) > 1 for mirror in mirrors):
             mirrors = tuple(mirror for mirror in mirrors if len(mirror.parities) == 1)
             symmetry = _folded(mirrors)
         decisions.append(symmetry)
     elif method != "nothing":
-        chosen, why = _element(scene, regions, None, element, solver)
-    if method != "nothing":
-        decisions.append(Decision(name="element", choice=chosen, reason=why))
-    if chosen == "TH" and solver in FOR_DEFINITE:
-        raise SceneError(
-            f"solver '{solver}' takes definite matrices only, which element TH does not give: take pardiso or superlu, "
-            "or element P2."
-        )
-    if chosen == "Q4" and solver == "multigrid":
-        raise SceneError("element 'Q4' is factored: take solver pardiso, cholmod or superlu, or element Q2.")
-    if chosen == "Qp" and solver is not None:
-        raise SceneError(f"element 'Qp' has an iteration of its own: leave solver '{solver}' away, or take element Q2.")
-    if solver is not None:
-        decisions.append(Decision(name="solver", choice=solver, reason="asked for"))
+        element, why = "TH", ELEMENTS["TH"]
+    if element:
+        decisions.append(Decision(name="element", choice=element, reason=why))
     decisions.append(_field(scene, keeps, field))
     return Plan(
         method=method,
-        element=chosen,
-        solver=solver,
+        element=element,
         regions=tuple(regions),
         mirrors=mirrors,
         keeps=keeps,
@@ -159,7 +123,7 @@ def make_plan(
     )
 
 
-def _regions(scene: Scene, keeps: frozenset[str]) -> tuple[list[tuple[Prism, Material]], list[Decision]]:
+def _regions(scene: Scene, keeps: frozenset[str]) -> tuple[list[Region], list[Decision]]:
     every = scene.regions
     if not every:
         return [], []
@@ -176,16 +140,14 @@ def _regions(scene: Scene, keeps: frozenset[str]) -> tuple[list[tuple[Prism, Mat
     return own, [Decision(name="one-material", choice="interfaces skipped", reason=reason)]
 
 
-def _method(
-    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], element: str | None, field: bool
-) -> tuple[Method, Decision]:
+def _method(scene: Scene, regions: list[Region], keeps: frozenset[str], field: bool) -> tuple[Method, Decision]:
+    def tetrahedra(reason: str, choice: str = "tetrahedra") -> tuple[Method, Decision]:
+        return "tetrahedra", Decision(name="mesh", choice=choice, reason=reason)
+
     if scene.is_unloaded and not field and "zero-load" not in keeps:
         return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
-    oblique = sum(not prism.is_upright for prism, _ in regions)
+    is_sensor = isinstance(scene.body, Sensor)
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
-    if element in TETRAHEDRAL_ELEMENTS:
-        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=f"element {element} was asked for")
-    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
     soft = units > 1 and _are_soft(scene)
     if soft and units > MAX_WHOLE and scene.tolerance < SOFT_CELLS and not field:
         raise SceneError(
@@ -194,22 +156,17 @@ def _method(
         )
     if soft and units <= MAX_WHOLE:
         reason = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
-        return "tetrahedra", Decision(name="mesh", choice="tetrahedra of the whole array", reason=reason)
-    if units > 1 and seen_by_means and "substructuring" not in keeps and element is None:
+        return tetrahedra(reason, "tetrahedra of the whole array")
+    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
+    if units > 1 and seen_by_means and "substructuring" not in keeps:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
+    oblique = sum(not prism.is_upright for prism, _ in regions)
     if oblique or units:
-        what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
-        reason = f"{oblique} of {_count(regions, what)} of another material lean"
-        if element is not None:
-            raise SceneError(
-                f"element '{element}' needs a grid, but {reason}: take one of {', '.join(TETRAHEDRAL_ELEMENTS)}."
-            )
-        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=reason)
+        what = "pillar" if is_sensor else "inclusion"
+        return tetrahedra(f"{oblique} of {_count(regions, what)} of another material lean")
     if "hexahedra" in keeps:
-        if element is not None:
-            raise SceneError(f"element '{element}' needs the saving 'hexahedra', which was switched off.")
-        return "tetrahedra", Decision(name="mesh", choice="tetrahedra", reason="the grid was switched off")
+        return tetrahedra("the grid was switched off")
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
     return "grid", Decision(name="mesh", choice="structured hexahedra", reason=boxes + shape)
@@ -221,33 +178,9 @@ def _are_soft(scene: Scene) -> bool:
     return isinstance(scene.body, Sensor) and min(rubbers) < SOFT * scene.material.young_mpa
 
 
-def _element(
-    scene: Scene,
-    regions: list[tuple[Prism, Material]],
-    mirrors: tuple[Mirror, ...] | None,
-    element: str | None,
-    solver: str | None,
-) -> tuple[str, str]:
-    """The element and why; `mirrors` are those of a grid, None for tetrahedra."""
-    described = GRID_ELEMENTS | TETRAHEDRAL_ELEMENTS
-    if element is not None:
-        return element, f"asked for: {described[element]}"
-    if mirrors is None:
-        return "TH", described["TH"]
-    if solver is not None:
-        return "Q2", f"solver {solver} needs a matrix: {described['Q2']}"
-    seconds = {"Qp": seconds_by_order(scene, regions, mirrors), "Q4": seconds_by_splitting(scene, regions)}
-    best, other = sorted(seconds, key=seconds.__getitem__)
-    return best, f"predicted {seconds[best]:.1g} s (by {other} {seconds[other]:.1g} s): {described[best]}"
-
-
-def _symmetry(
-    scene: Scene, regions: list[tuple[Prism, Material]], keeps: frozenset[str], solver: str | None
-) -> tuple[tuple[Mirror, ...], Decision]:
+def _symmetry(scene: Scene, regions: list[Region], keeps: frozenset[str]) -> tuple[tuple[Mirror, ...], Decision]:
     if "symmetry" in keeps:
         return (), Decision(name="symmetry", choice="unused", reason="it was switched off")
-    if solver == "multigrid":
-        return (), Decision(name="symmetry", choice="unused", reason="multigrid takes nodes whole, free or held")
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
@@ -266,7 +199,7 @@ def _folded(mirrors: tuple[Mirror, ...]) -> Decision:
     return Decision(name="symmetry", choice=f"{share} of the grid", reason=reason)
 
 
-def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> Mirror | None:
+def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:
     """The body's middle plane across an axis, if body and inclusions mirror themselves in it."""
     outline, slack = scene.outline, scene.rounding_mm
     if outline.base_mm[axis] != outline.top_mm[axis]:
@@ -281,7 +214,7 @@ def _mirror(scene: Scene, regions: list[tuple[Prism, Material]], axis: int) -> M
             _near(image, other, slack) and _near(section, size, slack) and m == material for other, size, m in own
         ):
             return None
-    loads = _summed(scene.loads)
+    loads = scene.summed_tractions
     whole = [parity for parity in (1, -1) if _loads_mirror(loads, plane, parity, slack)]
     return replace(plane, parities=(whole[0],)) if whole else plane
 
@@ -290,19 +223,11 @@ def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
     return bool(np.abs(one - other).max() <= slack)
 
 
-def _summed(loads: tuple[Load, ...]) -> dict[Rectangle, np.ndarray]:
-    """Total traction of every loaded rectangle."""
-    sums: dict[Rectangle, np.ndarray] = {}
-    for load in loads:
-        sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
-    return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
-
-
 def _loads_mirror(loads: dict[Rectangle, np.ndarray], plane: Mirror, parity: int, slack: float) -> bool:
     """True if the mirror image of the loads, times the parity, are the loads."""
     flip = np.where(np.arange(3) == plane.axis, -1.0, 1.0)
     for rectangle, traction in loads.items():
-        image = flipped_rectangle(rectangle, (plane,))
+        image = flipped_rectangles(np.array(rectangle), (plane,))
         wanted = parity * flip * traction
         largest = np.abs(traction).max()
         if not any(

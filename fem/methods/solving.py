@@ -8,20 +8,12 @@ from fem.methods.box_refinement import solve_by_splitting
 from fem.methods.cell_scene import solve_by_cells
 from fem.methods.high_order import solve_by_order
 from fem.methods.plan import Plan, make_plan
-from fem.methods.structured import solve_on_grid
 from fem.methods.tetrahedral import solve_on_tetrahedra
 from fem.scene.scene import Scene, SceneError
 from fem.scene.solution import Solution
 
 
-def solve_scene(
-    scene: Scene,
-    *,
-    no_skip: Iterable[str] = frozenset(),
-    element: str | None = None,
-    solver: str | None = None,
-    field: bool = False,
-) -> tuple[Solution, Plan]:
+def solve_scene(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False) -> tuple[Solution, Plan]:
     """Displacement of a scene's probes to its tolerance.
 
     Parameters
@@ -29,8 +21,6 @@ def solve_scene(
     scene : Scene
     no_skip : names of `fem.methods.plan.SAVINGS`, optional
         Savings to switch off.
-    element, solver : str, optional
-        Override what the plan would choose.
     field : bool
         Also return the displacement of the whole body.
 
@@ -41,32 +31,27 @@ def solve_scene(
     Raises
     ------
     SceneError
-        For unknown names, or an element this scene cannot be meshed with.
+        For unknown names, or a tolerance that the scene's method cannot keep.
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    plan = make_plan(scene, no_skip=no_skip, element=element, solver=solver, field=field)
+    plan = make_plan(scene, no_skip=no_skip, field=field)
     return follow(plan, scene, field), plan
 
 
 def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
-    """The answer to a scene by the plan that was made for it."""
+    """The solution of a scene by the plan that was made for it."""
     with_field = field or not plan.saves("field")
     if plan.method == "nothing":
         return unmoved(scene)
-    if plan.method == "grid" and plan.element == "Qp":
-        return solve_by_order(scene, plan, with_field)
-    if plan.method == "grid" and plan.element == "Q4":
-        return solve_by_splitting(scene, plan, with_field)
-    if plan.method == "grid":
-        return solve_on_grid(scene, plan, with_field)
     if plan.method == "cells":
         return solve_by_cells(scene, plan)
-    return solve_on_tetrahedra(scene, plan, with_field)
+    method = {"Qp": solve_by_order, "Q4": solve_by_splitting, "TH": solve_on_tetrahedra}[plan.element]
+    return method(scene, plan, with_field)
 
 
 def unmoved(scene: Scene) -> Solution:
-    """The answer to a scene without load: nothing moves, exactly."""
+    """The solution of a scene without load: nothing moves, exactly."""
     if not scene.is_unloaded:
         raise SceneError("the scene is loaded, so it moves: solve it.")
     return Solution(

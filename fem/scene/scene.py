@@ -13,11 +13,12 @@ from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.design import Material, SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from geometry.prism import Pair, Prism, Triple, pillar_prisms, slab_prism
+from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
 
@@ -64,6 +65,14 @@ def _is_finite(value: Any) -> bool:
         return False
     limit = sys.float_info.max
     return bool(-limit <= value <= limit)  # so that NaN and endless integers are refused
+
+
+Region = tuple[Prism, Material]  #: a part of the body with a rubber of its own
+
+
+def regions_at(points_mm: FloatArray, regions: Sequence[Region]) -> NDArray[np.int64]:
+    """The region of each of the points (n, 3): 0 for the body's own, i + 1 for regions[i]."""
+    return prisms_at(points_mm, [prism for prism, _ in regions])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,7 +311,7 @@ class Scene:
         return _rectangle(self.outline.top_mm[:2], self.outline.section_mm)
 
     @property
-    def regions(self) -> list[tuple[Prism, Material]]:
+    def regions(self) -> list[Region]:
         """Every prism inside the body with its material, whether it differs from the body's or not."""
         if isinstance(self.body, Sensor):
             return [(pillar, self.body.design.pillar_material) for pillar in self.body.pillars]
@@ -337,12 +346,17 @@ class Scene:
         return np.array([probe.position_mm for probe in self.point_probes], dtype=np.float64).reshape(-1, 3)
 
     @property
-    def is_unloaded(self) -> bool:
-        """True if no load remains once those on equal rectangles are added up."""
+    def summed_tractions(self) -> dict[Rectangle, FloatArray]:
+        """Total traction of every loaded rectangle on which it is not zero."""
         sums: dict[Rectangle, FloatArray] = {}
         for load in self.loads:
             sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
-        return not any(traction.any() for traction in sums.values())
+        return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
+
+    @property
+    def is_unloaded(self) -> bool:
+        """True if no load remains once those on equal rectangles are added up."""
+        return not self.summed_tractions
 
     def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
         """Rectangles without what rounding puts past the top face."""

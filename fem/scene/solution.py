@@ -15,6 +15,9 @@ QUADRILATERAL, TETRAHEDRON, HEXAHEDRON = 9, 10, 12  #: VTK's numbers of linear c
 QUADRATIC_TETRAHEDRON, QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 25, 29
 
 
+Probes = dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Field:
     """Displacement of the whole body, for pictures."""
@@ -31,7 +34,7 @@ class Field:
 class Solution:
     """Answer to a scene."""
 
-    probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+    probes: Probes
     energy_mj: float  #: elastic energy ½ f·u
     residual: float  #: relative residual of the linear system
     unknowns: int  #: of the finest system solved

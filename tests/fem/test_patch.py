@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from skfem import Basis, ElementTetP1, ElementTetP2
+from skfem import Basis, ElementTetP2
 
 from fem.discretization.patch import PatchError, patch_integrals
 from tests.fem.boxes import box_mesh
@@ -10,16 +10,15 @@ from tests.fem.boxes import box_mesh
 RECTANGLES = np.array([[0.0, 0.0, 10.0, 10.0], [1.3, 2.1, 4.7, 9.9], [4.9, 4.9, 5.1, 5.1], [0.0, 9.0, 10.0, 10.0]])
 
 
-@pytest.mark.parametrize(("element", "degree"), [(ElementTetP1, 1), (ElementTetP2, 2)])
-def test_polynomials_are_integrated_exactly(element, degree):
+def test_polynomials_are_integrated_exactly():
     """∫ xᵃ yᵇ over a rectangle by its closed form, for every power an element can hold, to rounding."""
     mesh = box_mesh((4, 5, 2), (10.0, 10.0, 3.0))
-    basis = Basis(mesh, element(), intorder=2)
+    basis = Basis(mesh, ElementTetP2(), intorder=2)
     integrals = patch_integrals(basis, RECTANGLES)
     x, y, _ = basis.doflocs
     x0, y0, x1, y1 = RECTANGLES.T
-    for a in range(degree + 1):
-        for b in range(degree + 1 - a):
+    for a in range(3):
+        for b in range(3 - a):
             exact = (x1 ** (a + 1) - x0 ** (a + 1)) / (a + 1) * (y1 ** (b + 1) - y0 ** (b + 1)) / (b + 1)
             assert np.allclose(integrals @ (x**a * y**b), exact, rtol=1e-12)
 

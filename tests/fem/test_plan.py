@@ -59,20 +59,6 @@ def test_unknown_names_are_refused_with_the_known():
     scene = scene_from_toml(BLOCK)
     with pytest.raises(SceneError, match=f"unknown saving 'spam'; known are {', '.join(SAVINGS)}"):
         make_plan(scene, no_skip=["spam"])
-    with pytest.raises(SceneError, match="unknown element 'Q7'; known are Qp, Q4, Q2, S2, TH, P2, P1"):
-        make_plan(scene, element="Q7")
-    with pytest.raises(SceneError, match="unknown solver 'spam'; known are pardiso"):
-        make_plan(scene, solver="spam")
-
-
-def test_elements_go_with_meshes():
-    assert make_plan(scene_from_toml(UPRIGHT), element="P2").method == "tetrahedra"
-    assert make_plan(scene_from_toml(UPRIGHT), element="S2").method == "grid"
-    with pytest.raises(SceneError, match="element 'Q2' needs a grid, but 1 of 1 inclusion of another material lean"):
-        make_plan(scene_from_toml(BLOCK), element="Q2")
-    with pytest.raises(SceneError, match="solver 'cholmod' takes definite matrices only"):
-        make_plan(scene_from_toml(BLOCK), solver="cholmod")
-    assert make_plan(scene_from_toml(BLOCK), solver="cholmod", element="P2").solver == "cholmod"
 
 
 @pytest.mark.parametrize(
@@ -114,12 +100,6 @@ def test_two_loads_may_mirror_each_other():
 )
 def test_the_element_suits_the_rubbers(text, element):
     assert make_plan(scene_from_toml(text)).element == element
-
-
-def test_a_solver_asked_for_gets_a_matrix():
-    assert make_plan(scene_from_toml(PLAIN), solver="pardiso").element == "Q2"
-    with pytest.raises(SceneError, match="element 'Qp' has an iteration of its own"):
-        make_plan(scene_from_toml(PLAIN), solver="pardiso", element="Qp")
 
 
 def test_nothing_moves_what_nothing_loads():

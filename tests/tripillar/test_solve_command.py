@@ -57,8 +57,7 @@ def test_a_field_is_written_for_pictures(house, words):
 
 def test_an_estimate_above_the_tolerance_is_a_warning(house, monkeypatch):
     monkeypatch.setattr("fem.methods.tetrahedral.MAX_UNKNOWNS", 1000)
-    monkeypatch.setattr("fem.methods.richardson.MIN_MESHES", 1)
-    monkeypatch.setattr("fem.methods.tetrahedral.estimated_errors", lambda *_: {"top": 0.3})
+    monkeypatch.setattr("fem.methods.adaptive.errors_by_indicators", lambda *_: {"top": 0.3})
     done = house.tripillar("solve", "pillar.toml", "--no-skip", "hexahedra", "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["error_estimate"] == 0.3

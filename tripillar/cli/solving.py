@@ -37,12 +37,6 @@ def solve(
     no_skip: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Name of a saving to do without; can be repeated.")
     ] = None,
-    element: Annotated[
-        str | None, typer.Option(help="Finite element: Qp, Q4, Q2, S2, TH, P2 or P1; default: the plan's.")
-    ] = None,
-    solver: Annotated[
-        str | None, typer.Option(help="Linear solver: pardiso, cholmod, superlu or multigrid; default: the plan's.")
-    ] = None,
 ) -> None:
     """Solve a scene: a block, pillar, unit or array under loads, to a tolerance."""
     require_suffix("--vtu", vtu, ".vtu")
@@ -54,7 +48,7 @@ def solve(
     body = read_scene(scene)
     if tolerance is not None:
         body = replace(body, tolerance=tolerance)
-    plan = make_plan(body, no_skip=no_skip or (), element=element, solver=solver, field=vtu is not None)
+    plan = make_plan(body, no_skip=no_skip or (), field=vtu is not None)
     if explain:
         print(*plan.lines, sep="\n", file=sys.stderr if json_ else sys.stdout)
     solution = follow(plan, body, field=vtu is not None)

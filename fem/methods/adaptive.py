@@ -1,0 +1,96 @@
+"""Refine a mesh where the probes need it until they are as accurate as asked."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fem.discretization.richardson import errors_by_indicators
+from fem.linear.factors import FactorMemoryError, SolverError
+from fem.methods.stopwatch import Stopwatch
+from fem.scene.scene import Scene
+from fem.scene.solution import Field, Solution
+from geometry.layout import FloatArray
+
+MAX_MESHES = 40  #: no more are tried; some 10 are usual
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshAnswer:
+    """Answer on one mesh, and where it errs."""
+
+    probes: FloatArray  #: shape (n_probes, 3) [mm]
+    energy_mj: float
+    residual: float
+    unknowns: int
+    indicators: FloatArray  #: of the error of the probes, by element
+    field: Callable[[], Field]  #: displacement of the whole body
+
+
+class AdaptiveMesh(Protocol):
+    """A mesh that solves its scene and can be refined."""
+
+    min_meshes: int  #: before an estimate is believed
+
+    def __str__(self) -> str:
+        """Number and kind of its elements."""
+
+    def is_trusted(self) -> bool:
+        """True if it is fine enough for an estimate."""
+
+    def solve(self, watch: Stopwatch) -> MeshAnswer:
+        """The scene's answer on the mesh as it is."""
+
+    def limit(self, unknowns: int) -> str | None:
+        """The limit that the mesh has reached, in words."""
+
+    def refine(self, indicators: FloatArray, excess: float) -> None:
+        """Refine the elements of the largest indicators; `excess` is the error over the tolerance."""
+
+
+def solve_adaptively(
+    scene: Scene, mesh: AdaptiveMesh, watch: Stopwatch, steps: list[str], with_field: bool
+) -> Solution:
+    """Solve and refine until the estimated error of every probe is within the tolerance.
+
+    The estimate is that of `richardson.errors_by_indicators`. Where the tolerance asks for more than the mesh's limit,
+    or more memory than there is, the answer is that of the last mesh, with its estimate; the last of the steps says so.
+    """
+    names = [probe.name for probe in scene.probes]
+    history: list[tuple[float, FloatArray]] = []
+    answer: MeshAnswer | None = None
+    estimate = np.inf
+    while True:
+        try:
+            answer = mesh.solve(watch)
+        except FactorMemoryError as error:
+            if answer is None:
+                raise
+            steps.append(f"stopped: {error}")
+            break
+        if not np.isfinite(answer.indicators).all():
+            raise SolverError("error indicators are not numbers: bring moduli and sizes closer.")
+        history.append((float(answer.indicators.sum()), answer.probes))
+        estimate = float(max(errors_by_indicators(names, history, mesh.min_meshes).values()))
+        steps.append(
+            f"{mesh}: {answer.unknowns} unknowns" + (f", estimated error {estimate:.1e}" if estimate < np.inf else "")
+        )
+        if estimate <= scene.tolerance and mesh.is_trusted():
+            break
+        limit = f"{MAX_MESHES} meshes" if len(history) >= MAX_MESHES else mesh.limit(answer.unknowns)
+        if limit:
+            steps.append(f"stopped at the limit of {limit}, short of the tolerance {scene.tolerance:g}")
+            break
+        mesh.refine(answer.indicators, estimate / scene.tolerance)
+        watch.spent("mesh")
+    return Solution(
+        probes=dict(zip(names, answer.probes, strict=True)),
+        energy_mj=answer.energy_mj,
+        residual=answer.residual,
+        unknowns=answer.unknowns,
+        error_estimate=estimate,
+        seconds=watch.seconds,
+        steps=tuple(steps),
+        field=answer.field() if with_field else None,
+    )

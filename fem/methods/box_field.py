@@ -1,0 +1,88 @@
+"""Displacement of a whole body of boxes for pictures: quadratic hexahedra, with the mirrored parts unfolded."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.discretization.lagrange import line_nodes
+from fem.discretization.mirrors import Parity, flipped_points, images
+from fem.methods.plan import Plan
+from fem.scene.scene import Scene, regions_at
+from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON, Field
+from geometry.layout import FloatArray
+
+PER_HEIGHT, PER_WIDTH = 4, 24  #: boxes of a picture to the body's height and to its greatest extent, at least
+
+#: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
+#: the sides across x, y and z, and of the whole
+VTK_PLACES = np.array(
+    [
+        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
+        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
+        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
+    ]
+)
+#: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out
+VTK_MIRRORED = [
+    [
+        int(np.flatnonzero((np.where(np.arange(3) == axis, 2 - place, place) == VTK_PLACES).all(axis=1))[0])
+        for place in VTK_PLACES
+    ]
+    for axis in (0, 1)
+]
+
+
+def picture_lines(scene: Scene, lines: FloatArray) -> FloatArray:
+    """Element boundaries along one axis with wide intervals split evenly, for quadratic boxes that look smooth."""
+    extent = np.ptp(scene.outline.corners(), axis=0).max()
+    widest = max(scene.height_mm / PER_HEIGHT, extent / PER_WIDTH)
+    parts = np.ceil(np.diff(lines) / widest - 1e-9).astype(int).clip(1)
+    pieces = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(lines[:-1], lines[1:], parts, strict=True)]
+    return np.concatenate([lines[:1], *pieces])
+
+
+def lattice_boxes(lines: Sequence[FloatArray]) -> tuple[list[FloatArray], NDArray[np.int64]]:
+    """Positions of the nodes of quadratic boxes along each axis, and the boxes' nodes (m, 27) in VTK's order."""
+    halves = [line_nodes(line, 2) for line in lines]
+    start = 2 * np.indices([len(line) - 1 for line in lines]).reshape(3, -1, 1)
+    cells = np.ravel_multi_index(tuple(start + VTK_PLACES.T[:, None]), [len(half) for half in halves])
+    return halves, cells.astype(np.int64)
+
+
+def crossings(positions: Sequence[FloatArray]) -> FloatArray:
+    """Points at all crossings of positions along x, y and z, z fastest, shape (n, 3)."""
+    return np.stack(np.meshgrid(*positions, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def unfolded_field(
+    scene: Scene,
+    plan: Plan,
+    points_mm: FloatArray,
+    cells: NDArray[np.int64],
+    parts: Sequence[tuple[Parity, FloatArray]],
+) -> Field:
+    """The field of a whole body from even and odd displacements (n, 3) of its solved part.
+
+    `points_mm` (n, 3) are where the base shows the nodes of `cells` (m, 27): before a sheared body is sheared.
+    """
+    region = regions_at(points_mm[cells[:, -1]], plan.regions)
+    sheared = points_mm.copy()
+    sheared[:, :2] += np.array(scene.outline.lean) * points_mm[:, 2:]
+    all_points, all_moved, all_cells = [], [], []
+    for number, (flipped, _) in enumerate(images(plan.mirrors, (1, 1))):
+        own = cells
+        for mirror in flipped:
+            own = own[:, VTK_MIRRORED[mirror.axis]]
+        all_cells.append(own + number * len(sheared))
+        all_points.append(flipped_points(sheared, flipped))
+        all_moved.append(np.sum([u * images(plan.mirrors, parity)[number][1] for parity, u in parts], axis=0))
+    return Field(
+        points_mm=np.vstack(all_points),
+        cells=np.vstack(all_cells),
+        cell_type=TRIQUADRATIC_HEXAHEDRON,
+        displacement_mm=np.vstack(all_moved),
+        region=np.tile(region, len(all_cells)),
+        material=(scene.material, *(material for _, material in plan.regions)),
+    )

@@ -1,0 +1,373 @@
+"""Scenes of boxes by both of their elements: closed forms, mirrors, estimates; and the boxes that are split."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from fem.discretization.box_mesh import AxisTree, BoxMesh
+from fem.discretization.box_system import BoxSystem
+from fem.discretization.graded_box import box_part
+from fem.discretization.lagrange import lobatto_points
+from fem.linear.factors import SolverError
+from fem.linear.linear_solver import factorized
+from fem.methods.box_refinement import ORDER, first_mesh, marked
+from fem.methods.high_order import LEVELS
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.solution import largest_error
+from geometry.design import Material
+from tests.fem.scenes import assert_follows_bernoulli, plan_by, slender_oblique_pillar, solved_by
+
+STEEP = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))
+BOTH = pytest.mark.parametrize("element", ["Qp", "Q4"])
+
+
+def mean(name, centre, size):
+    return Probe(name=name, kind="mean", center_mm=centre, size_mm=size)
+
+
+def patch(traction=(0.0, 0.0, -1.0), poisson=0.49, centre=(15.0, 15.0), **changes):
+    """The 30 × 30 × 10 mm block under a 10 mm patch."""
+    scene = Scene(
+        body=Block(size_mm=(30.0, 30.0, 10.0)),
+        material=Material(poisson=poisson),
+        loads=(Load(center_mm=centre, size_mm=(10.0, 10.0), traction_mpa=traction),),
+        probes=(mean("patch", centre, (10.0, 10.0)),),
+    )
+    return replace(scene, **changes)
+
+
+def pressed(body: Block | Pillar, **kwargs: object) -> Scene:
+    """A body pressed and dragged on the middle of its top, with a probe there."""
+    x, y, _ = body.outline.top_mm
+    a, b = body.outline.section_mm
+    share = 1.0 if isinstance(body, Pillar) else 0.4
+    place = {"center_mm": (x, y), "size_mm": (share * a, share * b)}
+    return Scene(
+        body=body,
+        loads=(Load(**place, traction_mpa=(0.02, 0.0, -0.1)),),
+        probes=(Probe(name="patch", kind="mean", **place),),
+        **kwargs,  # type: ignore[arg-type]
+    )
+
+
+@BOTH
+def test_a_sheet_under_its_whole_face_follows_hooke(element):
+    """With ν = 0 a fully loaded block is in uniaxial compression: u_z = −p h / E, exact on any grid."""
+    block = patch(
+        poisson=0.0,
+        loads=(Load(center_mm=(15.0, 15.0), size_mm=(30.0, 30.0), traction_mpa=(0.0, 0.0, -2.0)),),
+        probes=(mean("top", (7.0, 12.0), (3.0, 5.0)), Probe(name="in", kind="point", position_mm=(3.0, 28.0, 5.0))),
+        tolerance=1e-2,
+    )
+    solution = solved_by(element, block)
+    # to rounding, but for points inside a Q4 box, which are known to float32
+    assert np.allclose(solution.probes["top"], [0.0, 0.0, -2.0 * 10.0 / 6.1], atol=1e-8)
+    assert np.allclose(solution.probes["in"], [0.0, 0.0, -2.0 * 5.0 / 6.1], atol=1e-6)
+    assert np.isclose(solution.energy_mj, 0.5 * 2.0**2 / 6.1 * 9000.0)
+
+
+def test_flat_block_under_pressure_nears_confined_compression():
+    """15 heights away from its sides, whose influence has died out, a block sinks by p h / (λ + 2μ)."""
+    scene = Scene(
+        body=Block(size_mm=(120.0, 120.0, 4.0)),
+        material=Material(young_mpa=6.1, poisson=0.3),
+        loads=(Load(center_mm=(60.0, 60.0), size_mm=(120.0, 120.0), traction_mpa=(0.0, 0.0, -1.0)),),
+        probes=(mean("mean", (60.0, 60.0), (2.0, 2.0)), Probe(name="point", kind="point", position_mm=(60, 60, 2))),
+    )
+    lame, mu = scene.material.lame_mpa
+    probes = solve_scene(scene)[0].probes
+    assert probes["mean"][2] == pytest.approx(-4.0 / (lame + 2 * mu), rel=1e-6)
+    assert probes["point"][2] == pytest.approx(-2.0 / (lame + 2 * mu), rel=1e-6)
+
+
+@BOTH
+def test_a_slender_pillar_bends_like_timoshenko_s_beam(element):
+    """Tip deflection F L³/(3 E I) + F L/(κ G A), κ = 5/6; what clamping adds goes with width/length: 3 % at 1:20."""
+    pillar = Scene(
+        body=Pillar(section_mm=(1.0, 1.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 20.0)),
+        material=Material(young_mpa=6.1, poisson=0.3),
+        loads=(Load(center_mm=(0.0, 0.0), size_mm=(1.0, 1.0), traction_mpa=(1e-4, 0.0, 0.0)),),
+        probes=(mean("top", (0.0, 0.0), (1.0, 1.0)),),
+    )
+    force, G = 1e-4, 6.1 / 2.6
+    beam = force * 20.0**3 / (3 * 6.1 / 12) + force * 20.0 / (5 / 6 * G)
+    assert np.isclose(solved_by(element, pillar).probes["top"][0], beam, rtol=0.03)
+
+
+def test_slender_oblique_pillar_follows_bernoulli():
+    assert_follows_bernoulli(solve_scene(slender_oblique_pillar())[0].probes["top"])
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("traction", "expected"), [((0.0, 0.0, -1.0), (0.0, 0.0, -0.623294559)), ((0.2, 0.0, 0.0), (0.321299361, 0.0, 0.0))]
+)
+def test_the_tolerance_is_met_and_the_estimate_is_near_the_error(traction, expected, element):
+    """Against the stored references, known to 2e-5; an estimate may be too large, but hardly too small."""
+    solution = solved_by(element, patch(traction, tolerance=3e-3))
+    error = largest_error(solution.probes, {"patch": np.array(expected)})
+    assert error < 3e-3
+    assert solution.error_estimate / (3 if element == "Qp" else 10) < error < 3 * solution.error_estimate
+
+
+@BOTH
+@pytest.mark.parametrize("centre", [(15.0, 15.0), (13.0, 11.0)])
+def test_mirrors_change_nothing(element, centre):
+    """A quarter, its even and odd parts, the whole: one answer but for the grids, which are not the same."""
+    traction = (0.2, 0.1, -1.0) if element == "Qp" else (0.0, 0.0, -1.0)
+    scene = patch(
+        traction,
+        centre=centre,
+        probes=(mean("off", (10.0, 20.0), (4.0, 4.0)), Probe(name="p", kind="point", position_mm=(9.0, 22.0, 6.0))),
+        tolerance=1e-2 if element == "Qp" else 5e-2,
+    )
+    folded, whole = solved_by(element, scene), solved_by(element, scene, ("symmetry",))
+    symmetric = centre == (15.0, 15.0)
+    assert len(plan_by(element, scene).mirrors) == (2 if element == "Qp" or symmetric else 0)
+    assert not plan_by(element, scene, ("symmetry",)).mirrors
+    for name in folded.probes:
+        assert np.allclose(folded.probes[name], whole.probes[name], rtol=2 * scene.tolerance, atol=1e-3)
+    assert np.isclose(folded.energy_mj, whole.energy_mj, rtol=scene.tolerance)
+
+
+def test_folding_splits_around_an_inclusion_as_the_whole_does():
+    """A quarter with planes of symmetry gives what the whole gives, also beyond the planes, pressed and dragged."""
+    stiff = Inclusion(
+        base_mm=(6.0, 6.0, 0.0), top_mm=(6.0, 6.0, 5.0), section_mm=(3.0, 3.0), material=Material(young_mpa=61.0)
+    )
+    place = {"center_mm": (6.0, 6.0), "size_mm": (5.0, 5.0)}
+    probes = (Probe(name="patch", kind="mean", **place), Probe(name="point", kind="point", position_mm=(2.0, 9.0, 4.0)))
+    for traction in ((0.0, 0.0, -0.1), (0.1, 0.0, 0.0)):
+        load = Load(**place, traction_mpa=traction)
+        scene = Scene(
+            body=Block(size_mm=(12.0, 12.0, 6.0)), inclusions=(stiff,), loads=(load,), probes=probes, tolerance=5e-3
+        )
+        part, whole = solved_by("Q4", scene), solved_by("Q4", scene, ("symmetry",))
+        assert len(plan_by("Q4", scene).mirrors) == 2
+        assert largest_error(part.probes, whole.probes) <= part.error_estimate + whole.error_estimate
+        assert part.energy_mj == pytest.approx(whole.energy_mj, rel=1e-2)
+
+
+@BOTH
+@pytest.mark.parametrize("traction", [(0.0, 0.0, -1.0), (0.2, 0.0, 0.0)])
+def test_the_field_of_the_whole_body_agrees_with_its_probes(element, traction):
+    """At a node within the patch the field is what a point probe says, whichever part was solved."""
+    point = (15.0, 20.0, 10.0)
+    scene = patch(traction, probes=(Probe(name="p", kind="point", position_mm=point),), tolerance=0.1)
+    solution = solved_by(element, scene, field=True)
+    field = solution.field
+    assert np.allclose(field.points_mm.min(axis=0), 0.0)
+    assert np.allclose(field.points_mm.max(axis=0), [30.0, 30.0, 10.0])
+    near = np.linalg.norm(field.points_mm - point, axis=1)
+    at = np.flatnonzero(near < 1e-6)
+    assert len(at) > 0
+    assert np.allclose(field.displacement_mm[at], solution.probes["p"], atol=1e-6)
+    corner, opposite = field.points_mm[field.cells[:, 0]], field.points_mm[field.cells[:, 6]]
+    assert np.abs((opposite - corner).prod(axis=1)).sum() == pytest.approx(9000.0, rel=1e-12)
+
+
+@BOTH
+def test_an_inclusion_of_the_body_s_own_rubber_changes_nothing_and_a_stiff_one_stiffens(element):
+    column = Inclusion(base_mm=(15.0, 15.0, 0.0), top_mm=(15.0, 15.0, 10.0), section_mm=(4.0, 4.0), material=Material())
+    plain = solved_by(element, patch(tolerance=1e-2))
+    same = solved_by(element, patch(tolerance=1e-2, inclusions=(column,)))
+    assert np.array_equal(plain.probes["patch"], same.probes["patch"])
+    stiff = replace(column, material=Material(young_mpa=61.0))
+    held = solved_by(element, patch(tolerance=1e-2, inclusions=(stiff,)))
+    assert abs(held.probes["patch"][2]) < 0.9 * abs(plain.probes["patch"][2])
+
+
+def test_nearly_incompressible_blocks_are_met_as_well():
+    loose, _ = solve_scene(patch(poisson=0.499999, tolerance=1e-2))
+    tight, _ = solve_scene(patch(poisson=0.499999, tolerance=2e-3))
+    assert largest_error(loose.probes, tight.probes) < 1e-2
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pressed(Block(size_mm=(20.0, 20.0, 8.0)), tolerance=3e-3),
+        pressed(Block(size_mm=(20.0, 20.0, 8.0)), material=Material(young_mpa=1.0, poisson=0.4999), tolerance=3e-3),
+        pressed(Block(size_mm=(20.0, 20.0, 2.0)), material=Material(young_mpa=1.0, poisson=0.499999), tolerance=1e-2),
+        pressed(replace(STEEP, top_mm=(4.0, 3.0, 6.0)), tolerance=3e-3),
+    ],
+    ids=["block", "nearly incompressible", "plate", "leaning"],
+)
+def test_both_elements_agree(scene):
+    """Two methods that share neither grid nor solver differ by no more than both estimate."""
+    by_order, by_splitting = (solved_by(element, scene) for element in ("Qp", "Q4"))
+    assert by_splitting.error_estimate <= scene.tolerance
+    allowed = by_order.error_estimate + by_splitting.error_estimate
+    assert largest_error(by_splitting.probes, by_order.probes) <= allowed
+    assert by_splitting.energy_mj == pytest.approx(by_order.energy_mj, rel=2 * allowed)
+
+
+def test_levels_close_in_and_grow():
+    """The estimate is within a factor of 3 of the error, and every level is bigger than the one before."""
+    scene = small_patch()
+    finest, _ = solve_scene(replace(scene, tolerance=1e-4))
+    for tolerance in (2e-2, 2e-3):
+        found, _ = solve_scene(replace(scene, tolerance=tolerance))
+        error = largest_error(found.probes, finest.probes)
+        assert error < tolerance
+        assert found.error_estimate / 3 < error < 3 * found.error_estimate
+    sizes = [np.prod(box_part(scene, (), (), level).shape) for level in LEVELS]
+    assert (np.diff(sizes) > 0).all()
+
+
+def test_a_load_that_rounding_puts_on_an_edge_adds_no_line():
+    part = box_part(small_patch(size=10.0 - 1e-12), (), (), LEVELS[1])
+    assert np.diff(part.grid.x).min() > 1e-3
+
+
+def test_a_body_too_big_is_refused_in_a_line(monkeypatch):
+    monkeypatch.setattr("fem.methods.high_order.MAX_UNKNOWNS", 100)
+    with pytest.raises(SolverError, match="the limit is 100"):
+        solve_scene(small_patch())
+
+
+def small_patch(size=4.0) -> Scene:
+    return Scene(
+        body=Block(size_mm=(10.0, 10.0, 4.0)),
+        material=Material(young_mpa=6.1, poisson=0.49),
+        loads=(Load(center_mm=(5.0, 5.0), size_mm=(size, size), traction_mpa=(0.1, 0.0, -1.0)),),
+        probes=(mean("patch", (5.0, 5.0), (size, size)),),
+    )
+
+
+def random_mesh(seed: int, rounds: int = 4) -> BoxMesh:
+    """Boxes split at random, stops among them."""
+    rng = np.random.default_rng(seed)
+    axes = tuple(AxisTree(np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.7, 3.0])) for _ in range(3))
+    mesh = BoxMesh(axes)
+    for _ in range(rounds):
+        mesh.split(rng.random(mesh.boxes.shape) < 0.15)
+    return mesh
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_split_boxes_fill_the_body_and_their_faces_do_not_cross(seed):
+    """Where faces of two boxes meet, one holds the other; else no polynomial of one could serve both."""
+    mesh = random_mesh(seed)
+    low, high = mesh.corners
+    assert (high - low).prod(axis=1).sum() == pytest.approx(27.0, rel=1e-12)
+    for axis in range(3):
+        others = [d for d in range(3) if d != axis]
+        for one, two in product(range(len(low)), repeat=2):
+            if high[one, axis] != low[two, axis]:
+                continue
+            start = np.maximum(low[one], low[two])[others]
+            end = np.minimum(high[one], high[two])[others]
+            if (end > start).all():
+                whole = [(start == low[b, others]).all() and (end == high[b, others]).all() for b in (one, two)]
+                assert any(whole)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hanging_nodes_hold_polynomials_of_the_elements_order(seed):
+    """A polynomial of degree 4 along each axis is in the space: all its nodes follow from the independent ones."""
+    mesh = random_mesh(seed)
+    nodes = mesh.nodes(ORDER)
+    low, high = mesh.corners
+    lattice = np.array(list(product((lobatto_points(ORDER) + 1) / 2, repeat=3)))
+    on_surface = ((lattice == 0) | (lattice == 1)).any(axis=1)
+    at = low[:, None] + lattice[on_surface] * (high - low)[:, None]
+    places = np.empty((len(nodes.independent), 3))
+    places[nodes.of_elements] = at
+    x, y, z = places.T / 3
+    values = (1 + x - 2 * x**4) * (0.5 - y**3 + y**4) * (2 + z - z**2 * 3 + z**4)
+    assert not nodes.independent.all()
+    found = nodes.constraint @ np.where(nodes.independent, values, 0.0)
+    np.testing.assert_allclose(found, values, atol=1e-12)
+    np.testing.assert_allclose(nodes.constraint.sum(axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_column_without_cross_contraction_follows_hooke_on_any_boxes(order):
+    """At ν = 0 the clamped base holds nothing back: u = −p z / E exactly, whatever is split, hanging nodes included."""
+    body = Block(size_mm=(3.0, 3.0, 3.0))
+    load = Load(center_mm=(1.5, 1.5), size_mm=(3.0, 3.0), traction_mpa=(0.0, 0.0, -0.2))
+    inside = Probe(name="inside", kind="point", position_mm=(1.3, 0.4, 1.9))
+    scene = Scene(body=body, material=Material(young_mpa=2.0, poisson=0.0), loads=(load,), probes=(inside,))
+    system = BoxSystem(scene, (), (), random_mesh(0, rounds=3), {}, order)
+    u = factorized(system.matrix, definite=True).solve(system.loads()[:, None])[:, 0]
+    np.testing.assert_allclose(system.probe_rows() @ u, [[0.0, 0.0, -0.2 * 1.9 / 2.0]], atol=1e-7)  # inside: float32
+    assert system.loads() @ u / 2 == pytest.approx(0.2**2 * 27 / 2 / 2.0, rel=1e-10)
+
+
+def test_no_line_runs_through_the_body():
+    """Edges of a region in one corner split no box in the other."""
+    inclusion = Inclusion(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 3.0, 8.0), section_mm=(2.0, 2.0))
+    soft = replace(inclusion, material=Material(young_mpa=0.1, poisson=0.3))
+    scene = pressed(Block(size_mm=(30.0, 30.0, 8.0)), inclusions=(soft,))
+    low, high = first_mesh(scene, plan_by("Q4", scene)).corners
+    assert not ((low[:, 0] == 4.0) & (low[:, 1] > 20.0)).any()
+    cut = (low[:, :2] < 4.0 - 1e-9).all(axis=1) & (high[:, :2] > 2.0 + 1e-9).all(axis=1)
+    assert (low[cut, :2] >= 2.0 - 1e-9).all()
+    assert (high[cut, :2] <= 4.0 + 1e-9).all()
+
+
+def test_marks_hold_the_share_that_is_asked():
+    """The largest indicators are marked, none that the share does not need."""
+    indicators = np.array([[4.0, 0.0, 1.0], [3.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(np.argwhere(marked(indicators, 0.65)), [[0, 0], [1, 0]])
+
+
+def test_leaning_pillar_of_two_codes_is_settled():
+    """Two codes differed by 3 %; NGSolve's hp-refined tetrahedra at two orders and two grids say this, to 4e-5."""
+    scene = pressed(STEEP, tolerance=2e-3)
+    load = replace(scene.loads[0], traction_mpa=(0.02, 0.0, -0.1))
+    scene = replace(scene, loads=(load,), material=Material(young_mpa=6.1, poisson=0.49))
+    solution, plan = solve_scene(scene)
+    assert plan.element == "Q4"
+    reference = {"patch": np.array([22.98579, 0.0, -34.14392])}
+    assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-5
+    assert solution.error_estimate <= 2e-3
+
+
+def test_patch_a_hair_from_the_corner_is_solved():
+    """Edges 5e-5 mm from the block's sides: rounding made a preconditioner negative, and the residual complex."""
+    place = {"center_mm": (9.1507, 14.3826), "size_mm": (3.8821, 4.1093)}
+    scene = Scene(
+        body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
+        material=Material(young_mpa=0.5351, poisson=0.4999),
+        loads=(Load(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
+        probes=(Probe(name="patch", kind="mean", **place),),
+        tolerance=1e-2,
+    )
+    by_order, by_splitting = (solved_by(element, scene) for element in ("Qp", "Q4"))
+    assert isinstance(by_order.residual, float)
+    allowed = by_order.error_estimate + by_splitting.error_estimate
+    assert largest_error(by_order.probes, by_splitting.probes) <= allowed
+
+
+def test_lines_that_rounding_tells_apart_are_one():
+    """A load over the whole leaning top ends where the body ends, but for the last digit: no box is 1e-15 mm wide."""
+    body = Pillar(
+        section_mm=(2.0793607794778306, 2.92454076851681),
+        base_mm=(0.0, 0.0, 0.0),
+        top_mm=(-3.446131549941288, 3.1835828603223844, 9.824752758034366),
+    )
+    scene = pressed(body, material=Material(young_mpa=9.5, poisson=0.499999), tolerance=1e-2)
+    low, high = first_mesh(scene, plan_by("Q4", scene)).corners
+    assert (high - low).min() > 0.5
+    assert solved_by("Q4", scene).error_estimate <= 1e-2
+
+
+@pytest.mark.parametrize("hair_mm", [0.0, 5e-5])
+def test_loaded_corner_of_nearly_incompressible_rubber_is_settled(hair_mm):
+    """NGSolve's hp-refined tetrahedra at two orders and two grids: 4e-4. A hair beside the load moves it by 3e-5."""
+    place = {"center_mm": (9.15075 - hair_mm, 14.38265 - hair_mm), "size_mm": (3.8821, 4.1093)}
+    scene = Scene(
+        body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
+        material=Material(young_mpa=0.5351, poisson=0.4999),
+        loads=(Load(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
+        probes=(Probe(name="patch", kind="mean", **place),),
+        tolerance=2e-3,
+    )
+    solution = solved_by("Q4", scene)
+    reference = {"patch": np.array([24.4457847, -15.435013, -5.27081814])}
+    assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-4 + 3e-5
