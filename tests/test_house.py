@@ -28,7 +28,6 @@ SAME_NAME = {
     "geometry.apart.apart", "geometry.quality.quality", "geometry.storage.unfinished.unfinished",
     "fem.discretization.scene_mesh.scene_mesh", "fem.fields.array_field.array_field",
     "fem.fields.scene_parts.scene_parts", "fem.pictures.scenery.scenery", "decoupler.export.c_header.c_header",
-    "tripillar.doctor.known_answers.known_answers", "tripillar.doctor.surroundings.surroundings",
     "tripillar.sweep.merits.merits", "tripillar.sweep.workers.workers", "studies.paper.deformation.deformation",
     "studies.robustness.study.study", "studies.surroundings.surroundings",
 }  # fmt: skip

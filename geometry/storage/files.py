@@ -103,6 +103,17 @@ def write_bytes(path: Path, *parts: bytes | memoryview) -> None:
             file.write(part)
 
 
+def write_text(text: str, path: Path) -> None:
+    """Write a text file in UTF-8, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(plain: Any, path: Path) -> None:
+    """Write dictionaries, lists, strings and numbers, whole or not at all."""
+    write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", path)
+
+
 @contextmanager
 def scratch() -> Iterator[Path]:
     """A folder for a while, where the system keeps such folders."""

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from geometry.storage.files import write_json
 from studies.bench.harness import (
     Record,
     Settings,
@@ -24,7 +25,6 @@ from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")

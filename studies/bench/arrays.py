@@ -25,13 +25,13 @@ from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
+from geometry.storage.files import write_json
 from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
 from studies.bench.reference import REFERENCES
 from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
 REFERRED = {(6, SAME): "response", (2, SOFT): "oblique"}  #: units and modulus → how its reference's scenes begin

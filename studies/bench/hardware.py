@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
+from geometry.storage.files import write_json
 from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
 from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
@@ -30,7 +31,6 @@ from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import plain_table, show
-from tripillar.terminal.writing import write_json
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches

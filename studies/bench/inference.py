@@ -15,12 +15,12 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+from geometry.storage.files import write_json
 from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
 from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 SAMPLES = {"train": (2000, 1), "test": (500, 2)}  #: number and seed
 MANY = 10_000  #: scans of a batch

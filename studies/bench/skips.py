@@ -10,11 +10,11 @@ import typer
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Inclusion, Load, Scene
 from fem.scene.solution import largest_error
+from geometry.storage.files import write_json
 from studies.bench.scenes import patch_scenes
 from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import plain_table, show
-from tripillar.terminal.writing import write_json
 
 BLOCK = replace(patch_scenes()["block-normal-0.49"], tolerance=3e-3)
 PILLAR = Inclusion(base_mm=(13.0, 15.0, 0.0), top_mm=(17.0, 15.0, 10.0), section_mm=(2.0, 2.0), material=BLOCK.material)

@@ -16,13 +16,13 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from geometry.storage.files import write_json
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.training import training_trials
 from studies.edge_cases.trials import Finding, Trial, tried
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 
 def all_trials() -> list[Trial]:

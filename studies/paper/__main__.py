@@ -12,7 +12,7 @@ from rich.markdown import Markdown
 
 import fem.pictures
 from geometry.design import SensorDesign
-from geometry.storage.files import digest, replacing
+from geometry.storage.files import digest, replacing, write_text
 from studies.paper.decoupling_charts import draw_figure_9, draw_figure_10, draw_figure_11
 from studies.paper.deformation import deformation
 from studies.paper.deformation_pictures import draw_figure_6, draw_figure_7, draw_figure_8
@@ -27,7 +27,6 @@ from tripillar.pipeline.run import respond
 from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.writing import write_text
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
 PICTURES = (*(f"figure-{number}.png" for number in range(6, 12)), "spacing.png")

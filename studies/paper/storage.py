@@ -5,8 +5,8 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from geometry.storage.files import write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
-from tripillar.terminal.writing import write_text
 
 T = TypeVar("T")
 KEY = "recipe"  #: entry of the file that holds the cache key

@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from geometry.design import SensorDesign
+from geometry.storage.files import write_json
 from studies.robustness.noise_charts import draw_dead, draw_pairs, draw_readings
 from studies.robustness.study import (
     BAR,
@@ -27,7 +28,6 @@ from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 

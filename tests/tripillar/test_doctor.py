@@ -40,7 +40,7 @@ def test_a_broken_solver_is_a_line_and_not_the_end(monkeypatch):
     monkeypatch.setattr(
         known_answers, "KNOWN", [known for known in KNOWN if known.name.startswith(("col", "res"))][::2]
     )
-    column, resistance = known_answers.known_answers()
+    column, resistance = known_answers.check_answers()
     assert (column.state, column.found) == ("wrong", "SolverError: no factor")
     assert "pypardiso" in column.advice
     assert resistance.state == "ok"

@@ -19,14 +19,14 @@ def doctor(
 
     Ends with code 1 if something is wrong.
     """
-    from tripillar.doctor.known_answers import KNOWN, known_answers
-    from tripillar.doctor.surroundings import surroundings
+    from tripillar.doctor.known_answers import KNOWN, check_answers
+    from tripillar.doctor.surroundings import check_surroundings
 
     with progress_bars(verbosity) as bars:
-        checks = list(surroundings())
+        checks = list(check_surroundings())
         if compute:
             advance = bars.begin("known answers", total=len(KNOWN))
-            for check in known_answers():
+            for check in check_answers():
                 advance(1, check.name)
                 checks.append(check)
     wrong = sum(check.state == "wrong" for check in checks)

@@ -33,7 +33,7 @@ MIDDLE_MM_PER_N = [
 TOLERANCE = 1e-2  #: of the response: what the pictures and sweeps use, and the quickest
 
 
-def known_answers() -> Iterator[Check]:
+def check_answers() -> Iterator[Check]:
     """Compute each known answer; one that fails, in whatever way, is a line and not the end."""
     for known in KNOWN:
         start = perf_counter()

@@ -34,7 +34,7 @@ EXTRAS = {
 }
 
 
-def surroundings() -> Iterator[Check]:
+def check_surroundings() -> Iterator[Check]:
     """All that can be looked at without computing anything."""
     yield python()
     yield from packages()

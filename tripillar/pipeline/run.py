@@ -25,12 +25,11 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError, GeometryError
 from geometry.mesh import mesh_quality, sensor_mesh, suited_settings
-from geometry.storage.files import digest
+from geometry.storage.files import digest, write_json, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
 from tripillar.pipeline.comparison import Comparison, compare
 from tripillar.pipeline.manufactured import SETTINGS, as_made
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.writing import write_json, write_text
 
 CAD_METHOD = 1  #: raise when the same design gives other CAD files
 #: protocols of the table, each with the force component that it loads

@@ -15,7 +15,13 @@ from geometry.errors import TriPillarError
 from geometry.storage.files import FULL, cache_folder, explained
 from geometry.storage.unfinished import remove_leftovers
 from tripillar.terminal import interrupts
-from tripillar.terminal.mistyped import in_one_line
+
+#: kinds of pydantic's errors, in which typer says what a value is not
+KINDS = {
+    "float_parsing": "must be a number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+}
 
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
@@ -45,7 +51,7 @@ def _run(app: Any) -> int:
         sys.stdout.flush()  # where a full disk shows
         return int(code or 0)
     except typer.exceptions.TyperException as error:
-        message = in_one_line(error)
+        message = _in_one_line(error)
     except TriPillarError as error:
         message = str(error)
     except OSError as error:
@@ -71,3 +77,22 @@ def _leave_stdout() -> None:
     """Throw away what could not be printed: the interpreter would try once more at its end."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _in_one_line(error: Any) -> str:
+    """The message of one of typer's exceptions; empty for a bare command, which has printed its help."""
+    message = " ".join(error.format_message().split())
+    faults: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
+    if faults and faults[0]["type"] in KINDS:
+        message = f"{_spelled(error.param)} {faults[0]['input']} {KINDS[faults[0]['type']]}."
+    elif faults and " is not one of " in message:
+        allowed = message.partition(" is not one of ")[2].replace("'", "")
+        message = f"{_spelled(error.param)} {faults[0]['input']} must be one of {allowed}"
+    context = getattr(error, "ctx", None)
+    message += "." if message[-1:].isalnum() or message.endswith(")") else ""
+    return f"{message} See '{context.command_path} --help'." if message and context else message
+
+
+def _spelled(parameter: Any) -> str:
+    """An option as it is typed, or the name of an argument."""
+    return parameter.opts[0] if parameter.param_type_name == "option" else parameter.name

@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+import psutil
+
 GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
 TIDY_S = 0.4  #: left to processes started by this one to remove what they were writing
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -40,7 +42,6 @@ def install() -> None:
         signal.signal(number, _end)
     signal.set_wakeup_fd(rung, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(heard,), daemon=True, name="Ctrl-C").start()
-    import psutil  # noqa: F401  # now, because at the end the main thread may hold the lock of imports
 
 
 def leave_to_finish() -> None:
@@ -50,7 +51,7 @@ def leave_to_finish() -> None:
 
 
 def ending() -> bool:
-    """Whether the process is about to end: whoever starts processes anew must not, now."""
+    """Whether the process is about to end, so that no other may be started."""
     return _ending.locked()
 
 
@@ -96,7 +97,7 @@ def _watch(heard: int) -> None:
 
 
 def _is_worker() -> bool:
-    """Whether another of our processes started this one: that one has the word."""
+    """Whether another of our processes started this one, and prints the last words."""
     multiprocessing = sys.modules.get("multiprocessing.process")
     return multiprocessing is not None and multiprocessing.parent_process() is not None
 
@@ -106,42 +107,21 @@ def _end_children() -> None:
 
     Nothing may be imported here: the main thread may be in the middle of it, and wait.
     """
-    ended = _descendants()
-    for number in ended:
-        _signal(number, signal.SIGTERM)
-    end_s = time.monotonic() + TIDY_S
-    while ended & _parents().keys() and time.monotonic() < end_s:
-        time.sleep(0.02)
-    for number in ended & _parents().keys():
-        _signal(number, signal.SIGKILL)
-    for number in {os.getpid(), *ended}:
+    children = [child for child in psutil.Process().children(recursive=True) if not _tidies_up(child)]
+    for child in children:
+        with suppress(psutil.Error):
+            child.terminate()
+    for child in psutil.wait_procs(children, timeout=TIDY_S)[1]:
+        with suppress(psutil.Error):
+            child.kill()
+    for number in (os.getpid(), *(child.pid for child in children)):
         with suppress(OSError):
             os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
 
 
-def _signal(number: int, kind: signal.Signals) -> None:
-    with suppress(OSError):
-        os.kill(number, kind)
-
-
-def _descendants() -> set[int]:
-    """Processes that this one started, and those that they started."""
-    parents, found = _parents(), {os.getpid()}
-    while more := {number for number, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found - {os.getpid()}
-
-
-def _parents() -> dict[int, int]:
-    """The parent of every process, where the system tells by files, but for those that tidy up after killed ones."""
-    found = {}
-    for name in os.listdir("/proc") if os.path.isdir("/proc/self") else []:
-        with (
-            suppress(OSError, ValueError),
-            open(f"/proc/{int(name)}/stat") as stat,
-            open(f"/proc/{name}/cmdline") as words,
-        ):
-            state, parent = stat.read().rpartition(")")[2].split()[:2]
-            if state != "Z" and "resource_tracker" not in words.read():
-                found[int(name)] = int(parent)
-    return found
+def _tidies_up(child: psutil.Process) -> bool:
+    """Whether a process is the one that multiprocessing leaves to remove what killed ones had."""
+    try:
+        return any("resource_tracker" in word for word in child.cmdline())
+    except psutil.Error:
+        return False

@@ -8,6 +8,7 @@ from typing import Annotated, get_args
 import typer
 
 from decoupler.model.settings import Net
+from geometry.storage.files import write_json
 from studies.bench.harness import Record, Settings, as_plain, draw_records, ratio_table, record_table, run_contenders
 from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race
 from studies.bench.training.dense import step_difference
@@ -15,7 +16,6 @@ from studies.surroundings import surroundings
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
-from tripillar.terminal.writing import write_json
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
 PACKAGES = ("numpy", "scipy", "torch", "torch-levenberg-marquardt")
