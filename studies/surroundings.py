@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 
 
-def surroundings(packages: Iterable[str]) -> dict[str, object]:
+def measured_on(packages: Iterable[str]) -> dict[str, object]:
     """Machine and versions, without which times mean little."""
     found: dict[str, object] = {
         "machine": platform.machine(),

@@ -29,9 +29,9 @@ SAME_NAME = {
     "fem.discretization.scene_mesh.scene_mesh", "fem.fields.array_field.array_field",
     "fem.fields.scene_parts.scene_parts", "fem.pictures.scenery.scenery", "decoupler.export.c_header.c_header",
     "tripillar.sweep.merits.merits", "tripillar.sweep.workers.workers", "studies.paper.deformation.deformation",
-    "studies.robustness.study.study", "studies.surroundings.surroundings",
+    "studies.robustness.study.study",
 }  # fmt: skip
-MAX_MISSING, MAX_RIDDLES = 12, 134  #: docstrings that are still to be written, and rewritten
+MAX_MISSING, MAX_RIDDLES = 0, 13  #: docstrings that are still to be written, and rewritten
 
 
 @cache

@@ -21,7 +21,7 @@ from studies.bench.harness import (
 from studies.bench.reference import has_reference
 from studies.bench.scenes import all_scenes, hard_scenes
 from studies.bench.solving import CONTENDERS, LOADED, WORST
-from studies.surroundings import surroundings
+from studies.surroundings import measured_on
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
@@ -70,7 +70,7 @@ def bench(
         for judged in (LOADED, WORST) if len(scenes[name].probes) > 1 else (LOADED,):
             columns = {f"{goal:.1%}": partial(Record.seconds_to, judged=judged, error=goal) for goal in GOALS}
             show(ratio_table(f"{name}: fastest at or below an {judged}", found, columns, OURS))
-    write_json(as_plain(everything, surroundings(PACKAGES) | asdict(settings)), out / "bench.json")
+    write_json(as_plain(everything, measured_on(PACKAGES) | asdict(settings)), out / "bench.json")
     wrote([*pictures, out / "bench.json"])
 
 

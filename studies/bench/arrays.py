@@ -28,7 +28,7 @@ from geometry.mesh import sensor_mesh, suited_settings
 from geometry.storage.files import write_json
 from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
 from studies.bench.reference import REFERENCES
-from studies.surroundings import surroundings
+from studies.surroundings import measured_on
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
@@ -137,7 +137,7 @@ def bench(
         chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
         records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings, say)
     show(record_table("Array responses by units a side, everything included, nothing cached", records))
-    write_json(as_plain(records, surroundings(("numpy", "scipy", "scikit-fem"))), out)
+    write_json(as_plain(records, measured_on(("numpy", "scipy", "scikit-fem"))), out)
     wrote([out])
 
 

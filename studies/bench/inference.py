@@ -17,7 +17,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import write_json
 from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
-from studies.surroundings import surroundings
+from studies.surroundings import measured_on
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
@@ -86,7 +86,7 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
     show(
         record_table(f"Skip nets trained on {SAMPLES['train'][0]} exact samples; seconds are those of one scan", found)
     )
-    write_json(as_plain(found, surroundings(("numpy", "torch"))), out)
+    write_json(as_plain(found, measured_on(("numpy", "torch"))), out)
     wrote([out])
 
 

@@ -22,7 +22,7 @@ from studies.paper import experiments
 from studies.paper.deformation import CAP, Deformation, middle_unit
 from studies.paper.results import Results
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spacing
-from studies.surroundings import surroundings
+from studies.surroundings import measured_on
 from tripillar.pipeline import printed
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
@@ -68,7 +68,7 @@ def as_markdown(computed: Computed) -> str:
         networks=experiments.NETWORKS, HOOKE=HOOKE, LINEAR=LINEAR, loads=LOADS, rings=RINGS, pressed_n=PRESSED_N,
         ALIKE=ALIKE, VISIBLE=VISIBLE, QUIET=QUIET, cap=CAP, normal_mpa=NORMAL_MPA, tangential_mpa=TANGENTIAL_MPA,
         rest_mm=rest_lengths(design.unit), middle=middle_unit(design), design_hash=digest(design), error=error,
-        best_width=best_width, about=surroundings(PACKAGES), zip=zip, max=max, min=min, sum=sum, len=len, abs=abs,
+        best_width=best_width, about=measured_on(PACKAGES), zip=zip, max=max, min=min, sum=sum, len=len, abs=abs,
     )  # fmt: skip
 
 

@@ -130,6 +130,7 @@ def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> Sensor:
 
 
 def noise_case(noise: float) -> str:
+    """Name the case of a noise, relative."""
     return f"noise {noise:.1%}"
 
 

@@ -81,3 +81,10 @@ def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error,
     stored = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]
     assert "a twin" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_every_trial_of_the_table_is_right_or_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))  # which the command sets anew, and this gives back
+    command.judge_all(out=tmp_path)
+    assert len(json.loads((tmp_path / "edge-cases.json").read_text())) == len(all_trials())

@@ -12,7 +12,7 @@ from geometry.storage.files import write_json
 from studies.bench.harness import Record, Settings, as_plain, draw_records, ratio_table, record_table, run_contenders
 from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race
 from studies.bench.training.dense import step_difference
-from studies.surroundings import surroundings
+from studies.surroundings import measured_on
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
@@ -58,7 +58,7 @@ def bench(
         caption = f"structured LM step less that of the dense JᵀJ: {differences[race.name]:.0e} of its length"
         show(record_table(f"{race.name}: training time against error", found, caption))
         show(ratio_table(f"{race.name}: seconds, and times those of {LM} / {VARPRO}", found, columns, LM, VARPRO))
-    about = surroundings(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
+    about = measured_on(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
     write_json(as_plain(everything, about | {"step_difference": differences}), out / "training.json")
     wrote([*pictures, out / "training.json"])
 
