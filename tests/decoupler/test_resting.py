@@ -48,21 +48,19 @@ def test_model_file_and_exports_do_the_same(model, tmp_path):
     scans = np.concatenate([DATA.resistance_ohm[:3], light, measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
     assert np.abs(model.forces(scans) - replace(model, resting=None).forces(scans))[3:].max() > 0.1
     np.testing.assert_array_equal(read_model(tmp_path / "model.safetensors").forces(scans), model.forces(scans))
-    assert (
-        deviation(run_onnx(onnx_model(model, np.float64).SerializeToString(), scans, np.float64), model, scans)
-        < ROUNDING
+    double, single = (
+        run_onnx(onnx_model(model, dtype).SerializeToString(), scans, dtype) for dtype in (np.float64, np.float32)
     )
-    assert (
-        in_roundings(run_onnx(onnx_model(model, np.float32).SerializeToString(), scans, np.float32), model, scans) < 1
-    )
+    assert deviation(double, model, scans) < ROUNDING
+    assert in_roundings(single, model, scans) < 1
 
 
 @needs_cc
 def test_the_header_does_the_same(model):
     scans = np.concatenate([DATA.resistance_ohm[:3], measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
     shape = model.forces(scans).shape[1:]
-    assert (
-        deviation(compiled_forces(header_text(model, np.float64), scans, shape, np.float64, CC), model, scans)
-        < ROUNDING
+    double, single = (
+        compiled_forces(header_text(model, dtype), scans, shape, dtype, CC) for dtype in (np.float64, np.float32)
     )
-    assert in_roundings(compiled_forces(header_text(model, np.float32), scans, shape, np.float32, CC), model, scans) < 1
+    assert deviation(double, model, scans) < ROUNDING
+    assert in_roundings(single, model, scans) < 1
