@@ -135,6 +135,8 @@ train --data text.nc --component fz -o m.safetensors -> text.nc: truncated or no
 train --data data.nc --component fq -o m.safetensors -> --component fq must be one of fz, fx, fy, all
 train --data data.nc --component fz -o data.nc -> data.nc is read by this command: give another name
 train --data data.nc --component fz -o m.safetensors --hidden 0 -> hidden=0 must be a whole number from 1 up
+train --data data.nc --component fz -o m.safetensors --goal -1 -> --goal -1 must be 0 or above; the paper uses 1e-5
+train --data data.nc --component fz -o m.safetensors --iterations -1 -> --iterations -1 must be a whole number from 0 up
 train --data data.nc --component fz -o m.safetensors --hidden 9999 -> hidden=9999 must be at most 1000
 train --data data.nc --component fz -o m.safetensors --design missing.toml -> missing.toml: no such file
 evaluate --model missing --data data.nc -> missing: no such file: give a file made by 'tripillar train'
@@ -231,7 +233,7 @@ calibrate text.txt -o x.json --weights --loads columns.csv -> give either --load
 calibrate text.txt -o x.json --weights -> a recording needs --loads FILE
 calibrate text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be above 0 and below 1
 simulate --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
-simulate --rate 0 -> rate_hz=0 must be a whole number from 1 to 65535
+simulate --rate 0 -> --rate 0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
 simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
 simulate --period 0 -> --period 0 must be from 0.1 to 600 s

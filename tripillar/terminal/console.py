@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
-from geometry.errors import DesignError, FileFormatError
+from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import require_file, require_folder
 
 if TYPE_CHECKING:
@@ -100,11 +100,11 @@ def spelled(**flags: str) -> Iterator[None]:
     """Name flags in errors that name the parameters they set: ``goal_mse=-1`` becomes ``--goal -1``."""
     try:
         yield
-    except DesignError as error:
+    except TriPillarError as error:
         message = str(error)
         for parameter, flag in flags.items():
             message = message.replace(f"{parameter}=", f"{flag} ")
-        raise DesignError(message) from None
+        raise type(error)(message) from None
 
 
 def require_other(out: Path | None, *read: Path | None) -> None:

@@ -27,6 +27,7 @@ from tripillar.terminal.console import (
     progress_bars,
     require_suffix,
     say,
+    spelled,
     wrote,
 )
 
@@ -95,7 +96,8 @@ def simulate(
     require_suffix("--truth", truth, ".nc")
     scan_mode = scan_mode_named(mode)
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
-    told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
+    with spelled(rate_hz="--rate", sense_ohm="--sense-ohm"):
+        told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
     electronics = electronics_of(None, switch_ohm, line_ohm)
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)

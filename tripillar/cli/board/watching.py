@@ -20,7 +20,7 @@ from tripillar.cli.board.options import (
     TimeoutOption,
     require_positive,
 )
-from tripillar.terminal.console import BOARD, JsonOption, say, show_json
+from tripillar.terminal.console import BOARD, JsonOption, say, show_json, spelled
 
 commands = typer.Typer()
 
@@ -86,7 +86,8 @@ def live(
     require_positive(seconds=seconds, timeout=timeout)
     with live_forces(port, model, calibration, baud=baud, timeout=timeout) as sensor:
         if rate is not None:
-            sensor.scanner.set_rate(rate)
+            with spelled(rate_hz="--rate"):
+                sensor.scanner.set_rate(rate)
         (print_lines if json_ else show_forces)(sensor, seconds)
 
 
