@@ -48,6 +48,11 @@ class CondensedCell:
             return False
         return True
 
+    @property
+    def standing_alone(self) -> FloatArray:
+        """Mean displacements of the rectangles per newton on them, with free side faces, (k·3, k·3) [mm/N]."""
+        return self.compliance + self.reach.T @ np.linalg.solve(self.stiffness, self.reach)
+
     def extrapolated(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
         """Richardson extrapolation from a coarser cell of the same ports, by a share of their difference."""
 
