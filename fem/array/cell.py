@@ -14,13 +14,11 @@ from fem.array.port_modes import PortModes
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body
-from fem.discretization.mirrors import Mirror, Parity, flipped_points, images, parities
+from fem.discretization.mirrors import QUARTER, Parity, flipped_rectangles, images, parities
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized, schur_product
 from geometry.layout import FloatArray
 
-#: the middle planes of a cell that is its own image in both
-MIRRORS = tuple(Mirror(axis=axis, position_mm=0.0, parities=(1, -1)) for axis in (0, 1))
 ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
 
 
@@ -174,7 +172,7 @@ def condense_by_parity(
     means = _image_means(basis, rectangles)
     parts = {
         parity: _parity_part(basis, stiffness, ports, means, parity)
-        for parity in parities(MIRRORS)
+        for parity in parities(QUARTER)
         if not (square and parity == (-1, 1))
     }
     if square:
@@ -202,7 +200,7 @@ def _parity_part(
     values = ports.values(nodes[:, number].T)
     modes = np.stack([values @ expanded[component::3] for component in range(3)], axis=1)[place, at_ports % 3]
     # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
-    signs = np.stack([signs for _, signs in images(MIRRORS, parity)])
+    signs = np.stack([signs for _, signs in images(QUARTER, parity)])
     gathered = np.einsum("nqki,qi->nki", means, signs).reshape(len(means), -1)
     S, L, C, residual = _eliminate(body, Condensation.of(body, at_ports, modes, body.loads(gathered)))
     return CondensedCell(
@@ -225,9 +223,8 @@ def _is_square(grid: Grid) -> bool:
 
 def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
     """`patch_means` of rectangles (k, 4) in their four mirror images, shape (n_displacement, 4, k, 3)."""
-    corners = np.asarray(rectangles, dtype=float).reshape(-1, 2, 2)
-    mirrored = [np.sort(flipped_points(corners, flipped), axis=1) for flipped, _ in images(MIRRORS, (1, 1))]
-    different, number = np.unique(np.stack(mirrored).reshape(-1, 4), axis=0, return_inverse=True)
+    mirrored = [flipped_rectangles(rectangles, flipped) for flipped, _ in images(QUARTER, (1, 1))]
+    different, number = np.unique(np.vstack(mirrored), axis=0, return_inverse=True)
     means = patch_means(basis, different).T.toarray().reshape(-1, len(different), 3)
     return means[:, number.reshape(len(mirrored), -1)]
 

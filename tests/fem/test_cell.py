@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import MIRRORS, condense, condense_by_parity
+from fem.array.cell import condense, condense_by_parity
 from fem.array.coupled_cells import CoupledArray
 from fem.array.port_modes import PortModes, lobatto
+from fem.discretization import mirrors
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
 from fem.discretization.mirrors import flipped_points, images, parities
@@ -56,7 +57,7 @@ def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     )
     basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
     four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
-    assert solved == parities(MIRRORS)
+    assert solved == parities(mirrors.QUARTER)
     monkeypatch.undo()
     for name in ("stiffness", "reach", "compliance"):
         one, other = getattr(cell, name), getattr(four, name)
@@ -181,11 +182,11 @@ def test_parities_share_out_every_mode():
     q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
     points = np.array([[HALF, 2.0, 3.0], [HALF, 6.0, 9.0], [1.0, HALF, 5.0], [HALF, HALF, 10.0]])
     rest, columns = q.copy(), 0
-    for parity in parities(MIRRORS):
+    for parity in parities(mirrors.QUARTER):
         expanded, share = PORTS.of_parity(parity)
         part = expanded @ (share @ q)
         assert np.allclose(share @ part, share @ q)
-        for flipped, signs in images(MIRRORS, parity):
+        for flipped, signs in images(mirrors.QUARTER, parity):
             here, there = (PORTS.values(at) @ part.reshape(-1, 3) for at in (points, flipped_points(points, flipped)))
             assert np.allclose(there, signs * here, rtol=0, atol=1e-13)
         rest -= part
