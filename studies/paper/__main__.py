@@ -14,7 +14,7 @@ import fem.pictures
 from geometry.design import SensorDesign
 from geometry.storage.files import digest, replacing, write_text
 from studies.paper.decoupling_charts import draw_figure_9, draw_figure_10, draw_figure_11
-from studies.paper.deformation import deformation
+from studies.paper.deformation import study_deformation
 from studies.paper.deformation_pictures import draw_figure_6, draw_figure_7, draw_figure_8
 from studies.paper.drawing import drawn
 from studies.paper.experiments import Experiments, cache_key_of, run_experiments
@@ -34,7 +34,7 @@ AGAIN = "reused, nothing changed"
 PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 
 
-def paper(
+def write_report(
     out: Annotated[Path, typer.Option(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
     docs: Annotated[Path | None, typer.Option(help="Also put Markdown and pictures into this folder.")] = None,
     json: JsonOption = False,
@@ -58,7 +58,9 @@ def paper(
         )  # fmt: skip
         if not new:
             bars.begin("trainings", total=1)(1, AGAIN)
-        computed = Computed(response=response, deformation=deformation(response), spacing=spacing, results=results)
+        computed = Computed(
+            response=response, deformation=study_deformation(response), spacing=spacing, results=results
+        )
         draw_pictures(computed, out, bars)
     text = as_markdown(computed)
     write_text(text, out / MARKDOWN)
@@ -98,4 +100,4 @@ def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
 
 
 if __name__ == "__main__":
-    run_alone(paper)
+    run_alone(write_report)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
-from studies.paper.results import Results, Shown
+from studies.paper.results import Results, ShownForces
 from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
 from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 
@@ -108,7 +108,7 @@ def draw_figure_11(results: Results, path: Path) -> None:
     save(figure, path)
 
 
-def _described(shown: Shown) -> str:
+def _described(shown: ShownForces) -> str:
     name = "the paper's network" if shown.network == PAPERS else f"ours, {shown.network}"
     return f"{name}, {shown.hidden} nodes"
 

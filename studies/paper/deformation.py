@@ -46,7 +46,7 @@ class Pressed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sample:
+class PressedSample:
     """The state that figure 8 shows."""
 
     traction_mpa: list[list[float]]  #: on each unit's pad along x, y, z
@@ -65,11 +65,11 @@ class Deformation:
     light: Pressed  #: the paper's largest force on one pad
     alone_strain: float  #: strain of a z pillar that bears that force with nothing around it, eq. 6
     alone_n: float  #: force that strains such a pillar to CAP
-    sample: Sample
+    sample: PressedSample
     error_estimate: float  #: of the response, relative
 
 
-def deformation(response: ArrayResponse) -> Deformation:
+def study_deformation(response: ArrayResponse) -> Deformation:
     """Displacements and strains by superposition: geometrically exact lengths of linear displacements."""
     design = response.design
     pillar = design.unit.pillar_width_mm**2 * design.pillar_material.young_mpa
@@ -110,14 +110,14 @@ def pressure_at_cap(response: ArrayResponse, loaded: str) -> float:
     return float(largest_factors(moved, response.design.unit, CAP)[0])
 
 
-def sample(response: ArrayResponse) -> Sample:
+def sample(response: ArrayResponse) -> PressedSample:
     """One sample of the kind of data that presses and drags at once."""
     made = simulate(response, SAMPLE)
     assert made.displacement_mm is not None
     assert made.length_mm is not None
     assert made.traction_mpa is not None
     moved, force_n = made.displacement_mm[0], np.abs(made.force_n[0]).max(axis=(0, 1))
-    return Sample(
+    return PressedSample(
         traction_mpa=made.traction_mpa[0].reshape(-1, 3).tolist(),
         force_n={f"f{axis}": float(largest) for axis, largest in zip(AXES, force_n, strict=True)},
         largest_mm=float(np.linalg.norm(moved, axis=-1).max()),

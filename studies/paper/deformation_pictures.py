@@ -13,7 +13,7 @@ from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 from geometry.storage.files import replacing
-from studies.paper.deformation import Sample, one_pad
+from studies.paper.deformation import PressedSample, one_pad
 from tripillar.pipeline.printed import PRESSURES_MPA
 
 
@@ -41,7 +41,7 @@ def draw_figure_7(design: SensorDesign, path: Path) -> None:
     picture.plotter.close()
 
 
-def draw_figure_8(response: ArrayResponse, sample: Sample, path: Path) -> None:
+def draw_figure_8(response: ArrayResponse, sample: PressedSample, path: Path) -> None:
     """Write a PNG: the same electrodes under a sample of our data."""
     draw_electrode_grid(response, np.array(sample.traction_mpa), path)
 

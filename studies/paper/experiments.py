@@ -21,7 +21,7 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
-from studies.paper.results import DataSet, Result, Results, Shown, Trial
+from studies.paper.results import DataSet, Result, ResultKey, Results, ShownForces
 from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
 from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 from tripillar.terminal.progress import Bars
@@ -137,12 +137,12 @@ def simulate_all(response: ArrayResponse, asked: Experiments) -> tuple[Kinds, li
     return kinds, described
 
 
-def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
+def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[ResultKey, Job]]:
     """The paper's network at every width, and ours at its one."""
     trained_on, tested_on = _split(asked)
     for (loads, component, cap), data in kinds.items():
         trial_of = partial(
-            Trial, experiment=FIGURE_9, loads=loads, component=component, cap=cap,
+            ResultKey, experiment=FIGURE_9, loads=loads, component=component, cap=cap,
             samples=len(trained_on) + len(tested_on),
         )  # fmt: skip
         for name, widths in ((PAPERS, asked.widths), (INFORMED, (NETWORKS[INFORMED][0].hidden,))):
@@ -153,11 +153,11 @@ def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> 
                 yield trial_of(network=name, hidden=hidden), job
 
 
-def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Trial, Job]]:
+def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[ResultKey, Job]]:
     """Cross-validation of every network on the large and the small set."""
     for loads, component, size in product(LOADS, COMPONENTS, TABLE_2_SAMPLES):
         data = kinds[loads, component, CAPS[0]][:size]
-        trial_of = partial(Trial, experiment=TABLE_2, loads=loads, component=component, cap=CAPS[0], samples=size)
+        trial_of = partial(ResultKey, experiment=TABLE_2, loads=loads, component=component, cap=CAPS[0], samples=size)
         for name, (usual, training) in NETWORKS.items():
             network = replace(usual, hidden=asked.table_nodes[component]) if name == PAPERS else usual
             jobs = jobs_of(data, component, network, training, asked.folds, response)
@@ -165,7 +165,7 @@ def plan_table_2(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> I
                 yield trial_of(network=name, hidden=network.hidden, fold=number), job
 
 
-def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[Shown, Job]]:
+def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> Iterator[tuple[ShownForces, Job]]:
     """Forces Fz of random test samples, still without the decoupled ones."""
     trained_on, tested_on = _split(asked)
     some = np.random.default_rng(asked.seed).choice(tested_on, asked.shown_samples, replace=False)
@@ -175,7 +175,7 @@ def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) ->
         network, training = NETWORKS[name]
         network = replace(network, hidden=asked.shown_nodes) if name == PAPERS else network
         actual_n = force_columns(data.force_n[some], fz).ravel().tolist()
-        shown = Shown(
+        shown = ShownForces(
             loads=loads, network=name, hidden=network.hidden, samples=some.tolist(), actual_n=actual_n, decoupled_n=[]
         )
         yield shown, (decoupled_forces, data, fz.name, network, training, response, trained_on, some)
@@ -204,7 +204,7 @@ def floors(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
         wanted = [(FIGURE_9, data.force_n[tested_on], hidden) for hidden in asked.widths]
         if cap == CAPS[0]:
             wanted += [(TABLE_2, data.force_n[:size], asked.table_nodes[name]) for size in TABLE_2_SAMPLES]
-        trial_of = partial(Trial, loads=loads, component=name, cap=cap, network=FLOOR)
+        trial_of = partial(ResultKey, loads=loads, component=name, cap=cap, network=FLOOR)
         for experiment, force_n, hidden in wanted:
             errors = pca_floor(force_n, component_named(name), hidden).projection[name]
             yield _result(trial_of(experiment=experiment, samples=len(force_n), hidden=hidden), errors)
@@ -221,7 +221,7 @@ def marks(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
             others = np.setdiff1d(np.arange(size), part)
             fitted = LeastSquares.fitted(data[others], component)
             forces[LINEAR][part] = fitted.forces(data.resistance_ohm[part])
-        trial_of = partial(Trial, experiment=TABLE_2, loads=loads, component=name, cap=CAPS[0], samples=size)
+        trial_of = partial(ResultKey, experiment=TABLE_2, loads=loads, component=name, cap=CAPS[0], samples=size)
         for network, found in forces.items():
             yield _result(trial_of(network=network), component_errors(found, data, component)[name])
 
@@ -232,11 +232,11 @@ def _split(asked: Experiments) -> tuple[np.ndarray, np.ndarray]:
     return numbers[: asked.training_samples], numbers[asked.training_samples :]
 
 
-def _is_papers_own(trial: Trial) -> bool:
+def _is_papers_own(trial: ResultKey) -> bool:
     return trial.network == PAPERS and trial.loads == LOADS[0]
 
 
-def _result(trial: Trial, errors: ForceErrors, trained: Fold | None = None) -> Result:
+def _result(trial: ResultKey, errors: ForceErrors, trained: Fold | None = None) -> Result:
     assert errors.rel_err is not None, "no pad of these loads goes free, so eq. 17 has a meaning"
     how = {} if trained is None else {name: getattr(trained, name) for name in ("iterations", "reason", "seconds")}
     return Result(trial=trial, rel_err=errors.rel_err, rmse_n=errors.rmse_n, **how)

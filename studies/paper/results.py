@@ -7,7 +7,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class ResultKey:
     """The data and the network that one error belongs to."""
 
     experiment: str  #: figure 9 or table 2
@@ -24,7 +24,7 @@ class Trial:
 class Result:
     """Error of one trial on its test samples."""
 
-    trial: Trial
+    trial: ResultKey
     rel_err: float  #: eq. 17, as a fraction
     rmse_n: float
     iterations: int = 0
@@ -45,7 +45,7 @@ class DataSet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class ShownForces:
     """Forces of some test samples, actual and decoupled, for figure 11."""
 
     loads: str
@@ -73,7 +73,7 @@ class Results:
     cores: int
     data_sets: list[DataSet]
     results: list[Result]
-    shown: list[Shown]
+    shown: list[ShownForces]
 
     def chosen(self, **wanted: Any) -> list[Result]:
         """Results whose trial has the wanted values."""

@@ -16,12 +16,12 @@ from studies.robustness.study import (
     NETS,
     NOISES,
     ROSE,
-    Found,
-    Row,
+    ErrorRow,
+    Findings,
     Sizes,
     dead_cases,
     sensor_under_load,
-    study,
+    study_sensors,
 )
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import wrote
@@ -32,7 +32,7 @@ from tripillar.terminal.tables import show
 CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 
 
-def robustness(
+def assess_all(
     out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/robustness"),
     samples: Annotated[int, typer.Option(help="Training samples.")] = Sizes.train,
 ) -> None:
@@ -44,12 +44,12 @@ def robustness(
         sensor = sensor_under_load(response, sizes)
         advance(1, "")
         trained = bars.begin("networks", total=CASES * len(NETS))
-        found = study(sensor, sizes, lambda case: trained(1, case))
+        found = study_sensors(sensor, sizes, lambda case: trained(1, case))
     show(robustness_table(found))
     wrote(write(found, out))
 
 
-def write(found: Found, folder: Path) -> list[Path]:
+def write(found: Findings, folder: Path) -> list[Path]:
     """JSON and pictures; returns the files."""
     plain, readings, pairs = (folder / f"robustness{part}" for part in (".json", "-readings.png", "-pairs.png"))
     write_json(found.as_plain(), plain)
@@ -61,7 +61,7 @@ def write(found: Found, folder: Path) -> list[Path]:
     return [plain, readings, pairs, *dead.values()]
 
 
-def robustness_table(found: Found) -> Table:
+def robustness_table(found: Findings) -> Table:
     """Errors of every sensor and net, and below what the models say of dead pillars themselves."""
     caption = [
         "68 %, 95 %: share of errors within these deviations; specimen: gains ± 20 %, offsets of 200 Ω",
@@ -86,7 +86,7 @@ def robustness_table(found: Found) -> Table:
     return table
 
 
-def numbers(row: Row) -> tuple[str, ...]:
+def numbers(row: ErrorRow) -> tuple[str, ...]:
     """Cells of a row; a ratio beyond the bar of the net that is to meet it says so."""
     beyond = row.part == "noise" and row.net == "inverse" and row.ratio is not None and row.ratio > BAR
     shown = "" if row.ratio is None else f"{row.ratio:.2f}" + (f" > {BAR:g}" if beyond else "")
@@ -97,4 +97,4 @@ def numbers(row: Row) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    run_alone(robustness)
+    run_alone(assess_all)

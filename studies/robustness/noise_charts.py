@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studies.charts import BLUE, GREEN, ORANGE, save
-from studies.robustness.study import ROSE, Named, Row
+from studies.robustness.study import ROSE, ErrorRow, Named
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ NETS = {"inverse": ("-", "full", "inverse net"), "root": ("--", "none", "root ne
 NONE = 0.5  #: where "no pairs" is on a logarithmic axis
 
 
-def draw_readings(rows: list[Row], path: Path) -> None:
+def draw_readings(rows: list[ErrorRow], path: Path) -> None:
     """Write a PNG: error and limit of every force against the noise, and against the converter's bits."""
     from matplotlib.figure import Figure
 
@@ -40,7 +40,7 @@ def draw_readings(rows: list[Row], path: Path) -> None:
     save(figure, path)
 
 
-def draw_pairs(rows: list[Row], path: Path) -> None:
+def draw_pairs(rows: list[ErrorRow], path: Path) -> None:
     """Write a PNG: error on a specimen against the number of pairs a model was fine-tuned on."""
     from matplotlib.figure import Figure
 
@@ -87,7 +87,7 @@ def draw_dead(named: Sequence[Named], path: Path) -> None:
     save(figure, path)
 
 
-def _lines(axes: "Axes", rows: list[Row]) -> None:
+def _lines(axes: "Axes", rows: list[ErrorRow]) -> None:
     """Errors of every net and force against the number in their case, and the limits."""
     for force, colour in COLOURS.items():
         for net, (line, fill, label) in NETS.items():
@@ -112,10 +112,10 @@ def _lines(axes: "Axes", rows: list[Row]) -> None:
         )
 
 
-def _number(row: Row) -> float:
+def _number(row: ErrorRow) -> float:
     """Place of a case on the axis: its noise in %, its bits, its pairs.
 
-    >>> _number(Row(part="noise", case="noise 0.5%", net="root", force="fx", error_pct=1.0))
+    >>> _number(ErrorRow(part="noise", case="noise 0.5%", net="root", force="fx", error_pct=1.0))
     0.5
     """
     found = re.search(r"[\d.]+", row.case)
@@ -123,7 +123,7 @@ def _number(row: Row) -> float:
     return float(found[0]) or NONE
 
 
-def _ticks(axes: "Axes", rows: list[Row]) -> None:
+def _ticks(axes: "Axes", rows: list[ErrorRow]) -> None:
     places = sorted({_number(row) for row in rows})
     pairs = any(row.error_range_pct is not None for row in rows)
     axes.set_xticks(places, ["none" if pairs and place == NONE else f"{place:g}" for place in places])

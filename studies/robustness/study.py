@@ -41,7 +41,7 @@ class Sizes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class ErrorRow:
     """One line of the table: errors of one force, in % of full scale."""
 
     part: str
@@ -81,10 +81,10 @@ class Named:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class Findings:
     """The results of the study."""
 
-    rows: list[Row]
+    rows: list[ErrorRow]
     named: list[Named]
 
     def as_plain(self) -> dict[str, Any]:
@@ -109,7 +109,7 @@ class Trained:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class LoadedSensor:
     """The loads, and the response of the sensor as designed."""
 
     response: ArrayResponse
@@ -119,14 +119,14 @@ class Sensor:
         return measured_again(self.loads[split], faults, SEEDS[split]).labels()
 
 
-def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> Sensor:
+def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> LoadedSensor:
     """Loads on all pads along all axes, drawn once; sensors differ in how they measure them."""
     counts = {"train": sizes.train, "test": sizes.test, "pairs": sizes.draws * max(sizes.pairs)}
     loads = {
         split: simulate(response, DatasetSettings(protocol="three-axis", samples=n, seed=SEEDS[split]))
         for split, n in counts.items()
     }
-    return Sensor(response=response, loads=loads)
+    return LoadedSensor(response=response, loads=loads)
 
 
 def noise_case(noise: float) -> str:
@@ -144,7 +144,7 @@ def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
     }
 
 
-def study(sensor: Sensor, sizes: Sizes, progress: Callable[[str], None] = lambda case: None) -> Found:
+def study_sensors(sensor: LoadedSensor, sizes: Sizes, progress: Callable[[str], None] = lambda case: None) -> Findings:
     """Train every net on every sensor, fine-tune, and assess. `progress` is called with each trained case."""
     array = sensor.response.design.array
     noises = {noise_case(noise): Imperfections(noise=noise) for noise in NOISES}
@@ -163,11 +163,11 @@ def study(sensor: Sensor, sizes: Sizes, progress: Callable[[str], None] = lambda
             lines, one = with_dead(sensor, case, faults, net, models[case, net], healthy[net].model)
             rows += lines
             named.append(one)
-    return Found(rows=rows, named=named)
+    return Findings(rows=rows, named=named)
 
 
 def trained(
-    sensor: Sensor, cases: dict[str, Imperfections], progress: Callable[[str], None]
+    sensor: LoadedSensor, cases: dict[str, Imperfections], progress: Callable[[str], None]
 ) -> dict[tuple[str, Feature], Trained]:
     """Both nets of every case, by case and net, in parallel processes."""
     keys = [(case, net) for case in cases for net in NETS]
@@ -187,7 +187,7 @@ def _trained(data: Samples, test: Samples, feature: Feature, response: ArrayResp
     return Trained(model=model, assessed=assess(model, test, response), bayes_n=unit_bayes(response, test, usual_n))
 
 
-def _rows(part: str, case: str, net: Feature, found: Trained) -> list[Row]:
+def _rows(part: str, case: str, net: Feature, found: Trained) -> list[ErrorRow]:
     rows = []
     for axis, (force, one) in enumerate(found.assessed.items()):
         assert one.errors.full_scale_pct is not None
@@ -195,7 +195,7 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[Row]:
         pct_per_n = one.errors.full_scale_pct / one.errors.rmse_n
         unbiased = one.limits.cramer_rao_n
         rows.append(
-            Row(
+            ErrorRow(
                 part=part,
                 case=case,
                 net=net,
@@ -209,7 +209,7 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[Row]:
     return rows
 
 
-def fine_tuned(sensor: Sensor, sizes: Sizes, net: Feature, designed: Trained) -> list[Row]:
+def fine_tuned(sensor: LoadedSensor, sizes: Sizes, net: Feature, designed: Trained) -> list[ErrorRow]:
     """Errors on a specimen whose pillars differ, of a model of the sensor as designed, tuned on ever more pairs.
 
     The limits are those of the sensor as designed: to relative noise a known gain makes no difference.
@@ -231,8 +231,8 @@ def fine_tuned(sensor: Sensor, sizes: Sizes, net: Feature, designed: Trained) ->
 
 
 def with_dead(
-    sensor: Sensor, case: str, faults: Imperfections, net: Feature, found: Trained, healthy: Decoupler
-) -> tuple[list[Row], Named]:
+    sensor: LoadedSensor, case: str, faults: Imperfections, net: Feature, found: Trained, healthy: Decoupler
+) -> tuple[list[ErrorRow], Named]:
     """Errors of the units that lost a pillar and of the others, and which outputs the model names."""
     test = sensor.measured(faults, "test")
     assert test.dead is not None
@@ -242,7 +242,7 @@ def with_dead(
     affected = test.dead.any(axis=2)
     forces = component_named("all").forces
     rows = [
-        Row(
+        ErrorRow(
             part=case,
             case=f"{label}: {int(units.sum())}",
             net=net,

@@ -14,7 +14,17 @@ from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
 from studies.robustness.__main__ import numbers, robustness_table, write
-from studies.robustness.study import BITS, NETS, NOISES, Named, Row, Sizes, dead_cases, sensor_under_load, study
+from studies.robustness.study import (
+    BITS,
+    NETS,
+    NOISES,
+    ErrorRow,
+    Named,
+    Sizes,
+    dead_cases,
+    sensor_under_load,
+    study_sensors,
+)
 from studies.robustness.study import unit_bayes as limits_of_units
 from tests.studies.one_process import one_after_another
 
@@ -32,10 +42,10 @@ def sensor():
 def found(sensor):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("studies.robustness.study.in_parallel", one_after_another)
-        return study(sensor, SIZES)
+        return study_sensors(sensor, SIZES)
 
 
-def chosen(found, **labels) -> list[Row]:
+def chosen(found, **labels) -> list[ErrorRow]:
     return [row for row in found.rows if all(getattr(row, name) == value for name, value in labels.items())]
 
 
@@ -111,6 +121,6 @@ def test_table_json_and_pictures_are_written(found, tmp_path):
     pictures = sorted(path.name for path in tmp_path.glob("*.png"))
     assert pictures == [f"robustness-{name}.png" for name in ("dead-inverse", "dead-root", "pairs", "readings")]
     assert robustness_table(found).row_count == len(found.rows)
-    row = Row(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
+    row = ErrorRow(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
     assert numbers(row)[3] == "1.20 > 1.15"  # beyond the bar of the net that is to meet it
     assert numbers(replace(row, net="root"))[3] == "1.20"

@@ -6,7 +6,7 @@ import pytest
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
-from studies.paper.deformation import CAP, LOADED, Deformation, deformation, middle_unit, one_pad, pressed
+from studies.paper.deformation import CAP, LOADED, Deformation, middle_unit, one_pad, pressed, study_deformation
 
 DESIGN = SensorDesign(array=Array(rows=3, cols=4))
 
@@ -20,7 +20,7 @@ def response(tmp_path_factory) -> ArrayResponse:
 
 @pytest.fixture(scope="module")
 def found(response) -> Deformation:
-    return deformation(response)
+    return study_deformation(response)
 
 
 def test_one_pad_is_pressed_in_the_middle_and_nowhere_else():

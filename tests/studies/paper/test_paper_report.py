@@ -19,8 +19,8 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, Material, SensorDesign
 from studies.paper import __main__ as command
 from studies.paper import experiments, spacing
-from studies.paper.__main__ import PICTURES, paper
-from studies.paper.deformation import deformation
+from studies.paper.__main__ import PICTURES, write_report
+from studies.paper.deformation import study_deformation
 from studies.paper.drawing import cache_key_of as cache_key_of_picture
 from studies.paper.drawing import drawn
 from studies.paper.experiments import (
@@ -76,7 +76,7 @@ def computed(response, tmp_path_factory) -> Computed:
         patch.setattr(experiments, "in_parallel", one_after_another)
         return Computed(
             response=response,
-            deformation=deformation(response),
+            deformation=study_deformation(response),
             spacing=study_spacing(response.design, FEW),
             results=run_experiments(response, SMALL, bars),
         )
@@ -235,7 +235,7 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     monkeypatch.setattr(command, "run_experiments", lambda *asked: computed.results)
     monkeypatch.setattr(command, "study_spacing", lambda *asked: computed.spacing)
     out, docs = tmp_path / "paper", tmp_path / "docs"
-    paper(out=out, docs=docs, verbosity=False, json=True)
+    write_report(out=out, docs=docs, verbosity=False, json=True)
     said = capsys.readouterr()
     assert set(json.loads(said.out)) == {"deformation", "spacing", "results"}
     assert len(json.loads(said.out)["results"]["results"]) == len(computed.results.results)
@@ -257,7 +257,7 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     before = {path.name: path.stat().st_mtime_ns for path in out.iterdir() if path.suffix in (".png", ".json")}
     monkeypatch.setattr(command, "run_experiments", None)
     monkeypatch.setattr(command, "study_spacing", None)
-    paper(out=out, docs=None, verbosity=False, json=False)
+    write_report(out=out, docs=None, verbosity=False, json=False)
     assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir() if path.name in before}
     assert "Table 2" in capsys.readouterr().out
 
