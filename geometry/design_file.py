@@ -7,7 +7,10 @@ from typing import Any
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.storage.files import replacing
+from geometry.storage.strict_tables import StrictTables
 from geometry.storage.text_file import read_text, tables_of
+
+STRICT = StrictTables(DesignError)
 
 
 def design_to_toml(design: SensorDesign) -> str:
@@ -37,27 +40,18 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
     DesignError
         For an unknown key or a value that makes no sense; the message begins with `source`.
     """
-    try:
-        return _filled(SensorDesign, table, "")
-    except DesignError as error:
-        raise DesignError(f"{source}: {error}") from None
+    return STRICT.made(source, _filled, kind=SensorDesign, table=table)
 
 
-def _filled(kind: Any, table: dict[str, Any], where: str) -> Any:
+def _filled(kind: Any, table: dict[str, Any], place: str = "") -> Any:
     specs = {spec.name: spec for spec in fields(kind)}
-    values = {}
-    for key, value in table.items():
-        if key not in specs:
-            raise DesignError(f"unknown key {key!r}{where}; known are {', '.join(specs)}.")
-        if is_dataclass(specs[key].type):
-            if not isinstance(value, dict):
-                raise DesignError(f"'{key}' must be a table, written [{key}], not {value!r}.")
-            value = _filled(specs[key].type, value, f" in [{key}]")
-        values[key] = value
-    try:
-        return kind(**values)
-    except DesignError as error:
-        raise DesignError(f"{where.strip()}: {error}" if where else str(error)) from None
+    inner = {
+        key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]")
+        for key in table
+        if key in specs and is_dataclass(specs[key].type)
+    }
+    STRICT.require_keys(table, specs, f" {place}" if place else "")
+    return STRICT.made(place, kind, **table | inner)
 
 
 def design_from_toml(text: str, source: str = "the design") -> SensorDesign:

@@ -1,1 +1,1 @@
-"""Sparse direct factorisations and checked solves."""
+"""Sparse linear systems: `linear_solver.py` factors and checks, by the libraries of `factors.py`."""

@@ -109,7 +109,7 @@ def test_key_with_a_line_break_is_named_in_one_line():
 
 
 def test_table_written_as_a_value_is_refused():
-    assert "'unit' must be a table, written [unit], not 3" in refusal("unit = 3\n")
+    assert "'unit' must be one table, written [unit], not 3" in refusal("unit = 3\n")
 
 
 @pytest.mark.parametrize(

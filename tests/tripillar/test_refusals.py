@@ -94,9 +94,6 @@ solve solver.toml --json --vtu never.vtu -> solver.toml: unknown key 'solver'
 solve pillar.toml --tolerance 0 -> tolerance=0 must be a number above 0
 solve pillar.toml --tolerance nan -> tolerance=nan must be a number above 0
 solve pillar.toml --no-skip lunch -> unknown saving 'lunch'; known are zero-load
-solve block.toml --element Q2 -> element 'Q2' needs a grid, but 1 of 1 inclusion
-solve pillar.toml --element Q9 -> unknown element 'Q9'
-solve pillar.toml --solver abacus -> unknown solver 'abacus'
 response --out r.nc --method magic -> --method magic must be one of cells, layer, halfspace
 response --out r.nc --design small.toml --tolerance 0 -> tolerance=0 must be above 0 and below 1
 response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be above 0 and below 1

@@ -1,7 +1,6 @@
 """Sweep files: TOML read into a `Sweep`, unknown keys and nonsense refused in one line that names the place."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from itertools import chain
 from pathlib import Path
@@ -12,10 +11,12 @@ from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
+from geometry.storage.strict_tables import StrictTables
 from geometry.storage.text_file import read_text, tables_of
 from tripillar.sweep.rows import METRICS
 from tripillar.sweep.variables import Variable
 
+STRICT = StrictTables(DesignError)
 SAMPLINGS = ("sobol", "latin-hypercube", "grid")
 MAX_SAMPLES = 100_000  #: rows of one sweep
 
@@ -117,68 +118,44 @@ def read_sweep(path: Path) -> Sweep:
 
 def sweep_from_dict(table: dict[str, Any], source: str = "the sweep") -> Sweep:
     """A sweep from the nested tables of a TOML file; errors as in `read_sweep`."""
-    try:
-        return _sweep(table)
-    except DesignError as error:
-        raise DesignError(f"{source}: {error}") from None
+    found: Sweep = STRICT.made(source, _sweep, table=table)
+    return found
 
 
 def _sweep(table: dict[str, Any]) -> Sweep:
-    _require_known(table, ("design", "sweep", "vary", "bounds"), "")
-    settings = _table(table, "sweep")
+    STRICT.require_keys(table, ("design", "sweep", "vary", "bounds"))
+    settings = STRICT.table(table, "sweep")
     judged = tuple(spec.name for spec in fields(Judging) if spec.name != "train")
     own = ("sampling", "samples", "seed", "least")
-    _require_known(settings, (*own, *judged), " in [sweep]")
-    entries = table.get("vary", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise DesignError("'vary' must be an array of tables, each written [[vary]].")
-    return _made(
+    STRICT.require_keys(settings, (*own, *judged), " in [sweep]")
+    sweep: Sweep = STRICT.made(
         "[sweep]",
         Sweep,
-        base=design_from_dict(_table(table, "design"), "[design]"),
-        variables=tuple(_variable(f"[[vary]] {number}", entry) for number, entry in enumerate(entries, start=1)),
-        judging=_made("[sweep]", Judging, **{key: settings[key] for key in judged if key in settings}),
-        bounds={name: _bound(name, entry) for name, entry in _table(table, "bounds").items()},
+        base=design_from_dict(STRICT.table(table, "design"), "[design]"),
+        variables=tuple(_variable(*entry) for entry in STRICT.entries(table, "vary")),
+        judging=STRICT.made("[sweep]", Judging, **{key: settings[key] for key in judged if key in settings}),
+        bounds={name: _bound(name, entry) for name, entry in STRICT.table(table, "bounds").items()},
         **{key: settings[key] for key in own if key in settings},
     )
+    return sweep
 
 
 def _variable(place: str, entry: dict[str, Any]) -> Variable:
-    _require_known(entry, tuple(spec.name for spec in fields(Variable)), f" in {place}")
+    known = tuple(spec.name for spec in fields(Variable))
+    STRICT.require_keys(entry, known, f" in {place}")
     key, values = entry.get("key", []), entry.get("values", [])
     keys = [key] if isinstance(key, str) else key
     if not (isinstance(keys, list) and all(isinstance(one, str) for one in keys) and isinstance(values, list)):
         raise DesignError(f"{place}: key must be a text or a list of texts, values a list of numbers.")
-    variable: Variable = _made(place, Variable, **entry | {"key": tuple(keys), "values": tuple(values)})
+    variable: Variable = STRICT.made(place, Variable, **entry | {"key": tuple(keys), "values": tuple(values)})
     return variable
 
 
 def _bound(name: str, entry: Any) -> Bound:
     if not isinstance(entry, dict):
         raise DesignError(f"[bounds]: {name} must be written {{least = 1.0}}, {{most = 2.0}} or both.")
-    _require_known(entry, ("least", "most"), f" in [bounds] {name}")
-    bound: Bound = _made(f"[bounds] {name}", Bound, **entry)
+    bound: Bound = STRICT.filled(f"[bounds] {name}", Bound, entry, ("least", "most"))
     return bound
-
-
-def _made(place: str, make: Callable[..., Any], **values: Any) -> Any:
-    try:
-        return make(**values)
-    except DesignError as error:
-        raise DesignError(f"{place}: {error}") from None
-
-
-def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise DesignError(f"'{key}' must be one table, written [{key}].")
-    return value
-
-
-def _require_known(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise DesignError(f"unknown key {key!r}{where}; known are {', '.join(known)}.")
 
 
 def _whole(number: Any) -> bool:
