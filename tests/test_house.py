@@ -20,7 +20,7 @@ HELP_S = 1.0  #: of processor time to print a help text
 #: words that no docstring begins with: it says what a thing is or does
 RIDDLES = ("What", "How", "Who")
 #: rooms of one floor that import each other all the same
-TANGLED = {("fem.methods", "fem.scene")}
+TANGLED: set[tuple[str, str]] = set()
 #: functions named like their module all the same
 SAME_NAME = {
     "geometry.apart.apart", "geometry.storage.unfinished.unfinished", "fem.discretization.scene_mesh.scene_mesh",

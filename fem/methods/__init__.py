@@ -1,4 +1,4 @@
-"""How a scene is solved.
+"""Methods that solve a scene.
 
 In the order of the data: `solving.py` (the entry), `plan.py` (chooses the method, by `cost.py` between the two for
 boxes), then one of `high_order.py` (Qp: few boxes of rising order), `box_refinement.py` (Q4: boxes split where needed),

@@ -1,16 +1,16 @@
 """Solutions as files: the contract's JSON object, and the displaced body as VTU for pictures."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fem.methods.plan import Plan
 from fem.scene.solution import Field, Solution
 from geometry.storage.files import write_bytes
 from geometry.storage.vtk_file import vtk_content
 
 
-def solution_as_plain(solution: Solution, plan: Plan) -> dict[str, Any]:
+def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str, Any]:
     """A solution as the object that `tripillar solve --json` prints; an error that nobody could estimate is null."""
     return {
         "probes": {name: [float(u) for u in displacement] for name, displacement in solution.probes.items()},
@@ -19,7 +19,7 @@ def solution_as_plain(solution: Solution, plan: Plan) -> dict[str, Any]:
         "dofs": int(solution.unknowns),
         "error_estimate": float(solution.error_estimate) if math.isfinite(solution.error_estimate) else None,
         "seconds": {step: float(seconds) for step, seconds in solution.seconds.items()},
-        "plan": [*plan.lines, *solution.steps],
+        "plan": [*plan_lines, *solution.steps],
     }
 
 

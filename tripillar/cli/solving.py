@@ -55,7 +55,7 @@ def solve(
     if vtu is not None and solution.field is not None:
         write_field(solution.field, vtu)
     if json_:
-        show_json(solution_as_plain(solution, plan))
+        show_json(solution_as_plain(solution, plan.lines))
     else:
         from tripillar.cli.tables import solution_table
         from tripillar.terminal.tables import show
