@@ -14,7 +14,7 @@ from geometry.errors import GeometryError
 PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
-def apart(place: str, *arguments: Any, **named: Any) -> Any:
+def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
     """Load and run a function in a new process, and return its result.
 
     A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB.

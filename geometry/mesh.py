@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.apart import apart
+from geometry.apart import run_apart
 from geometry.design import SensorDesign, quantity, require_numbers, require_positive
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
@@ -234,7 +234,7 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
     vertices = np.vstack([surface.vertices for surface in surfaces])
     triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
     with scratch() as folder:
-        points, cells = apart(
+        points, cells = run_apart(
             "geometry.mesher:tetrahedralize",
             folder.absolute(),
             vertices,

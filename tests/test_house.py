@@ -22,11 +22,7 @@ RIDDLES = ("What", "How", "Who")
 #: rooms of one floor that import each other all the same
 TANGLED: set[tuple[str, str]] = set()
 #: functions named like their module all the same
-SAME_NAME = {
-    "geometry.apart.apart", "geometry.storage.unfinished.unfinished", "fem.discretization.scene_mesh.scene_mesh",
-    "fem.fields.array_field.array_field", "fem.fields.scene_parts.scene_parts", "fem.pictures.scenery.scenery",
-    "studies.paper.deformation.deformation", "studies.robustness.study.study",
-}  # fmt: skip
+SAME_NAME = {"studies.paper.deformation.deformation", "studies.robustness.study.study"}
 MAX_MISSING, MAX_RIDDLES = 0, 9  #: docstrings that are still to be written, and rewritten
 
 

@@ -35,7 +35,7 @@ def prism_surface(prism: Prism) -> Surface:
     return Surface(prism.corners(), np.array(triangles, dtype=np.int32))
 
 
-def scene_mesh(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:
+def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:
     """A coarse mesh of a scene's body whose faces follow the prisms inside it.
 
     Parameters

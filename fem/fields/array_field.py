@@ -140,7 +140,7 @@ class ArrayField:
         return Observer(self.interior, points, None if self.design.is_homogeneous else region)
 
 
-def array_field(
+def solve_array_field(
     design: SensorDesign,
     progress: Callable[[str], None] = lambda step: None,
     rectangles_mm: FloatArray | None = None,

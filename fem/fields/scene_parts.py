@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from skfem import Element, ElementHex2, ElementTetP2
 
 from fem.discretization.elements import Elements
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import Part, sensor_parts
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import VTK_PLACES
@@ -28,7 +28,9 @@ ELEMENTS: dict[int, Element] = {
 }
 
 
-def scene_parts(scene: Scene, stress: bool, progress: Callable[[str], None] = lambda step: None) -> dict[str, Part]:
+def solve_scene_parts(
+    scene: Scene, stress: bool, progress: Callable[[str], None] = lambda step: None
+) -> dict[str, Part]:
     """Solve a scene and cut what is seen of it into parts.
 
     A unit or an array has pillars, matrix, electrodes and pads, these being the loaded rectangles. A block has
@@ -59,9 +61,9 @@ def _sensor(scene: Scene, body: Sensor, stress: bool, progress: Callable[[str], 
     local: dict[Rectangle, int] = {}
     newtons = forces_on_cells(scene, body, local)
     if not local:  # unloaded: its pads are shown instead
-        array = array_field(body.design, progress)
+        array = solve_array_field(body.design, progress)
         return sensor_parts(array, array.state(np.zeros((body.design.n_units, 3))), stress)
-    array = array_field(body.design, progress, np.array(list(local)))
+    array = solve_array_field(body.design, progress, np.array(list(local)))
     return sensor_parts(array, array.under(newtons.reshape(len(newtons), -1)), stress)
 
 

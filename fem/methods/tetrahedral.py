@@ -21,7 +21,7 @@ from fem.discretization.indicator import (
 )
 from fem.discretization.patch import patch_integrals
 from fem.discretization.richardson import MIN_MESHES
-from fem.discretization.scene_mesh import prism_of_cells, scene_mesh
+from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
@@ -121,7 +121,7 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
         Also return the displacement of the whole body.
     """
     watch = Stopwatch()
-    mesh, kept = scene_mesh(scene, [prism for prism, _ in plan.regions], cached=plan.saves("cache"))
+    mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions], cached=plan.saves("cache"))
     steps = [f"{mesh.nelements} tetrahedra {'from the cache' if kept else 'by the mesher'}"]
     mesh = with_edges_across(mesh, np.vstack([scene.load_rectangles_mm, scene.probe_rectangles_mm]))
     watch.spent("mesh")

@@ -13,7 +13,7 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 from fem.fields.deformed import Part, Parts
 from fem.pictures.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
 from fem.pictures.legend import INK, draw_legend, words_at
-from fem.pictures.scenery import Camera, scenery
+from fem.pictures.scenery import Camera, draw_scenery
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]
@@ -82,7 +82,7 @@ class DeformedPicture:
         self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
         self._is_bare = medium == "page"
         points = {name: reach(parts, scale) for name, parts in panels.items()}
-        stage = {name: scenery(at, camera) for name, at in points.items()}
+        stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
         self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines

@@ -17,7 +17,7 @@ LETTER = 0.024  #: height of letters, of the body's larger side
 AXES = 0.08  #: length of the axes' arrows, of the same
 
 
-def scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
+def draw_scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
     """A scale bar with its length and named arrows along the axes, before and left of the body as a camera sees it.
 
     Parameters

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from geometry.errors import FileFormatError, NotWrittenError
-from geometry.storage.unfinished import unfinished
+from geometry.storage.unfinished import unfinished_folder
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: errors of a disk, a quota or a file that may not grow any more
 
@@ -87,7 +87,7 @@ def _filled(folder: Path, name: str) -> Iterator[Path]:
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with unfinished(folder, name) as temporary:
+        with unfinished_folder(folder, name) as temporary:
             yield temporary
     except BaseException:  # Ctrl-C as well: no empty folder stays behind
         for place in missing:
@@ -117,7 +117,7 @@ def write_json(plain: Any, path: Path) -> None:
 @contextmanager
 def scratch() -> Iterator[Path]:
     """A folder for a while, where the system keeps such folders."""
-    with unfinished(Path(tempfile.gettempdir()), "scratch") as folder:
+    with unfinished_folder(Path(tempfile.gettempdir()), "scratch") as folder:
         yield folder
 
 

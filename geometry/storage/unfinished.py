@@ -23,7 +23,7 @@ _looked_through: set[Path] = set()
 
 
 @contextmanager
-def unfinished(place: Path, name: str) -> Iterator[Path]:
+def unfinished_folder(place: Path, name: str) -> Iterator[Path]:
     """A new folder in `place`, called after `name`; removed afterwards with all that it holds."""
     remove_leftovers(place)
     while True:

@@ -27,12 +27,12 @@ def draw_figure_7(design: SensorDesign, path: Path) -> None:
 
     They stand below each other: side by side they would be too small on a page.
     """
-    from fem.fields.array_field import array_field
+    from fem.fields.array_field import solve_array_field
     from fem.fields.deformed import sensor_parts
     from fem.pictures.deformation import DeformedPicture
 
     nine = replace(design, array=replace(design.array, rows=3, cols=3))
-    field = array_field(nine)
+    field = solve_array_field(nine)
     loads = {f"{pressure:g} MPa": one_pad(nine, pressure) for pressure in PRESSURES_MPA}
     panels = {name: sensor_parts(field, field.state(traction), stress=False) for name, traction in loads.items()}
     picture = DeformedPicture(panels, columns=1)

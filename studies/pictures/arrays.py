@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import Parts, sensor_parts
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
@@ -40,7 +40,7 @@ def draw(folder: Path) -> None:
 
 def draw_moving(design: SensorDesign, path: Path) -> None:
     """Write an animated WebP: a round indenter presses, drags once round the middle, and lifts."""
-    field = array_field(design)
+    field = solve_array_field(design)
     states = [sensor_parts(field, field.state(traction), stress=False) for traction in tour(design)]
     name = f"{PRESSED_MPA:g} MPa at the indenter's middle, dragged by {DRAGGED_MPA:g} MPa"
     picture = DeformedPicture({name: states[DOWN]}, medium="film", over=states)

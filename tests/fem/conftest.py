@@ -7,7 +7,7 @@ import pytest
 from skfem import MeshTet
 
 from fem.array.coupled_cells import CoupledArray
-from fem.fields.array_field import ArrayField, array_field
+from fem.fields.array_field import ArrayField, solve_array_field
 from geometry.design import Array, SensorDesign
 from tests.fem.boxes import box_mesh
 
@@ -21,7 +21,7 @@ def disordered_cube() -> MeshTet:
 @pytest.fixture(scope="session")
 def pair_field() -> ArrayField:
     """The paper's unit twice, 1 × 2, ready to be loaded."""
-    return array_field(SensorDesign(array=Array(rows=1, cols=2)))
+    return solve_array_field(SensorDesign(array=Array(rows=1, cols=2)))
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import condensed_cell
 from fem.discretization.grid import Grid
 from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.fields.array_field import MESH_DEGREE, array_field
+from fem.fields.array_field import MESH_DEGREE, solve_array_field
 from fem.fields.cell_field import cell_interior
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
@@ -83,7 +83,7 @@ def test_a_wide_thin_slab_pressed_all_over_is_confined_in_its_middle():
         unit=Unit(height_mm=5.0, span_mm=5.0), array=Array(rows=3, cols=3, pitch_mm=34.0), pad=Pad(size_mm=34.0),
         pillar_material=rubber, matrix_material=rubber,
     )  # fmt: skip
-    field = array_field(design)
+    field = solve_array_field(design)
     state = field.state(np.tile([0.0, 0.0, -2.0], (9, 1)))
     points = np.random.default_rng(1).uniform([-10, -10, 0.5], [10, 10, 5], (40, 3))
     observer = field.observe(points)
@@ -123,7 +123,7 @@ def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
     monkeypatch.setattr("fem.fields.array_field.MESH_LEVEL", 0.8)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
-    field = array_field(design)
+    field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
     rectangles = np.vstack([pad_squares(design), electrode_squares(design)])
     cell, _ = condensed_cell(design, 0.8, MESH_DEGREE, rectangles)

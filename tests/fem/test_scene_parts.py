@@ -10,7 +10,7 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
 from fem.fields.deformed import sensor_parts
-from fem.fields.scene_parts import elements_of, merged, scene_parts
+from fem.fields.scene_parts import elements_of, merged, solve_scene_parts
 from fem.fields.stress import projected_pressure
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.box_field import VTK_PLACES
@@ -39,13 +39,13 @@ def test_a_block_without_load_is_drawn_at_rest():
     """Nothing attracts grid lines there, not even with a probe at a point."""
     block = Block(size_mm=(10.0, 10.0, 5.0))
     scene = Scene(body=block, material=Material(), probes=(Probe(name="a", kind="point", position_mm=(5.0, 5.0, 5.0)),))
-    body = scene_parts(scene, stress=True)["body"]
+    body = solve_scene_parts(scene, stress=True)["body"]
     assert not body.displacement_mm.any()
     assert not body.stress.any()
 
 
 def test_the_stress_of_a_block_meets_its_load():
-    parts = scene_parts(BLOCK, stress=True)
+    parts = solve_scene_parts(BLOCK, stress=True)
     assert set(parts) == {"body"}
     assert mean_on_top(parts["body"], [6.0, 6.0], 2.0) == pytest.approx(-1.0, rel=0.05)  # of points, not of an integral
     far = np.linalg.norm(parts["body"].points_mm - [0.0, 0.0, 6.0], axis=1) < 0.5
@@ -93,7 +93,7 @@ def test_an_inclusion_is_a_part_of_its_own_with_a_stress_of_its_own():
     stiff = Inclusion(
         base_mm=(6.0, 6.0, 0.0), top_mm=(6.0, 6.0, 6.0), section_mm=(3.0, 3.0), material=Material(young_mpa=61.0)
     )
-    parts = scene_parts(replace(BLOCK, inclusions=(stiff,)), stress=True)
+    parts = solve_scene_parts(replace(BLOCK, inclusions=(stiff,)), stress=True)
     assert set(parts) == {"inclusions", "matrix"}
     inside, outside = (mean_on_middle(parts[name]) for name in ("inclusions", "matrix"))
     assert inside < 2 * outside < 0
@@ -110,7 +110,7 @@ def test_a_sensor_s_scene_is_its_array_under_the_same_load(pair_field):
     """The middle pad as a load of the scene: the same field as by the pads of the design."""
     design = SensorDesign(array=Array(rows=1, cols=2))
     pressed = Load(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))
-    seen = scene_parts(Scene(body=Sensor(design=design), loads=(pressed,), probes=(MIDDLE,)), stress=False)
+    seen = solve_scene_parts(Scene(body=Sensor(design=design), loads=(pressed,), probes=(MIDDLE,)), stress=False)
     expected = sensor_parts(pair_field, pair_field.state(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, -1.0]])), stress=False)
     for name, part in expected.items():
         assert np.allclose(seen[name].displacement_mm, part.displacement_mm, atol=1e-10)
@@ -119,7 +119,7 @@ def test_a_sensor_s_scene_is_its_array_under_the_same_load(pair_field):
 def test_a_load_across_two_cells_is_shared_between_them():
     design = SensorDesign(array=Array(rows=1, cols=2))
     across = Load(center_mm=(0.0, 0.0), size_mm=(6.0, 4.0), traction_mpa=(0.0, 0.0, -1.0))
-    parts = scene_parts(Scene(body=Sensor(design=design), loads=(across,), probes=(MIDDLE,)), stress=False)
+    parts = solve_scene_parts(Scene(body=Sensor(design=design), loads=(across,), probes=(MIDDLE,)), stress=False)
     assert np.allclose([parts["pads"].points_mm[:, 0].min(), parts["pads"].points_mm[:, 0].max()], [-3.0, 3.0])
     matrix = parts["matrix"]
     deepest = matrix.points_mm[matrix.displacement_mm[:, 2].argmin()]

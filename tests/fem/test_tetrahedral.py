@@ -9,7 +9,7 @@ from skfem import Basis, ElementTetP2
 from fem.discretization.elasticity import lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
-from fem.discretization.scene_mesh import prism_of_cells, scene_mesh
+from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.methods.tetrahedral import with_edges_across
@@ -164,7 +164,7 @@ def test_the_field_holds_the_probes():
 def test_every_face_is_where_it_belongs(prisms):
     """Volumes of the body and of prisms that do not cut each other are exact, and the outline is made of planes."""
     scene = pressed_block((10.0, 10.0, 6.0), Material())
-    mesh, _ = scene_mesh(scene, prisms)
+    mesh, _ = mesh_scene(scene, prisms)
     labels = prism_of_cells(mesh, prisms)
     volumes = np.bincount(labels, cell_volumes(mesh.p.T, mesh.t.T), len(prisms) + 1)
     inside = [prism.volume_mm3 for prism in prisms]
@@ -183,7 +183,7 @@ def test_pillars_of_a_unit_are_meshed_as_their_union():
         material=sensor.design.matrix_material,
         probes=(Probe(name="U1", kind="point", position_mm=(-5, -5, 10)),),
     )
-    mesh, _ = scene_mesh(scene, sensor.pillars)
+    mesh, _ = mesh_scene(scene, sensor.pillars)
     volumes = cell_volumes(mesh.p.T, mesh.t.T)
     assert np.isclose(volumes.sum(), 15.0 * 15.0 * 10.0, rtol=1e-9)
     inside = volumes[prism_of_cells(mesh, sensor.pillars) > 0].sum()
@@ -193,7 +193,7 @@ def test_pillars_of_a_unit_are_meshed_as_their_union():
 
 def test_an_oblique_pillar_keeps_its_slanted_faces():
     scene = scene_from_toml(PILLAR)
-    mesh, _ = scene_mesh(scene, [])
+    mesh, _ = mesh_scene(scene, [])
     assert np.isclose(cell_volumes(mesh.p.T, mesh.t.T).sum(), 40.0, rtol=1e-9)
     assert (mesh.p[2].min(), mesh.p[2].max()) == (0.0, 10.0)
 

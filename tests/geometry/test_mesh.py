@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geometry import Array, FileFormatError, GeometryError, Material, Pad, SensorDesign, Unit
-from geometry.apart import apart
+from geometry.apart import run_apart
 from geometry.mesh import (
     REGIONS,
     MeshSettings,
@@ -153,13 +153,13 @@ def test_remeshing_keeps_the_volume_and_leaves_no_trace(tmp_path, monkeypatch, c
 
 def test_what_compiled_code_prints_goes_to_stderr(capfd):
     """Stdout belongs to results. The mesher is silent here, so its process is tried with another function."""
-    assert apart("os:write", 1, b"noise") == len(b"noise")
+    assert run_apart("os:write", 1, b"noise") == len(b"noise")
     assert capfd.readouterr() == ("", "noise")
 
 
 def test_a_crash_of_compiled_code_is_one_line():
     with pytest.raises(GeometryError, match=r"^the os crashed \(signal 6\): is there enough memory"):
-        apart("os:abort")
+        run_apart("os:abort")
 
 
 def cube(tets: int = 5) -> TetMesh:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import Parts, sensor_parts
 from fem.fields.pad_loads import PAD_LOADS, WHERE
-from fem.fields.scene_parts import scene_parts
+from fem.fields.scene_parts import solve_scene_parts
 from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign
@@ -37,8 +37,8 @@ def panels_of(
 ) -> dict[str, Parts]:
     """Solve for the panels, by name of the load: one for each pressure of a design, one for a scene."""
     if isinstance(body, Scene):
-        return {"the scene's load": scene_parts(body, stress, progress)}
-    field = array_field(body, progress)
+        return {"the scene's load": solve_scene_parts(body, stress, progress)}
+    field = solve_array_field(body, progress)
     progress("pads")
     one = sensor_parts(field, field.state(PAD_LOADS[load](body, 1.0)), stress)
     return {

@@ -3,7 +3,7 @@
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.scene import Superposition
@@ -17,4 +17,4 @@ def subject():
     """An array of two units; no decoupler: the forces are the resistances."""
     response = solve_response(DESIGN, ResponseSettings(method="layer"))  # a closed form: any response will do
     sensor = SensorModel(response, lambda resistance_ohm: resistance_ohm)
-    return Subject(loads=Superposition(array_field(DESIGN)), sensor=sensor, decoupler="nothing")
+    return Subject(loads=Superposition(solve_array_field(DESIGN)), sensor=sensor, decoupler="nothing")

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import unit_centres
@@ -69,7 +69,7 @@ def test_the_scene_is_the_same_array_under_the_same_load():
     assert scene.loads[0].size_mm == (11.0, 11.0)
     assert scene.probes[0].name == "pad of row 0, col 1"
     (parts,) = panels_of(scene, (), "", stress=False).values()
-    field = array_field(DESIGN)
+    field = solve_array_field(DESIGN)
     top = parts["matrix"].points_mm[:, 2].argmax()
     point = parts["matrix"].points_mm[top] - np.append(unit_centres(DESIGN)[0], 0.0)
     moved = field.observe(point[None]).displacement_mm(field.state(TRACTION))[0, 0]

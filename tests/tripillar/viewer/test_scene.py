@@ -9,7 +9,7 @@ import pytest
 import pyvista as pv
 from PIL import Image
 
-from fem.fields.array_field import array_field
+from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import APART_MM, pillar_surface
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
@@ -23,7 +23,7 @@ NONE = np.zeros((4, 3))
 
 @pytest.fixture(scope="module")
 def field():
-    return array_field(DESIGN)
+    return solve_array_field(DESIGN)
 
 
 @pytest.fixture(scope="module")

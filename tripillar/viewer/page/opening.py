@@ -75,7 +75,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     if find_spec("aiohttp") is None:
         raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
     from decoupler.model.model_file import read_model
-    from fem.fields.array_field import array_field
+    from fem.fields.array_field import solve_array_field
     from geometry.design import SensorDesign
     from tripillar.pipeline.run import respond
     from tripillar.terminal.console import say
@@ -95,7 +95,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
         with bars:
             _, response = respond(design or SensorDesign(), bars)
             advance = bars.begin("page", total=2)
-            field = array_field(response.design, lambda step: advance(0, step))
+            field = solve_array_field(response.design, lambda step: advance(0, step))
             advance(1, "decoupler")
             subject = Subject(
                 loads=Superposition(field),

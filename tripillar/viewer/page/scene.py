@@ -18,7 +18,7 @@ from fem.fields.array_field import ArrayField, FieldState, Observer
 from fem.fields.deformed import APART_MM, Part, Surface, pillar_surface, rectangle_surface
 from fem.pictures.colours import QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
 from fem.pictures.deformation import draw_off_screen, place
-from fem.pictures.scenery import scenery, unit_names
+from fem.pictures.scenery import draw_scenery, unit_names
 from fem.scene.solution import QUADRILATERAL
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, unit_centres
@@ -219,7 +219,7 @@ class ArrayScene:
         corners = np.array([[x * i / 2, y * j / 2, z * k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
         array = self._field.design.array
         names = unit_names(array.rows, array.cols, array.pitch_mm)
-        beside = scenery(np.vstack([corners, names.points]), "iso")
+        beside = draw_scenery(np.vstack([corners, names.points]), "iso")
         self._letters = plotter.add_mesh(pv.merge([names, beside]), color=LETTERS[False], lighting=False)
         self.reach_mm = np.vstack([corners, names.points, beside.points])
         plotter.add_mesh(self._mark, color=CHOSEN, line_width=4)
