@@ -49,7 +49,7 @@ def shear_blocks(basis: CellBasis, mu_mpa: FloatArray) -> FloatArray:
 
 
 class SparsePattern:
-    """Where element entries go in a global sparse matrix; found once, then filled with any values.
+    """Places of element entries in a global sparse matrix, found once and filled with any values.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class Table:
 
     @cached_property
     def depth(self) -> IntArray:
-        """How many splittings made it; parents have lower numbers than what they were split into."""
+        """Number of splittings that made each entry; parents come before their children."""
         depth = np.zeros(len(self.parent), dtype=np.int64)
         for number, parent in enumerate(self.parent):
             depth[number] = 0 if parent < 0 else depth[parent] + 1
@@ -102,7 +102,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Nodes on the surfaces of the elements, and what those on larger elements' faces and edges are made of."""
+    """Nodes on the surfaces of the elements, and the constraints of those on larger elements' faces and edges."""
 
     of_elements: IntArray  #: (n_elements, n_surface), in the lexicographic order of an element's nodes
     constraint: sp.csr_matrix  #: (n_nodes, n_nodes): takes values of independent nodes to those of all

@@ -37,7 +37,7 @@ DIVERGENCE_WEIGHT = 0.25  #: of pressures beside shear strains in the indicator 
 
 @cache
 def node_places(order: int) -> tuple[IntArray, IntArray]:
-    """Of an element's nodes in lexicographic order, those on its surface and those inside."""
+    """Numbers of an element's nodes on its surface and inside it, in lexicographic order."""
     inside = (np.indices((order + 1,) * 3).reshape(3, -1) % order != 0).all(axis=0)
     return np.flatnonzero(~inside), np.flatnonzero(inside)
 
@@ -129,7 +129,7 @@ class BoxSystem:
         return 0.5 ** len(self.mirrors)
 
     def _element_weights(self, number: int) -> tuple[FloatArray | None, IntArray, NDArray[np.bool_] | None]:
-        """What the surface nodes of an element are made of: weights (n_surface, k) of nodes (k,).
+        """Independent nodes behind the surface nodes of an element: weights (n_surface, k) of nodes (k,).
 
         Where all are independent, the weights are None and the third value says which of them are not on the base.
         """
@@ -321,7 +321,7 @@ class BoxSystem:
 
 
 def _upper_pairs(numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Where all pairs of numbers stand, those in order only, each number with itself included."""
+    """Places of all pairs of numbers that are in order, each number with itself included."""
     rank = np.argsort(numbers)
     i, j = _upper(len(numbers))
     return rank[i], rank[j]

@@ -75,7 +75,7 @@ class Elements:
     def _best(
         self, points_mm: FloatArray, candidates: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-        """Of candidates (k, c) the element each point is deepest in, its place there, and how deep (< 0: outside)."""
+        """The candidate (k, c) that each point is deepest in, its place there, and its depth (< 0: outside)."""
         origin = self.points_mm[self._origin[candidates]]
         local = np.einsum("pcki,pci->pck", self.inverse_jacobian[candidates], points_mm[:, None] - origin)
         far_side = 1 - local.max(axis=2) if self.is_box else 1 - local.sum(axis=2)

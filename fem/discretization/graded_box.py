@@ -17,7 +17,7 @@ RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-fin
 
 
 class Level(NamedTuple):
-    """How fine a graded grid is."""
+    """Fineness of a graded grid."""
 
     order: int  #: of the functions along each axis
     layers: int  #: of elements on either side of the body's and regions' edges

@@ -1,4 +1,4 @@
-"""Where a finite-element answer misses equilibrium, element by element: what adaptive refinement goes by.
+"""Error indicators: how far an answer misses equilibrium in each element.
 
 The residual of an answer u is what the stress leaves unbalanced: div σ inside the elements, jumps of the traction σ·n
 across their faces, traction missing on the surface, and div u − p/λ in the mixed form. The error of a probe is at most

@@ -72,7 +72,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
 
 
 def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
-    """What loads put on each cell, (n_units, k, 3) [N], of the k rectangles of cells that `local` then numbers."""
+    """Forces of the loads on each cell, (n_units, k, 3) [N], at the k rectangles of cells that `local` then numbers."""
     loads = [split_by_cells(load.rectangle, body, local) for load in scene.loads]
     newtons = np.zeros((body.design.n_units, len(local), 3))
     for load, shares in zip(scene.loads, loads, strict=True):

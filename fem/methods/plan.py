@@ -52,7 +52,7 @@ class Decision:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What will be computed, what is skipped, and why."""
+    """Choice of a method, its savings, and the reasons."""
 
     method: Method
     element: str  #: a key of `ELEMENTS`; empty where nothing is computed
@@ -188,7 +188,7 @@ def _symmetry(scene: Scene, regions: list[Region], keeps: frozenset[str]) -> tup
 
 
 def _folded(mirrors: tuple[Mirror, ...]) -> Decision:
-    """What mirrors save."""
+    """The decision on symmetry for these mirrors."""
     if not mirrors:
         return Decision(name="symmetry", choice="unused", reason="the loads are neither even nor odd in any plane")
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)

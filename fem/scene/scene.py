@@ -179,7 +179,7 @@ class Load:
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """What to report: the mean displacement of a rectangle of the top face, or the displacement of a point."""
+    """A displacement to report: the mean over a rectangle of the top face, or that of a point."""
 
     name: str
     kind: Literal["mean", "point"]
@@ -209,7 +209,7 @@ class Probe:
 
     @property
     def rectangle(self) -> Rectangle:
-        """Of a mean probe."""
+        """The rectangle of a mean probe."""
         if self.center_mm is None or self.size_mm is None:
             raise SceneError(f"probe '{self.name}' is a point: it has no rectangle.")
         return _rectangle(self.center_mm, self.size_mm)
@@ -302,7 +302,7 @@ class Scene:
 
     @property
     def rounding_mm(self) -> float:
-        """How far apart coordinates may be that mean the same place."""
+        """Largest distance of coordinates that mean the same place."""
         return ROUNDING * float(np.ptp(self.outline.corners(), axis=0).max())
 
     @property

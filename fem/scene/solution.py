@@ -1,4 +1,4 @@
-"""What a solve hands back: the probes, how far to trust them, and what it took."""
+"""The solution of a scene: its probes, the estimate of their error, and the effort."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -42,7 +42,7 @@ class StrictTables:
         return [(f"[[{key}]] {number}", entry) for number, entry in enumerate(value, start=1)]
 
     def made(self, place: str, make: Callable[..., Any], **values: Any) -> Any:
-        """What `make` makes of values; its refusal is prefixed with the place."""
+        """Call `make` with values; prefix its refusal with the place."""
         try:
             return make(**values)
         except (self.refusal, DesignError) as error:
@@ -51,6 +51,6 @@ class StrictTables:
     def filled(
         self, place: str, make: Callable[..., Any], table: Table, known: Iterable[str], required: Iterable[str] = ()
     ) -> Any:
-        """What `make` makes of a table whose keys are known."""
+        """Call `make` with the values of a table, whose keys must be known."""
         self.require_keys(table, known, f" in {place}" if place else "", required)
         return self.made(place, make, **table)
