@@ -18,7 +18,7 @@ ACROSS = 12  #: squares along a pad's side
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 
-Surface = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
+Quads = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +79,7 @@ def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> d
     }
 
 
-def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Surface:
+def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Quads:
     """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
 
     The first is smaller by `apart_mm` all around, the second by twice as much, the third by three times: no two of
@@ -105,14 +105,14 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
     return joined(surfaces)
 
 
-def electrode_surface(unit: Unit) -> Surface:
+def electrode_surface(unit: Unit) -> Quads:
     """The four electrodes of a unit, U1, U2, L1, L2, in its own frame."""
     upper = upper_electrodes(unit)
     lower = pillar_ends(unit)[:2, 0]
     return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in (*upper, *lower)])
 
 
-def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Surface:
+def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Quads:
     """A horizontal rectangle of steps × steps quadrilaterals."""
     share = np.linspace(-0.5, 0.5, steps + 1)
     x, y = np.meshgrid(share * size_mm[0], share * size_mm[1], indexing="ij")
@@ -121,7 +121,7 @@ def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) ->
     return centre_mm + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), quads.reshape(-1, 4)
 
 
-def joined(surfaces: list[Surface]) -> Surface:
+def joined(surfaces: list[Quads]) -> Quads:
     """Several surfaces as one; points are not shared between them."""
     first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
     quads = [quads + start for (_, quads), start in zip(surfaces, first[:-1], strict=True)]
@@ -131,7 +131,7 @@ def joined(surfaces: list[Surface]) -> Surface:
 def _on_units(
     array: ArrayField,
     state: FieldState,
-    surface: Surface,
+    surface: Quads,
     stress: bool,
     region: int,
     units: slice | IntArray = slice(None),

@@ -15,7 +15,7 @@ import pyvista as pv
 from numpy.typing import NDArray
 
 from fem.fields.array_field import ArrayField, FieldState, Observer
-from fem.fields.deformed import APART_MM, Part, Surface, pillar_surface, rectangle_surface
+from fem.fields.deformed import APART_MM, Part, Quads, pillar_surface, rectangle_surface
 from fem.pictures.colours import QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
 from fem.pictures.deformation import draw_off_screen, place
 from fem.pictures.scenery import draw_scenery, unit_names
@@ -183,7 +183,7 @@ class ArrayScene:
         """The outline of a unit's pad as deformed, (k, 3) [mm]."""
         return np.asarray(self._pads.mesh.points).reshape(-1, self._outline_size, 3)[unit].copy()
 
-    def _moving(self, surfaces: list[tuple[Surface, IntArray]]) -> Moving:
+    def _moving(self, surfaces: list[tuple[Quads, IntArray]]) -> Moving:
         """One mesh of surfaces of the cell, each in some of the units."""
         observed, rest, cells, n_points = [], [], [], 0
         for (points, own), units in surfaces:
@@ -287,13 +287,13 @@ class Camera:
 # the cell's surfaces: points (k, 3) [mm] and the quadrilaterals (m, 4) or lines (m, 2) between them
 
 
-def top_face(design: SensorDesign) -> Surface:
+def top_face(design: SensorDesign) -> Quads:
     """The cell's top."""
     pitch_mm = design.array.pitch_mm
     return rectangle_surface(np.array([0.0, 0.0, design.unit.height_mm]), np.full(2, pitch_mm), DIVISIONS)
 
 
-def side_face(design: SensorDesign, axis: int, end: int) -> Surface:
+def side_face(design: SensorDesign, axis: int, end: int) -> Quads:
     """The cell's side at the lower (-1) or upper (+1) end of axis 0 or 1."""
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
     along, z = np.meshgrid(np.linspace(-half, half, DIVISIONS + 1), np.linspace(0.0, height, LEVELS + 1))
@@ -303,14 +303,14 @@ def side_face(design: SensorDesign, axis: int, end: int) -> Surface:
     return points, corner + np.array([0, 1, DIVISIONS + 2, DIVISIONS + 1])
 
 
-def rims(design: SensorDesign, axis: int, end: int) -> Surface:
+def rims(design: SensorDesign, axis: int, end: int) -> Quads:
     """The upper and lower edge of a side, as lines."""
     side = side_face(design, axis, end)[0].reshape(LEVELS + 1, DIVISIONS + 1, 3)
     line = _steps(DIVISIONS)
     return side[[0, -1]].reshape(-1, 3), np.concatenate([line, line + DIVISIONS + 1])
 
 
-def upright_edge(design: SensorDesign, x_end: int, y_end: int) -> Surface:
+def upright_edge(design: SensorDesign, x_end: int, y_end: int) -> Quads:
     """The upright edge at the lower (-1) or upper (+1) end of x and y, as lines."""
     half = design.array.pitch_mm / 2
     points = np.tile([x_end * half, y_end * half, 0.0], (LEVELS + 1, 1))
@@ -318,7 +318,7 @@ def upright_edge(design: SensorDesign, x_end: int, y_end: int) -> Surface:
     return points, _steps(LEVELS)
 
 
-def pad_outline(design: SensorDesign) -> Surface:
+def pad_outline(design: SensorDesign) -> Quads:
     """The outline of the cell's pad, as lines from each point to the next and back to the first."""
     half = design.pad.size_mm / 2
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
