@@ -1,7 +1,9 @@
 """Worker processes of this machine: killed, stuck, too large, and reached by nobody else. All are real."""
 
 import logging
+import os
 import socket
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -29,10 +31,12 @@ SAMPLES = samples_of(SWEEP)
 
 
 @pytest.fixture(autouse=True)
-def own_temporary_folder(tmp_path, monkeypatch):
-    (tmp_path / "temporary").mkdir()
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+def own_temporary_folder(monkeypatch):
+    """A short path, since sockets of the workers' server lie below it; it stays, since the server remembers it."""
+    folder = Path(tempfile.mkdtemp(dir=os.environ["TRIPILLAR_TESTS"]))
+    monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr("tempfile.tempdir", None)
+    return folder
 
 
 def workers_of(process: psutil.Process) -> list[psutil.Process]:
@@ -44,7 +48,7 @@ def workers_of(process: psutil.Process) -> list[psutil.Process]:
     return found
 
 
-def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
+def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path, own_temporary_folder):
     """With the first row all workers are killed, with the second the server that they are copies of as well."""
     done = []
     with LocalWorkers(2, tmp_path / "log") as judges:
@@ -63,7 +67,7 @@ def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path):
     )
     psutil.wait_procs(left, timeout=5)
     assert not workers_of(psutil.Process())
-    assert not list((tmp_path / "temporary").glob("tripillar-*"))
+    assert not list(own_temporary_folder.glob("tripillar-*"))
 
 
 def test_a_design_that_ends_every_worker_fails_with_a_word_and_the_others_go_on(tmp_path, monkeypatch):
