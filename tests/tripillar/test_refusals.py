@@ -234,7 +234,7 @@ simulate --rate 0 -> --rate 0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
 simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
 simulate --period 0 -> --period 0 must be from 0.1 to 600 s
-simulate --sense-ohm 0 -> sense_ohm=0 must be a whole number from 1
+simulate --sense-ohm 0 -> --sense-ohm 0 must be a whole number from 1
 simulate --switch-ohm -1 -> switch_ohm=-1 must be from 0
 simulate --noise 7 -> noise=7 must be from 0 to 0.1
 simulate --serial -1 -> serial=-1 must be a whole number from 0
