@@ -186,15 +186,21 @@ def test_nearly_incompressible_blocks_are_met_as_well():
     assert largest_error(loose.probes, tight.probes) < 1e-2
 
 
+THIN = pressed(Block(size_mm=(20.0, 20.0, 2.0)), material=Material(young_mpa=1.0, poisson=0.499999))
+
+
 @pytest.mark.parametrize(
     "scene",
     [
-        pressed(Block(size_mm=(20.0, 20.0, 8.0)), tolerance=3e-3),
-        pressed(Block(size_mm=(20.0, 20.0, 8.0)), material=Material(young_mpa=1.0, poisson=0.4999), tolerance=3e-3),
-        pressed(Block(size_mm=(20.0, 20.0, 2.0)), material=Material(young_mpa=1.0, poisson=0.499999), tolerance=1e-2),
-        pressed(replace(STEEP, top_mm=(4.0, 3.0, 6.0)), tolerance=3e-3),
+        pytest.param(pressed(Block(size_mm=(20.0, 20.0, 8.0)), tolerance=3e-3), id="block"),
+        pytest.param(
+            pressed(Block(size_mm=(20.0, 20.0, 8.0)), material=Material(young_mpa=1.0, poisson=0.4999)),
+            id="nearly incompressible",
+        ),
+        pytest.param(replace(THIN, tolerance=1e-2), id="plate"),
+        pytest.param(THIN, id="plate, as accurate as the default", marks=pytest.mark.long),
+        pytest.param(pressed(replace(STEEP, top_mm=(4.0, 3.0, 6.0)), tolerance=3e-3), id="leaning"),
     ],
-    ids=["block", "nearly incompressible", "plate", "leaning"],
 )
 def test_both_elements_agree(scene):
     """Two methods that share neither grid nor solver differ by no more than both estimate."""
@@ -248,7 +254,7 @@ def random_mesh(seed: int, rounds: int = 4) -> BoxMesh:
     return mesh
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(5))
 def test_split_boxes_fill_the_body_and_their_faces_do_not_cross(seed):
     """Where faces of two boxes meet, one holds the other; else no polynomial of one could serve both."""
     mesh = random_mesh(seed)
@@ -266,7 +272,7 @@ def test_split_boxes_fill_the_body_and_their_faces_do_not_cross(seed):
                 assert any(whole)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(5))
 def test_hanging_nodes_hold_polynomials_of_the_elements_order(seed):
     """A polynomial of degree 4 along each axis is in the space: all its nodes follow from the independent ones."""
     mesh = random_mesh(seed)
