@@ -191,6 +191,8 @@ def crossval(
 ) -> "dict[str, ForceErrors]":
     """Cross-validate: test every sample once, by a network that never saw it; folds in parallel processes.
 
+    These processes import the program that calls: it calls below ``if __name__ == "__main__":``.
+
     Parameters
     ----------
     samples : Samples
