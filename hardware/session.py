@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 BATCH_S = 0.1  #: longest wait for a scan, so that what else there is to do is done
 TOLD_S = 1.0  #: between two reports of a recording's progress
+taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
 RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the recorder up; 109 s at 150 Hz
 
 
@@ -143,6 +144,7 @@ def ended_by_signal() -> Iterator[Callable[[], bool]]:
         if came:
             raise KeyboardInterrupt
         came.append(number)
+        taken[0] += 1
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
