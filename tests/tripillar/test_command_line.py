@@ -174,3 +174,23 @@ def processes_of_group(number):
         except (ProcessLookupError, psutil.NoSuchProcess):
             continue  # ended meanwhile
     return found
+
+
+def test_a_signal_that_a_session_took_ends_nothing_later_and_the_next_one_does():
+    """The thread that watches for signals comes late here: it is kept waiting until the session is over."""
+    program = (
+        "import os, signal, sys, time\n"
+        "from hardware.session import ended_by_signal\n"
+        "from tripillar.terminal import interrupts\n"
+        "interrupts.install()\n"
+        "sys.setswitchinterval(10)\n"
+        "with ended_by_signal() as is_ended:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    assert is_ended()\n"
+        "time.sleep(0.5)\n"
+        "print('went on', flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGINT)\n"
+        "time.sleep(10)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert (done.stdout, done.stderr, done.returncode) == ("went on\n", "tripillar: interrupted.\n", 130)
