@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,11 +26,13 @@ def unfinished_folder(place: Path, name: str) -> Iterator[Path]:
     """A new folder in `place`, called after `name`; removed afterwards with all that it holds."""
     remove_leftovers(place)
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=f".{name[:40]}{MARK}", dir=place))
-        _of_this_process.add(folder)
+        folder = place / f".{name[:40]}{MARK}{os.urandom(4).hex()}"
+        _of_this_process.add(folder)  # before it is there, as an interrupt may come as soon as it is
+        folder.mkdir(mode=0o700)
         lock = _locked(folder)
         if lock is not None:
             break
+        _of_this_process.discard(folder)
     try:
         yield folder
     finally:
@@ -49,7 +50,10 @@ def remove_at_end(folder: Path) -> None:
 def remove_unfinished() -> None:
     """Remove all such folders of this process, which is about to end."""
     for path in list(_of_this_process):
-        shutil.rmtree(path, ignore_errors=True)
+        for _ in range(3):  # compiled code may go on and make a file in it meanwhile
+            shutil.rmtree(path, ignore_errors=True)
+            if not path.exists():
+                break
 
 
 def remove_leftovers(folder: Path) -> None:

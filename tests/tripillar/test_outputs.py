@@ -10,7 +10,7 @@ import pytest
 
 from geometry import FileFormatError
 from geometry.storage.files import keep, replacing, require_folder, scratch, write_bytes
-from geometry.storage.unfinished import MARK, remove_leftovers
+from geometry.storage.unfinished import MARK, remove_leftovers, remove_unfinished
 from tests.house import House
 
 
@@ -80,6 +80,20 @@ def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_holds_is_
     with replacing(tmp_path / "other.txt"):
         pass
     assert sorted(path.name for path in tmp_path.iterdir()) == [".mine", "other.txt"]
+
+
+def test_an_interrupt_as_soon_as_the_folder_is_there_removes_it(tmp_path, monkeypatch):
+    make = os.mkdir
+
+    def make_and_be_interrupted(*where, **settings):
+        make(*where, **settings)
+        remove_unfinished()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "mkdir", make_and_be_interrupted)
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "data.txt"):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_scratch_is_removed():
