@@ -1,1 +1,1 @@
-"""Columns of resistances and forces: `columns` takes them from samples, `scaling` prepares them for a network."""
+"""Columns of resistances and forces (`columns`), and samples that repeat one another (`repeats`)."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError
-from decoupler.data.columns import component_named, distinct, load_numbers
+from decoupler.data.columns import component_named
+from decoupler.data.repeats import distinct, load_numbers
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.suited import suited_training

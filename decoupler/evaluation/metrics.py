@@ -9,8 +9,7 @@ import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
-from decoupler.data.columns import Component, force_columns
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Component, Scaling, force_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray

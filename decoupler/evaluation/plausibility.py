@@ -15,17 +15,10 @@ from scipy.optimize import linear_sum_assignment
 from dataset import Samples
 from dataset.measurement import reading_deviation
 from dataset.samples import MAX_N
-from decoupler.data.columns import (
-    COMPONENTS,
-    Component,
-    distinct,
-    force_columns,
-    load_numbers,
-    pillar_columns,
-    readable_columns,
-)
-from decoupler.data.scaling import MIN_NOISE
-from decoupler.inverse.forward_model import SLOPES, ForwardModel
+from decoupler.data.columns import COMPONENTS, MIN_NOISE, Component, force_columns, pillar_columns, readable_columns
+from decoupler.data.repeats import distinct, load_numbers
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sample_checks import SLOPES
 from geometry.layout import AXES, PILLARS, FloatArray
 
 #: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most

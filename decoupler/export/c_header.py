@@ -9,8 +9,7 @@ from textwrap import fill
 import numpy as np
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.columns import DEAD_OHM
-from decoupler.data.scaling import MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING
+from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING
 from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray

@@ -7,10 +7,9 @@ import onnx
 from onnx import helper, numpy_helper
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.columns import DEAD_OHM
-from decoupler.data.scaling import MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING, Resting
+from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.inverse.forward_model import ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 

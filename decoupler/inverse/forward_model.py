@@ -1,37 +1,36 @@
-"""The array's response as the resistances of a component's pillars under its forces, and what it says of samples."""
+"""The array's response as a model of resistances under forces, and its inverse, the input feature `inverse`.
 
-from dataclasses import dataclass, replace
+The inverse is approximate: a fixed number of corrections costs little and always ends; what they leave, the network
+learns. `limits.py` has the inverse iterated to the end.
+"""
+
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import reading_deviation
-from dataset.samples import SampleError, Samples
-from decoupler.data.columns import Component, force_columns, pillar_columns, readable_columns, rowwise
+from decoupler.data.columns import Component, rowwise
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-#: smallest share of the lengths' variance that a sensor's own response explains: one with pads a third smaller
-#: explains 0.83, with pads an eighth smaller 0.99; noise of 1 % leaves 0.93 and more
-MIN_EXPLAINED = 0.9
-SLOPES = (0.8, 1.25)  #: range of the measured lengths' slope over the model's; beyond, the body is softer or stiffer
-MIN_MOVED = 0.3  #: smallest motion of a living pillar over the expected one; usual are 0.8 to 1.25
-SURE = 3.0  #: standard errors between a slope and `MIN_MOVED`
-MAX_JUDGED = 5000  #: samples, spread over the data; more say no more of whether a pillar moves
-ENOUGH_FOR_ERRORS = 10  #: samples, for a standard error; of fewer only a pillar that always reads the same is stuck
-SAME = 1e-12  #: relative spread of readings that differ by rounding alone
-MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which errors of the response outweigh it
-NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
+MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
+ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
+ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor; both must be reached
+MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
+LOADS = 4000  #: number of usual loads that the corrections are fitted to
+LIGHTER = 0.03  #: weight of as many lighter loads
+SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
+HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForwardModel:
     """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|².
 
-    Forces and resistances are columns in the order of `components.force_columns` and `pillar_columns`.
+    Forces and resistances are columns in the order of `force_columns` and `pillar_columns`.
     """
 
     influence: FloatArray  #: B, (n_forces, 3·n_electrodes): upper electrodes along x, then y, then z [mm/N]
@@ -101,104 +100,121 @@ class ForwardModel:
         return lengths, np.einsum("nip,fip->npf", vectors / lengths[:, None], B, optimize=True)
 
 
-def explaining(
-    response: "ArrayResponse | None",
-    component: Component,
-    columns_ohm: FloatArray,
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelInverse:
+    """A forward model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ..."""
+
+    forward: ForwardModel
+    centre_n: FloatArray  #: (n_forces,): where it starts
+    centre_mm: FloatArray  #: (n_pillars,): lengths there
+    correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
+
+    @classmethod
+    def about(cls, forward: ForwardModel, force_n: FloatArray, readable: NDArray[np.bool_], noise: float) -> Self:
+        """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
+
+        `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
+        relative.
+
+        Notes
+        -----
+        Cₖ is the least-squares map from what the lengths still miss to what the forces still miss after k corrections,
+        by a ridge held to the tangent at their mean. It is fitted to the training forces, to the same made lighter, and
+        to rest, which weighs as much as all of them: a map of so many numbers meets one more point at little cost
+        elsewhere. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is kept
+        where pillars cannot be read, since there the lengths would be asked for more than they can tell.
+        """
+        centre = force_n.mean(axis=0)
+        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
+        tangent = _tangent(forward, centre, force_n, readable, unsure_mm)
+        usual_n = _enough_loads(force_n)
+        loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
+        spread_n = np.std(usual_n - centre)
+        lengths = forward.lengths(loads_n)
+        found = np.broadcast_to(centre, loads_n.shape)
+        correctors: list[FloatArray] = []
+        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n):
+            residual = np.where(readable, lengths - forward.lengths(found), 0.0)
+            weighted = weight[:, None] * residual
+            G = residual.T @ weighted
+            G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
+            missing = loads_n - found - residual @ tangent
+            correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
+            found = found + residual @ correctors[-1]
+        centre_mm = forward.lengths(centre[None])[0]
+        return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
+        lengths = self.forward.lengths_of(resistance_ohm)
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0])
+        forces += self.centre_n
+        for corrector in self.correctors[1:]:
+            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
+        return forces
+
+    def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Derivatives of `forces` by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
+        lengths = self.forward.lengths_of(resistance_ohm)
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
+        by_length = np.broadcast_to(self.correctors[0], (len(lengths), *self.correctors[0].shape))
+        for corrector in self.correctors[1:]:
+            modelled, J = self.forward.jacobian(forces)
+            by_length = by_length + corrector - (by_length @ J.swapaxes(1, 2)) @ corrector
+            forces = forces + rowwise(lengths - modelled, corrector)
+        return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
+
+
+def _enough_loads(force_n: FloatArray) -> FloatArray:
+    """`LOADS` loads [N]: some of these (n, n_forces), or all and mixtures of pairs, whose lengths cost nothing."""
+    if len(force_n) >= LOADS:
+        return force_n[np.linspace(0, len(force_n) - 1, LOADS).astype(int)]
+    generator = np.random.default_rng(0)
+    n = LOADS - len(force_n)
+    one, other = force_n[generator.integers(len(force_n), size=(2, n))]
+    return np.concatenate([force_n, one + generator.uniform(0.0, 1.0, (n, 1)) * (other - one)])
+
+
+def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The usual loads (n, n_forces) [N], n that are lighter, and last rest; the weight of each.
+
+    All but rest are scattered: each force by itself, and by what errors of the lengths would seem to say.
+    """
+    n, n_forces = usual_n.shape
+    generator = np.random.default_rng(1)
+    loads_n = np.concatenate([usual_n, usual_n * generator.uniform(0.0, 1.0, (n, 1))])
+    loads_n += SCATTER * np.std(usual_n - usual_n.mean(axis=0)) * generator.standard_normal(loads_n.shape)
+    loads_n += (unsure_mm * generator.standard_normal((2 * n, len(unsure_mm)))) @ tangent
+    weight = np.repeat([1.0, LIGHTER, (1.0 + LIGHTER) * n], [n, n, 1])
+    return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
+
+
+def _near(missing: FloatArray, n_usual: int, spread_n: float) -> bool:
+    """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
+    return bool(
+        np.std(missing[:n_usual]) <= ENOUGH * spread_n
+        and np.sqrt(np.mean(missing[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
+    )
+
+
+def _tangent(
+    forward: ForwardModel,
+    centre_n: FloatArray,
     force_n: FloatArray,
-    readable: np.ndarray,
-) -> ForwardModel:
-    """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
+    readable: NDArray[np.bool_],
+    unsure_mm: FloatArray,
+) -> FloatArray:
+    """Inverse of the lengths' derivatives at the centre, (n_pillars, n_forces) [N/mm].
 
-    Raises
-    ------
-    SampleError
-        If there is no response, or it is of an array of another size or explains too little: other loads act than the
-        component's own, or the sensor is another.
+    With fewer readable pillars than forces, the linear estimate of least mean square under the forces' covariance.
     """
-    if response is None:
-        raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")
-    forward = ForwardModel.of(response, component)
-    if (forward.n_pillars, forward.n_forces) != (columns_ohm.shape[1], force_n.shape[1]):
-        raise SampleError(
-            f"the response is of {forward.n_pillars} pillars, the samples of {columns_ohm.shape[1]}: "
-            "give the response of this array, or use the feature 'root'."
-        )
-    share = _explained(forward.lengths_of(columns_ohm)[:, readable], forward.lengths(force_n)[:, readable])
-    if share < MIN_EXPLAINED:
-        raise SampleError(
-            f"the response explains {max(share, 0.0):.0%} of the resistances' variance, too little to start from: "
-            "use the feature 'root', or the component that holds all loads ('all')."
-        )
-    return forward
-
-
-def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
-    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
-
-    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
-    """
-    lengths = lengths * (modelled.mean(axis=0) / lengths.mean(axis=0))
-    lengths, modelled = lengths - lengths.mean(axis=0), modelled - modelled.mean(axis=0)
-    both, own = (lengths * modelled).sum(axis=0), (modelled**2).sum(axis=0)
-    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
-    total = (lengths**2).sum()
-    return float(1.0 - ((lengths - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0
-
-
-def without_stuck(data: Samples, component: Component, forward: ForwardModel | None) -> Samples:
-    """Mark pillars that do not follow their loads as dead.
-
-    A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as
-    much as their signal, and it would give wild forces once it moves. It is held stuck if its readings spread far less
-    than those that the forward model gives for the loads, or no more than noise, and do not follow these. Without a
-    model they are expected to follow the loads of their own unit as most pillars of their kind do. If more than half
-    seem stuck, the expectation is wrong and none is.
-    """
-    some = np.linspace(0, len(data.force_n) - 1, min(MAX_JUDGED, len(data.force_n))).astype(int)
-    columns_ohm = pillar_columns(data.resistance_ohm[some], component, data.dead)
-    force_n = force_columns(data.force_n[some], component)
-    moved = columns_ohm / columns_ohm.mean(axis=0) - 1.0
-    if forward is not None and (forward.n_pillars, forward.n_forces) == (columns_ohm.shape[1], force_n.shape[1]):
-        modelled = forward.resistances(force_n)
-        expected = modelled / modelled.mean(axis=0) - 1.0
+    _, J = forward.jacobian(centre_n[None])
+    J = J[0][readable]
+    tangent = np.zeros((forward.n_pillars, forward.n_forces))
+    if len(J) == forward.n_forces:
+        tangent[readable] = np.linalg.inv(J).T
     else:
-        expected = _as_most(moved, force_n, component)
-    noise = reading_deviation(columns_ohm.mean(axis=0), data.noise, data.bits) / columns_ohm.mean(axis=0)
-    readable = readable_columns(component, data.dead, columns_ohm.shape[1])
-    stuck = readable & _unmoved(moved, expected, noise)
-    if not 0 < stuck.sum() <= readable.sum() / 2:
-        return data
-    dead = np.zeros(data.resistance_ohm.shape[1:], dtype=bool) if data.dead is None else data.dead.copy()
-    dead[..., [PILLARS.index(pillar) for pillar in component.pillars]] |= stuck.reshape(*dead.shape[:2], -1)
-    return replace(data, dead=dead)
-
-
-def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray) -> NDArray[np.bool_]:
-    """Which columns (n_columns,) stay where they are though both (n, n_columns), relative to their means, should agree.
-
-    `noise` (n_columns,) is that of the readings, relative.
-    """
-    n, spread = len(moved), moved.std(axis=0)
-    energy = (expected**2).sum(axis=0)
-    judged = (energy > 0) & (energy >= MIN_LOADED**2 * np.median(energy))
-    if n < ENOUGH_FOR_ERRORS:
-        return judged & (spread <= SAME) & (n > 2)  # two steps of a converter are soon alike
-    energy = np.where(judged, energy, 1.0)
-    slope = (moved * expected).sum(axis=0) / energy
-    error = np.sqrt(((moved - slope * expected) ** 2).sum(axis=0) / (n - 2) / energy)
-    within = np.hypot(MIN_MOVED * np.sqrt(energy / n), NOISE_TIMES * noise)
-    return judged & (spread <= within) & (slope + SURE * error < MIN_MOVED)
-
-
-def _as_most(moved: FloatArray, force_n: FloatArray, component: Component) -> FloatArray:
-    """Expected motions (n, n_columns) of pillars that follow their own unit's forces as most of their kind do."""
-    n = len(moved)
-    F = (force_n - force_n.mean(axis=0)).reshape(n, -1, len(component.axes))
-    y = moved.reshape(n, -1, len(component.pillars))
-    G = np.einsum("nua,nub->uab", F, F)
-    loaded = G.trace(axis1=1, axis2=2)
-    loaded = (loaded > 0) & (loaded >= 0.25 * np.median(loaded))  # half of the usual loads and more
-    by_force = np.linalg.pinv(G) @ np.einsum("nua,nup->uap", F, y)
-    usual = np.median(by_force[loaded], axis=0) if loaded.any() else np.zeros(by_force.shape[1:])
-    return (loaded[:, None] * np.einsum("nua,ap->nup", F, usual)).reshape(n, -1)
+        covariance = np.cov(force_n.T, bias=True).reshape(forward.n_forces, -1)
+        S = J @ covariance @ J.T + np.diag(unsure_mm[readable] ** 2)
+        tangent[readable] = np.linalg.solve(S, J @ covariance)
+    return tangent

@@ -10,10 +10,9 @@ import numpy as np
 from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
-from decoupler.data.columns import Component, in_blocks, pillar_columns, rowwise
-from decoupler.data.scaling import Calibration, Resting, Scaling
+from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_blocks, pillar_columns, rowwise
+from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
-from decoupler.inverse.model_inverse import ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty

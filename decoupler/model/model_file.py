@@ -10,10 +10,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset import Samples
-from decoupler.data.columns import component_named
-from decoupler.data.scaling import Calibration, Resting, Scaling
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.data.columns import Calibration, Resting, Scaling, component_named
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig

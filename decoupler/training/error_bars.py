@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import over_loads
+from decoupler.data.repeats import over_loads
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
 from geometry.layout import FloatArray

@@ -7,9 +7,10 @@ import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
-from decoupler.data.columns import distinct, force_columns, load_numbers
-from decoupler.data.scaling import Calibration, Resting
-from decoupler.inverse.forward_model import ForwardModel, without_stuck
+from decoupler.data.columns import Calibration, Resting, force_columns
+from decoupler.data.repeats import distinct, load_numbers
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sample_checks import without_stuck
 from decoupler.model.decoupler import Decoupler
 from decoupler.training.error_bars import best_ridge, widened
 from geometry.errors import require_type

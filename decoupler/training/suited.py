@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 from dataset.samples import SampleError, Samples, require_samples
 from decoupler.data.columns import Component, component_named, force_columns, pillar_columns, readable_columns
-from decoupler.inverse.forward_model import ForwardModel, explaining, without_stuck
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
 from geometry.errors import require_type
 from geometry.layout import AXES

@@ -13,10 +13,18 @@ from dataset import Samples, measured
 from dataset.measurement import reading_deviation
 from dataset.protocols import MAX_TOUCHED
 from dataset.samples import SampleError
-from decoupler.data.columns import Component, distinct, force_columns, load_numbers, pillar_columns, readable_columns
-from decoupler.data.scaling import Calibration, Resting, Scaling
-from decoupler.inverse.forward_model import ForwardModel, explaining, without_stuck
-from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.data.columns import (
+    Calibration,
+    Component,
+    Resting,
+    Scaling,
+    force_columns,
+    pillar_columns,
+    readable_columns,
+)
+from decoupler.data.repeats import distinct, load_numbers
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key

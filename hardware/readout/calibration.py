@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.data.scaling import MIN_CALIBRATED_OHM, Calibration
+from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray

@@ -11,8 +11,7 @@ import torch
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
-from decoupler.data.columns import force_columns, pillar_columns, readable_columns
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Scaling, force_columns, pillar_columns, readable_columns
 from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import LINEAR

@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, train, write_model
-from decoupler.data.scaling import Calibration
+from decoupler.data.columns import Calibration
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, compiled_forces, header_text
 from decoupler.export.checked import run_onnx

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, evaluate, fine_tune, train
-from decoupler.data.scaling import Calibration
+from decoupler.data.columns import Calibration
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)

@@ -7,8 +7,8 @@ import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
 from decoupler.data.columns import force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel, explaining
-from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.sample_checks import explaining
 from decoupler.training.suited import suited_feature
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 

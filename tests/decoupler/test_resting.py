@@ -7,7 +7,7 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
-from decoupler.data.scaling import Resting
+from decoupler.data.columns import Resting
 from decoupler.export.c_header import compiled_forces, header_text
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model

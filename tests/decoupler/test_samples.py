@@ -7,17 +7,10 @@ import pytest
 
 from dataset import SampleError
 from decoupler import NetworkConfig, TrainingConfig, cross_validate, evaluate, fine_tune, train
-from decoupler.data.columns import (
-    COMPONENTS,
-    component_named,
-    distinct,
-    force_columns,
-    load_numbers,
-    over_loads,
-    pillar_columns,
-)
-from decoupler.data.scaling import Scaling
-from decoupler.inverse.forward_model import ForwardModel, without_stuck
+from decoupler.data.columns import COMPONENTS, Scaling, component_named, force_columns, pillar_columns
+from decoupler.data.repeats import distinct, load_numbers, over_loads
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sample_checks import without_stuck
 from decoupler.training.suited import suited_component
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import PILLARS

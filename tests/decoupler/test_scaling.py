@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Scaling
 
 
 def test_range_becomes_minus_one_to_one_and_back():

@@ -5,9 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from dataset import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Component, distinct
+from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
-from decoupler.inverse.forward_model import MIN_EXPLAINED, ForwardModel
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sample_checks import MIN_EXPLAINED
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from tripillar.terminal.progress import Bars

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from dataset import Samples
-from decoupler.data.columns import component_named, force_columns, pillar_columns
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Scaling, component_named, force_columns, pillar_columns
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.training.network import Network

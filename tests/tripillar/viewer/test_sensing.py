@@ -8,8 +8,7 @@ import pytest
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors
 from dataset.simulation import DatasetSettings, displacements, forces, simulate
-from decoupler.data.columns import component_named
-from decoupler.data.scaling import Scaling
+from decoupler.data.columns import Scaling, component_named
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from fem.array.solving import ResponseSettings, solve_response

@@ -16,8 +16,7 @@ from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances, pillar_strains
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
-from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.model_inverse import ModelInverse
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
