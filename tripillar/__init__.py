@@ -39,9 +39,7 @@ rows=0 must be above 0; units along y.
 True
 """
 
-from importlib import import_module, metadata
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as of `typing`, which takes time to load: a program takes Ctrl-C over first
 if TYPE_CHECKING:
     from dataset.samples import Samples, read_samples
     from decoupler.model.model_file import read_model
@@ -56,27 +54,19 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_HOMES = {
-    "SensorDesign": "geometry.design",
-    "read_design": "geometry.design_file",
-    "response": "tripillar.face.bodies",
-    "solve": "tripillar.face.bodies",
-    "view": "tripillar.face.bodies",
-    "simulate": "tripillar.face.learning",
-    "Samples": "dataset.samples",
-    "read_samples": "dataset.samples",
-    "train": "tripillar.face.learning",
-    "evaluate": "tripillar.face.learning",
-    "crossval": "tripillar.face.learning",
-    "fine_tune": "tripillar.face.learning",
-    "read_model": "decoupler.model.model_file",
-    "write": "tripillar.face.files",
-    "live": "hardware.session",
-    "record": "tripillar.face.boards",
-    "replay": "tripillar.face.boards",
-    "simulated_board": "tripillar.face.boards",
-    "TriPillarError": "geometry.errors",
+_NAMES_BY_HOME = {
+    "geometry.design": ["SensorDesign"],
+    "geometry.design_file": ["read_design"],
+    "geometry.errors": ["TriPillarError"],
+    "dataset.samples": ["Samples", "read_samples"],
+    "decoupler.model.model_file": ["read_model"],
+    "hardware.session": ["live"],
+    "tripillar.face.bodies": ["response", "solve", "view"],
+    "tripillar.face.learning": ["simulate", "train", "evaluate", "crossval", "fine_tune"],
+    "tripillar.face.boards": ["record", "replay", "simulated_board"],
+    "tripillar.face.files": ["write"],
 }
+_HOMES = {name: home for home, names in _NAMES_BY_HOME.items() for name in names}
 __all__ = [
     "Samples",
     "SensorDesign",
@@ -101,10 +91,12 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Load a name of the face when it is first used."""
+    from importlib import import_module, metadata
+
     if name == "__version__":
-        value: Any = metadata.version("tripillar")
+        value: object = metadata.version("tripillar")
     elif name in _HOMES:
         value = getattr(import_module(_HOMES[name]), name)
     else:

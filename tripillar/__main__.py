@@ -1,5 +1,24 @@
-"""`python -m tripillar` is `tripillar`."""
+"""The program `tripillar`, also `python -m tripillar`: it takes Ctrl-C over before it loads anything else."""
 
-from tripillar.cli.app import main
+import _signal  # type: ignore[import-not-found]  # `signal` takes ten times as long to load as all before it
+import sys
 
-main()
+
+def main() -> None:
+    """Run the command line, unless another distribution's package stands in the place of one of ours."""
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process in silence: there is nothing to remove yet
+    from tripillar.terminal import interrupts
+
+    interrupts.install()
+    from tripillar.doctor.foreign import foreign_packages
+
+    if foreign := foreign_packages():
+        print(f"tripillar: {foreign}", file=sys.stderr)
+        sys.exit(2)
+    from tripillar.cli.app import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -164,6 +164,13 @@ def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
     assert not processes_of_group(process.pid)
 
 
+def test_ctrl_c_is_taken_over_before_anything_is_loaded():
+    """An interrupt of the first moments prints no traceback but in what Python itself does at its start."""
+    code = "import sys; before = set(sys.modules); import tripillar.__main__; print(sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "['tripillar', 'tripillar.__main__']\n"
+
+
 def processes_of_group(number):
     """List the processes of a group that still run."""
     found = []

@@ -4,17 +4,6 @@ Results go to stdout (with --json as one object), progress and messages to stder
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
-import sys
-
-from tripillar.doctor.foreign import foreign_packages
-from tripillar.terminal import interrupts
-
-if sys.argv[0].endswith(("tripillar", "tripillar/__main__.py", "tripillar.exe")):  # the program, not a library
-    interrupts.install()  # before all the rest is loaded, which takes a while
-    if foreign := foreign_packages():
-        print(f"tripillar: {foreign}", file=sys.stderr)
-        sys.exit(2)
-
 from importlib import metadata
 from typing import Annotated
 

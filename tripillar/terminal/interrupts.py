@@ -4,7 +4,7 @@ It ends itself instead of raising an exception: libraries swallow those (`except
 when one passes through them, or compute on for minutes. A thread that waits for nothing else does it where compiled
 code runs. Only the commands of a board and the served page, which end so every day, take Ctrl-C themselves.
 
-This is loaded before anything else: standard library and psutil only.
+A program loads this before anything else: it imports only what Python has loaded by then, or loads in a millisecond.
 """
 
 import os
@@ -14,9 +14,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
 
-import psutil
+TYPE_CHECKING = False  # as of `typing`, which takes longer to load than all of this
+if TYPE_CHECKING:
+    from types import FrameType
+
+    import psutil
 
 GRACE_S = 1.2  #: left to what holds signals back, such as the writing of a file
 TIDY_S = 0.4  #: left to processes started by this one to remove what they were writing
@@ -42,6 +45,8 @@ def install() -> None:
         signal.signal(number, _end)
     signal.set_wakeup_fd(rung, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(heard,), daemon=True, name="Ctrl-C").start()
+    global psutil  # from here on there may be processes to end
+    import psutil
 
 
 def leave_to_finish() -> None:
@@ -65,7 +70,7 @@ def last_words(said: str) -> Iterator[None]:
         _last_words.pop()
 
 
-def _end(number: int, _: FrameType | None = None) -> None:
+def _end(number: int, _: "FrameType | None" = None) -> None:
     if not _ending.acquire(blocking=False):
         time.sleep(60)  # the other thread is at it
     _end_children()
@@ -113,6 +118,8 @@ def _end_children() -> None:
 
     Nothing may be imported here: the main thread may be in the middle of it, and wait.
     """
+    if "psutil" not in globals():  # interrupted before it was loaded, when nothing had been started
+        return
     children = [child for child in psutil.Process().children(recursive=True) if not _tidies_up(child)]
     for child in children:
         with suppress(psutil.Error):
@@ -125,7 +132,7 @@ def _end_children() -> None:
             os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
 
 
-def _tidies_up(child: psutil.Process) -> bool:
+def _tidies_up(child: "psutil.Process") -> bool:
     """Whether a process is the one that multiprocessing leaves to remove what killed ones had."""
     try:
         return any("resource_tracker" in word for word in child.cmdline())
