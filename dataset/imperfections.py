@@ -17,7 +17,7 @@ from dataset.measurement import SENSE_OHM, Readout, measured
 from geometry.design import quantity, require_numbers
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
-from geometry.wiring import crossings, pillars_from_crossings
+from geometry.wiring import crossing_of_pillar, crossings
 
 OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
 
@@ -103,7 +103,7 @@ class Imperfections:
             dead[row, col, PILLARS.index(pillar)] = True
         row_wire, column_wire = crossings(rows, cols).T
         on_dead_wire = np.isin(row_wire, self.dead_rows) | np.isin(column_wire, self.dead_cols)
-        return dead | pillars_from_crossings(on_dead_wire, rows, cols)
+        return dead | on_dead_wire[crossing_of_pillar(rows, cols)]
 
     def apply(
         self, exact_ohm: FloatArray, generator: np.random.Generator, readout: Readout | None = None

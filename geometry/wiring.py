@@ -6,7 +6,6 @@ empty, the others hold one pillar each. A board sends the populated crossings ro
 rising column wire, then along row wire 1, and so on.
 """
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -38,20 +37,14 @@ def pillar_of_crossing(rows: int, cols: int) -> NDArray[np.intp]:
     return unit * len(PILLARS) + pillar
 
 
-def pillars_from_crossings(values: NDArray[Any], rows: int, cols: int) -> NDArray[Any]:
-    """Values as sent, shape (..., rows·cols·3), rearranged as pillars z, x, y: (..., rows, cols, 3)."""
-    n_crossings = rows * cols * len(PILLARS)
-    if values.shape[-1] != n_crossings:
-        raise ValueError(
-            f"values has shape {values.shape}, expected (..., {n_crossings}) for {rows} × {cols} units: "
-            "three crossings a unit on the last axis."
-        )
-    return values[..., _crossing_of_pillar(rows, cols)].reshape(*values.shape[:-1], rows, cols, len(PILLARS))
+def crossing_of_pillar(rows: int, cols: int) -> NDArray[np.intp]:
+    """Place of every pillar z, x, y among the sent crossings, shape (rows, cols, 3).
 
-
-@cache  # a live scan is rearranged every few milliseconds
-def _crossing_of_pillar(rows: int, cols: int) -> NDArray[np.intp]:
-    return np.argsort(pillar_of_crossing(rows, cols))
+    >>> sent = np.array([[10, 11, 20, 21, 12, 22]])  # of units 1 and 2: z and x, then y of both
+    >>> sent.take(crossing_of_pillar(1, 2), axis=-1).tolist()
+    [[[[10, 11, 12], [20, 21, 22]]]]
+    """
+    return np.argsort(pillar_of_crossing(rows, cols)).reshape(rows, cols, len(PILLARS))
 
 
 def crossings_from_pillars(values: NDArray[Any]) -> NDArray[Any]:

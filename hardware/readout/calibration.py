@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration
+from decoupler.data.columns import Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
@@ -99,31 +99,22 @@ class SensorCalibration:
 
     def tared(self, measured_ohm: FloatArray) -> "SensorCalibration":
         """The same with another state at rest: resistances (rows, cols, 3) [Ω] of the crossbar, NaN where open."""
-        return replace(self, rest_ohm=self._calibrated(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
+        return replace(self, rest_ohm=self.pillars.modelled(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
 
-    def modelled(self, measured_ohm: FloatArray, rest_as_designed_ohm: FloatArray) -> FloatArray:
-        """Resistances that the sensor as designed would show.
+    @property
+    def pillars(self) -> Calibration:
+        """Gain and offset of every pillar."""
+        return Calibration(self.gain, self.offset_ohm)
 
-        Parameters
-        ----------
-        measured_ohm : array, shape (n, rows, cols, 3)
-            As the crossbar gives them [Ω].
-        rest_as_designed_ohm : array, shape (rows, cols, 3) or (3,)
-            R₀ [Ω]. The change since the last tare is taken for a change of the rubber's resistivity: a factor.
+    def tare_factor(self, rest_as_designed_ohm: FloatArray) -> FloatArray:
+        """R₀/R_rest of every pillar, (rows, cols, 3), for R₀ of the same shape or (3,) [Ω]; 1 for a broken one.
 
-        Returns
-        -------
-        array, shape (n, rows, cols, 3)
-            [Ω], finite and above 0.
+        What has changed at rest is taken for a change of the rubber's resistivity: a factor.
         """
-        ohms = self._calibrated(measured_ohm)
-        if self.rest_ohm is not None:
-            is_whole = self.rest_ohm < BROKEN_TIMES * rest_as_designed_ohm
-            ohms *= np.where(is_whole, rest_as_designed_ohm / self.rest_ohm, 1.0)
-        return ohms
-
-    def _calibrated(self, measured_ohm: FloatArray) -> FloatArray:
-        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_CALIBRATED_OHM)
+        if self.rest_ohm is None:
+            return np.ones_like(self.gain)
+        is_whole = self.rest_ohm < BROKEN_TIMES * rest_as_designed_ohm
+        return np.where(is_whole, rest_as_designed_ohm / self.rest_ohm, 1.0)
 
     def require_for(self, info: Info, source: str = "the calibration") -> None:
         """Refuse a board that this was not made with."""

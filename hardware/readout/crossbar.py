@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.wiring import crossings, crossings_from_pillars, pillars_from_crossings
+from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars
 from hardware.link.frames import ScanMode
 
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
@@ -100,6 +100,10 @@ class Crossbar:
         return row_wire, 2 * self.rows + column_wire
 
     @cached_property
+    def _crossing(self) -> NDArray[np.intp]:
+        return crossing_of_pillar(self.rows, self.cols)
+
+    @cached_property
     def series_ohm(self) -> FloatArray:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
@@ -180,7 +184,7 @@ class Crossbar:
 
     def as_pillars(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
-        return pillars_from_crossings(values, self.rows, self.cols)
+        return values.take(self._crossing, axis=-1)
 
     # y [S] is the apparent conductance of a crossing, g [S] that of its pillar, each of shape (n, n_crossings). Where
     # nothing but the pillar itself conducts, y = g.

@@ -92,7 +92,8 @@ class ForceReader:
                 "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
                 "or train on data that state their design."
             )
-        self._rest_ohm = np.ones(3) if rest_ohm is None else rest_ohm
+        self._pillars = self.calibration.pillars
+        self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
         self._uncertain = model if model.knows_uncertainty else None
         if rest_ohm is not None and self._uncertain:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
@@ -121,7 +122,7 @@ class ForceReader:
     def forces(self, counts: NDArray[Any]) -> Forces:
         """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
         measured_ohm, saturated = self.measured(counts)
-        resistance_ohm = self.calibration.modelled(measured_ohm, self._rest_ohm)
+        resistance_ohm = self._pillars.modelled(measured_ohm) * self._tare_factor
         force_n = self.model.forces(resistance_ohm)
         return Forces(force_n=force_n, resistance_ohm=resistance_ohm, saturated=saturated, model=self._uncertain)
 

@@ -1,6 +1,9 @@
 """Counts to forces: what is refused, what a tare and a calibration do on the way, one scan as many."""
 
+import sys
+import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ import pytest
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, train
 from geometry.errors import FileFormatError
-from hardware import Scanner
+from hardware import Scanner, live
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
@@ -17,6 +20,7 @@ from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
+MAX_FILES = 9  #: of the product that a scan passes from its bytes to its forces
 
 
 class Shares:
@@ -148,25 +152,60 @@ def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
     assert found.deviation_n == pytest.approx(steps * found.resistance_ohm)
 
 
+@pytest.fixture(scope="module")
+def samples():
+    found = labelled(sensor(2, 3), "xyz", n_samples=400, seed=0)
+    return replace(found, resistance_ohm=measured(found.resistance_ohm, 1e-3, None, np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module")
+def trained(samples):
+    network = NetworkConfig(hidden=4, feature="inverse")
+    return train(replace(samples, noise=1e-3), "all", network, TrainingConfig(), response=response(sensor(2, 3)))
+
+
 @pytest.mark.parametrize(("bits", "tared"), [(16, False), (10, True)])
-def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared):
+def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared, trained, samples):
     """Trained under load alone, far from rest, with noise of 0.1 %: 0 N lies within two standard deviations.
 
     Steps of 10 bits hide the same of every like pillar, which deviations take to be independent: a tare finds that.
     """
-    design = sensor(2, 3)
-    samples = labelled(design, "xyz", n_samples=400, seed=0)
-    noisy = replace(samples, resistance_ohm=measured(samples.resistance_ohm, 1e-3, None, np.random.default_rng(0)))
-    network = NetworkConfig(hidden=4, feature="inverse")
-    model = train(replace(noisy, noise=1e-3), "all", network, TrainingConfig(), response=response(design))
     info = replace(INFO, bits=bits)
-    counts = Electronics().crossbar(info).counts(model.rest_resistances()[None])
-    reader = ForceReader(info, model)
+    counts = Electronics().crossbar(info).counts(trained.rest_resistances()[None])
+    reader = ForceReader(info, trained)
     with VirtualBoard(counts[0], info) as board, Scanner(board.port) as scanner:
         seen = np.stack([scanner.get(2).frame.counts for _ in range(5)])
     if tared:
         fresh = SensorCalibration.as_designed(2, 3)
-        reader = ForceReader(info, model, fresh.tared(reader.measured(seen)[0][0]))
+        reader = ForceReader(info, trained, fresh.tared(reader.measured(seen)[0][0]))
     found = reader.forces(seen)
     assert (np.abs(found.force_n) <= 2 * found.deviation_n).all()
     assert np.abs(found.force_n).max() < 0.02 * samples.force_n.max()
+
+
+def test_a_scan_passes_few_files_from_its_bytes_to_its_forces(trained):
+    """Once the first one has set all up: reading, frames, reception, crosstalk, calibration and network."""
+    root, entered, is_on = Path(__file__).parents[2], set(), threading.Event()
+
+    def note(frame, event, _):
+        file = frame.f_code.co_filename.removeprefix(f"{root}/")
+        if is_on.is_set() and event == "call" and file.startswith(("hardware/", "decoupler/", "dataset/", "geometry/")):
+            entered.add(file)
+
+    before = sys.getprofile()
+    threading.setprofile(note)  # for the scanner's thread
+    sys.setprofile(note)
+    try:
+        with VirtualBoard(np.full(INFO.n_crossings, 2**14), INFO) as board, live(board.port, trained) as scans:
+            forces = iter(scans)
+            next(forces)
+            is_on.set()
+            for _ in range(5):
+                next(forces)
+            is_on.clear()
+    finally:
+        threading.setprofile(None)
+        sys.setprofile(before)
+    entered.discard("hardware/boards/virtual_board.py")
+    assert {"hardware/link/reception.py", "decoupler/model/decoupler.py"} <= entered
+    assert len(entered) <= MAX_FILES, sorted(entered)
