@@ -27,13 +27,17 @@ class Listener:
 
     def __init__(self, port):
         self.port, self.decoder = port, FrameDecoder()
+        self.longest_pause_s = 0.0  #: between two reads
         self.frames, self.infos, self.errors = [], [], []
 
     def take(self, enough):
         """Listen until `enough` holds of self."""
-        end = time.monotonic() + PATIENCE_S
+        before = time.monotonic()
+        end = before + PATIENCE_S
         while not enough(self):
-            assert time.monotonic() < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
+            now = time.monotonic()
+            self.longest_pause_s, before = max(self.longest_pause_s, now - before), now
+            assert now < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
             for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
                 {Info: self.infos, Errors: self.errors}.get(type(received), self.frames).append(received)
         return self

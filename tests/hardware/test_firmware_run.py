@@ -52,11 +52,15 @@ def test_all_counts_arrive_as_they_are_and_change_with_the_boards_time(board, mc
 
 @pytest.mark.parametrize("mcu", MCUS)
 def test_in_real_time_nothing_is_lost_and_the_board_does_not_run_ahead(board, mcu):
-    before = time.monotonic()
-    with board(mcu) as running, listening(running) as listener:
-        frames = listener.take_frames(300)
-        assert frames[-1].device_us * 1e-6 <= time.monotonic() - before
-        assert running.stop()["bytes_dropped"] == 0
+    for _ in range(5):  # until the machine has held up neither the reader, whose port holds 118 ms, nor the board
+        before = time.monotonic()
+        with board(mcu) as running, listening(running) as listener:
+            frames = listener.take_frames(300)
+            assert frames[-1].device_us * 1e-6 <= time.monotonic() - before
+            statistics = running.stop()
+        if max(1e3 * listener.longest_pause_s, statistics["max_lag_ms"]) < 50:
+            break
+    assert statistics["bytes_dropped"] == 0
     assert is_gapless(frames)
     assert frames[-1].overruns == 0
 

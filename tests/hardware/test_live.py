@@ -174,7 +174,7 @@ def test_an_untouched_board_shows_nothing_within_its_deviations(bits, tared, tra
     counts = Electronics().crossbar(info).counts(trained.rest_resistances()[None])
     reader = ForceReader(info, trained)
     with VirtualBoard(counts[0], info) as board, Scanner(board.port) as scanner:
-        seen = np.stack([scanner.get(2).frame.counts for _ in range(5)])
+        seen = np.stack([scanner.get(30).frame.counts for _ in range(5)])
     if tared:
         fresh = SensorCalibration.as_designed(2, 3)
         reader = ForceReader(info, trained, fresh.tared(reader.measured(seen)[0][0]))

@@ -1,7 +1,9 @@
 """The board in Python sends what docs/frames.md says, at its pace, and fails as it is told to."""
 
 import os
+import threading
 import time
+from collections import deque
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -11,7 +13,7 @@ import pytest
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Frame, FrameDecoder, FrameError, Info
 from hardware.link.serial_ports import close, open_port, read_available, write
-from tests.hardware.boards import COUNTS, INFO, wait_until
+from tests.hardware.boards import COUNTS, INFO, PATIENT_S, wait_until
 
 
 class Host:
@@ -20,30 +22,40 @@ class Host:
     def __init__(self, port):
         self.port = port
         self.decoder = FrameDecoder()
+        self.waiting = deque()
 
     def receive(self):
-        data = read_available(self.port)
-        assert data, "nothing within 1 s"
-        return self.decoder.feed(data)
+        """The next frame of any kind."""
+        while not self.waiting:
+            data = read_available(self.port)
+            assert data, f"nothing within {PATIENT_S} s"
+            self.waiting.extend(self.decoder.feed(data))
+        return self.waiting.popleft()
 
     def frames(self, n):
         """The next n data frames."""
         frames = []
         while len(frames) < n:
-            frames += [frame for frame in self.receive() if isinstance(frame, Frame)]
-        return frames[:n]
+            frames += [frame for frame in [self.receive()] if isinstance(frame, Frame)]
+        return frames
 
     def ask(self, command=b"?"):
         write(self.port, command)
-        while True:
-            for answer in self.receive():
-                if isinstance(answer, Info):
-                    return answer
+        while not isinstance(answer := self.receive(), Info):
+            pass
+        return answer
+
+    def quiet(self, board):
+        """Have the board hang, and read what it had sent, so that nothing is waiting any more."""
+        board.stall(3600)
+        while self.port.in_waiting:
+            self.decoder.feed(read_available(self.port))
+        self.waiting.clear()
 
 
 @contextmanager
 def a_host(board):
-    port = open_port(board.port, timeout_s=1.0)
+    port = open_port(board.port, timeout_s=PATIENT_S)
     try:
         yield Host(port)
     finally:
@@ -102,7 +114,7 @@ def test_the_schedule_does_not_drift():
     late_us = [frame.device_us - 5000 * (frame.sequence + frame.overruns) for frame in frames]
     late_us = np.array([late + 1 for late in late_us]) % (256 * 5000)  # 1 for the rounding; overruns are modulo 256
     assert late_us.max() <= 5002  # never early; and what is later by a period is an overrun
-    assert np.median(late_us) < 2000  # 200 periods are 1 s: a relative schedule would be behind by some 10 ms
+    assert late_us[-50:].min() < 2000  # 200 periods are 1 s: a relative schedule would be behind by some 10 ms
 
 
 def test_answers_and_rates():
@@ -125,17 +137,14 @@ def test_a_new_rate_holds_after_the_scan_that_is_due():
         host.frames(1)
         host.ask(b"R1000\n")
         frames = host.frames(5)
-    assert frames[0].device_us % 200_000 < 50_000  # still on the old schedule
+    assert frames[0].device_us >= 200_000 * frames[0].sequence  # still on the old schedule
     assert np.median(periods_us(frames)) == pytest.approx(1000, abs=500)
 
 
 def test_nobody_reads():
     """The pty fills within 70 frames or so. The board goes on; who reads then, gets whole frames again."""
     with VirtualBoard(COUNTS, replace(INFO, rate_hz=1000)) as board:
-        deadline = time.perf_counter() + 5
-        while not board.dropped_bytes:
-            assert time.perf_counter() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: board.dropped_bytes)
         with a_host(board) as host:
             newest = board.sent[-1][0]
             while host.frames(1)[0].sequence < newest:
@@ -144,16 +153,20 @@ def test_nobody_reads():
 
 
 def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
-    slow_at_s = [10 / INFO.rate_hz]
+    is_slow = threading.Event()
 
     def counts(time_s):
-        if slow_at_s and time_s >= slow_at_s[0]:
-            slow_at_s.clear()
+        if is_slow.is_set():
+            is_slow.clear()
             time.sleep(4.5 / INFO.rate_hz)
         return COUNTS[0]
 
     with a_board_and_host(counts) as (_, host):
-        frames = host.frames(30)
+        frames = host.frames(5)
+        is_slow.set()
+        while is_slow.is_set():
+            frames += host.frames(1)
+        frames += host.frames(30)
     assert host.decoder.statistics.lost == 0
     assert frames[-1].overruns >= 3  # of the four that fell due meanwhile, the last is only late
     assert frames[0].overruns < frames[-1].overruns
@@ -191,6 +204,7 @@ def test_the_link_follows_the_port(tmp_path):
 def test_a_restart_begins_at_0():
     with a_board_and_host() as (board, host):
         host.frames(20)
+        host.quiet(board)  # else what waits might leave no room for frame 0
         board.restart()
         assert min(frame.sequence for frame in host.frames(20)) == 0
         assert host.decoder.statistics.restarts == 1
@@ -200,7 +214,7 @@ def test_a_restart_forgets_the_rate_and_half_a_command():
     with a_board_and_host() as (board, host):
         assert host.ask(b"R500\n").rate_hz == 500
         write(host.port, b"R30")
-        host.frames(20)  # it has heard that by now
+        wait_until(lambda: board._commands._line == b"R30")
         board.restart()
         write(host.port, b"0\n")
         assert host.ask() == INFO
@@ -210,11 +224,15 @@ def test_a_restart_forgets_the_rate_and_half_a_command():
 
 def test_a_restart_begins_with_a_delimiter():
     """So that what the reset cut off, here garbage without an end, does not take the first frame along."""
-    with a_board_and_host(info=replace(INFO, rate_hz=5)) as (board, host):  # time to restart before the next frame
+    with a_board_and_host() as (board, host):
         host.frames(1)
-        board.garble(b"\x05ab")
-        wait_until(lambda: not board._garbage)
-        board.restart()
+        host.quiet(board)
+
+        def reset_while_sending():
+            board._send(b"\x05ab")
+            board._boot()
+
+        board._do(reset_while_sending)
         assert host.frames(1)[0].sequence == 0
 
 
@@ -222,7 +240,8 @@ def test_garbage_takes_the_place_of_frames():
     with a_board_and_host() as (board, host):
         host.frames(3)
         board.garble(b"\x05ab\0", n_frames=4)
-        host.frames(6)
+        while not host.decoder.statistics.lost:
+            host.frames(1)
     assert (host.decoder.statistics.bad_cobs, host.decoder.statistics.lost) == (4, 4)
 
 
