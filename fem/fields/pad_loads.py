@@ -8,16 +8,21 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres
 
 
+def indenter_tractions(
+    design: SensorDesign, traction_mpa: FloatArray, centre_mm: tuple[float, float], width_mm: float
+) -> FloatArray:
+    """Tractions (n_units, 3) [MPa] of a round indenter: exp(−r²/2w²) of the traction (3,) at its middle."""
+    squared = ((unit_centres(design) - centre_mm) ** 2).sum(axis=1)
+    return np.exp(-squared / (2 * width_mm**2))[:, None] * traction_mpa
+
+
 def bell_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
-    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, p exp(−r²/2w²), w one pitch.
+    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, one pitch wide.
 
     `peak_mpa` is the pressure at the indenter's middle, as on the page and in datasets: pads beside it carry less, on
     an array of even rows and columns at most exp(−1/4), 78 %.
     """
-    traction = np.zeros((design.n_units, 3))
-    squared = (unit_centres(design) ** 2).sum(axis=1)
-    traction[:, 2] = -peak_mpa * np.exp(-squared / (2 * design.array.pitch_mm**2))
-    return traction
+    return indenter_tractions(design, np.array([0.0, 0.0, -peak_mpa]), (0.0, 0.0), design.array.pitch_mm)
 
 
 def uniform_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:

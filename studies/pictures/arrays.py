@@ -10,13 +10,14 @@ from PIL import Image
 
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import Parts, sensor_parts
+from fem.fields.pad_loads import indenter_tractions
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from studies.charts import save_small
 from tripillar.terminal.entry import run_alone
-from tripillar.viewer.page.controls import Indenter, PadLoad
+from tripillar.viewer.page.controls import traction_of
 from tripillar.viewer.sights import panels_of
 
 PRESSED_MPA, DRAGGED_MPA = 5.0, 1.0  #: of the moving picture: the most of the datasets
@@ -70,13 +71,9 @@ def tour(design: SensorDesign) -> list[FloatArray]:
     found = []
     for pressed, turned, dragged in steps:
         angle = 2 * np.pi * turned - np.pi / 2
-        load = PadLoad(
-            pressure_mpa=pressed * PRESSED_MPA,
-            shear_mpa=dragged * DRAGGED_MPA,
-            angle_deg=float(np.degrees(angle + np.pi / 2) % 360),
-        )
-        x, y = 1.2 * pitch * np.cos(angle), 1.2 * pitch * np.sin(angle)
-        found.append(Indenter(load=load, x_mm=float(x), y_mm=float(y), width_mm=pitch).tractions(design))
+        traction = traction_of(pressed * PRESSED_MPA, dragged * DRAGGED_MPA, float(np.degrees(angle + np.pi / 2)))
+        centre = 1.2 * pitch * np.cos(angle), 1.2 * pitch * np.sin(angle)
+        found.append(indenter_tractions(design, traction, centre, pitch))
     return found
 
 

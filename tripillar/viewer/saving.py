@@ -1,5 +1,6 @@
 """Files of a picture: PNG, a page for any browser, a film, or parts with their fields for ParaView."""
 
+import itertools
 import os
 import re
 import shutil
@@ -11,31 +12,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pyvista as pv
 
-from fem.fields.deformed import Parts
+from fem.fields.deformed import Part, Parts
 from fem.fields.stress import pressure, von_mises
 from fem.pictures.colours import Bar
 from fem.pictures.deformation import DeformedPicture, Medium, grid_of
 from geometry.errors import NotWrittenError
-from geometry.storage.files import replacing, scratch, write_bytes
+from geometry.storage.files import replacing, scratch, write_bytes, write_text
 from geometry.storage.vtk_file import vtk_content
 
 FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those at its end under the whole load, and frames a second
-STYLE = Path(__file__).with_name("saved.css").read_text(encoding="utf-8")  #: of the saved page
-#: places pictures one below the other where the window is higher than wide
-STACKED = """
-const many = matchMedia('(max-aspect-ratio: 1)');
-function stack() {
-  const all = window.global.renderWindow?.getRenderers() ?? [];
-  const renderers = all.filter(one => one.getActors().length);
-  const n = renderers.length;
-  if (n < +getComputedStyle(document.querySelector('main')).getPropertyValue('--n')) return setTimeout(stack, 50);
-  renderers.forEach((one, k) => one.setViewport(
-    ...(many.matches ? [0, 1 - (k + 1) / n, 1, 1 - k / n] : [k / n, 0, (k + 1) / n, 1])));
-  window.global.renderWindow.render();
-}
-many.addEventListener('change', stack);
-stack();
-"""
+#: of the saved page; the script places pictures one below the other where the window is higher than wide
+STYLE, SCRIPT = (Path(__file__).with_name(f"saved.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
 #: the policy of the saved page: nothing is loaded from anywhere but the file itself
 NOTHING_FROM_OUTSIDE = (
     "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'unsafe-inline'; "
@@ -73,8 +60,7 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
             await server.stop()
 
     page = asyncio.run(exported())
-    with replacing(path) as temporary:
-        temporary.write_text(own_page(page, picture), encoding="utf-8")
+    write_text(own_page(page, picture), path)
     done()
 
 
@@ -95,7 +81,7 @@ def _stage(picture: DeformedPicture) -> str:
         f'<main style="--n: {len(picture.names)}; --aspect: {picture.aspect:.3f}"><div class="stage">'
         f'<div class="frame"><div class="content"></div><div class="names">{names}</div></div></div>'
         f'<div class="legend">{bars}<div>{picture.note}<br><span class="dim">drag to turn, scroll or pinch to zoom'
-        f"</span></div></div></main><script>{STACKED}</script>"
+        f"</span></div></div></main><script>{SCRIPT}</script>"
     )
 
 
@@ -138,49 +124,36 @@ def save_film(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
 
 def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
     """Write parts at rest with displacement and stress at their points: a VTM file and a folder of the same name."""
-    blocks = pv.MultiBlock({name: pv.MultiBlock(_datasets(parts)) for name, parts in panels.items()})
-    if len(panels) == 1:
-        blocks = blocks[0]
     with replacing(path) as temporary:
         folder = Path(os.path.realpath(path)).with_suffix("")
-        parts = temporary.parent / "parts"
-        parts.mkdir()
+        files = temporary.parent / "parts"
+        files.mkdir()
         index = ElementTree.Element("VTKFile", type="vtkMultiBlockDataSet", version="1.0")
-        _write_blocks(blocks, ElementTree.SubElement(index, "vtkMultiBlockDataSet"), parts, folder.name)
+        top, count = ElementTree.SubElement(index, "vtkMultiBlockDataSet"), itertools.count()
+        for place, (panel, parts) in enumerate(panels.items()):
+            block = top if len(panels) == 1 else ElementTree.SubElement(top, "Block", index=str(place), name=panel)
+            for number, (name, part) in enumerate(parts.items()):
+                file = files / f"{next(count)}.vtu"
+                file.write_bytes(vtk_content(_with_fields(part)))
+                attributes = {"index": str(number), "name": name, "file": f"{folder.name}/{file.name}"}
+                ElementTree.SubElement(block, "DataSet", attributes)
         temporary.write_bytes(ElementTree.tostring(index, xml_declaration=True))
         if folder.exists():
             shutil.rmtree(folder)
-        parts.replace(folder)
+        files.replace(folder)
 
 
-def _write_blocks(blocks: pv.MultiBlock, parent: ElementTree.Element, parts: Path, folder: str) -> None:
-    """Write each grid as a file into `parts`, and a reference to it in `folder` under the XML element `parent`."""
-    for number, name in enumerate(blocks.keys()):
-        block = blocks[number]
-        if isinstance(block, pv.MultiBlock):
-            inner = ElementTree.SubElement(parent, "Block", index=str(number), name=str(name))
-            _write_blocks(block, inner, parts, folder)
-        else:
-            kind = "vtp" if isinstance(block, pv.PolyData) else "vtu"
-            file = parts / f"{len(list(parts.iterdir()))}.{kind}"
-            file.write_bytes(vtk_content(block))
-            ElementTree.SubElement(parent, "DataSet", index=str(number), name=str(name), file=f"{folder}/{file.name}")
-
-
-def _datasets(parts: Parts) -> dict[str, pv.DataSet]:
-    """Grids of parts with their fields."""
-    found = {}
-    for name, part in parts.items():
-        grid = grid_of(part)
-        grid.point_data["displacement_mm"] = part.displacement_mm
-        if part.stress_mpa is not None:
-            grid.point_data["stress_mpa"] = part.stress_mpa
-            grid.point_data["von_mises_mpa"] = von_mises(part.stress_mpa)
-            grid.point_data["pressure_mpa"] = pressure(part.stress_mpa)
-        if part.traction_mpa is not None:
-            grid.cell_data["traction_mpa"] = part.traction_mpa
-        found[name] = grid
-    return found
+def _with_fields(part: Part) -> pv.UnstructuredGrid:
+    """A part at rest with its fields."""
+    grid = grid_of(part)
+    grid.point_data["displacement_mm"] = part.displacement_mm
+    if part.stress_mpa is not None:
+        grid.point_data["stress_mpa"] = part.stress_mpa
+        grid.point_data["von_mises_mpa"] = von_mises(part.stress_mpa)
+        grid.point_data["pressure_mpa"] = pressure(part.stress_mpa)
+    if part.traction_mpa is not None:
+        grid.cell_data["traction_mpa"] = part.traction_mpa
+    return grid
 
 
 #: by suffix of the file: the medium that the picture is drawn for, and the function that writes it

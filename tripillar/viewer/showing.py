@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
+from geometry.storage.files import require_file
 
 if TYPE_CHECKING:
     from fem.fields.deformed import Parts
@@ -99,8 +100,7 @@ def require_shown(save: Path | None) -> None:
         return
     if save.suffix not in NEEDS:
         raise DesignError(f"--save {save} must end in {', '.join(NEEDS)}.")
-    if save.is_dir():
-        raise FileFormatError(f"{save} is a folder: give the name of a file in it.")
+    require_file(save)
     if save.suffix == ".vtm" and save.with_suffix("").exists() and not save.exists():
         raise FileFormatError(
             f"{save.with_suffix('')} exists, but no {save.name} that it belongs to: give another name."

@@ -41,7 +41,7 @@ def test_texts_of_odd_numbers():
 
 def test_tables_and_samples_pair_forces_with_readings():
     force = np.arange(6.0).reshape(1, 2, 3)
-    first, second = numbers.table_rows(np.full((1, 2, 3), 10e3), force, force + 0.5, cols=2)
+    first, second = numbers.table_rows(np.full((1, 2, 3), 10e3), force, force + 0.5)
     assert first == ["0, 0", "10.000", "10.000", "10.000", "0.0", "0.5", "1.0", "1.5", "2.0", "2.5"]
     assert second[0] == "0, 1"
     change, force = np.full((1, 2, 3), 0.01), np.array([[[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]]])

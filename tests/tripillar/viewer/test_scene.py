@@ -14,7 +14,7 @@ from fem.fields.deformed import APART_MM, pillar_surface
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page.pictures import MAX_PIXELS, MAX_ZOOM, MIN_PIXELS, Grade, Pictures
-from tripillar.viewer.page.scene import SLICES, TITLES, ArrayScene, Shown, Superposition
+from tripillar.viewer.page.scene import SLICES, TITLES, ArrayScene, Superposition
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=2))
 TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, -3.0], [0.4, 0.3, -2.0], [0.0, 0.0, 0.0]])
@@ -37,6 +37,10 @@ def points_of(scene, actor_number):
     return np.array(list(scene.plotter.actors.values())[actor_number].mapper.dataset.points, dtype=float)
 
 
+def show(scene, traction, change=NONE, colour="displacement", scale=1.0, chosen=0):
+    return scene.show(traction, change, colour, scale, chosen, is_dark=False)
+
+
 def test_superposition_is_the_solution(field):
     """Answers to unit loads add up to the answer to all of them, to the rounding of a solve."""
     solved, added = field.state(TRACTION), Superposition(field).state(TRACTION)
@@ -47,7 +51,7 @@ def test_superposition_is_the_solution(field):
 def test_pillars_move_as_the_field_says(field, scene):
     """Each unit's pillars stand at its centre and move as the solved field does there; drawn in single precision."""
     points, _ = pillar_surface(DESIGN.unit, SLICES, around=1, apart_mm=APART_MM)
-    scene.show(TRACTION, NONE, Shown())
+    show(scene, TRACTION)
     moved = field.observe(points).displacement_mm(field.state(TRACTION))
     expected = np.pad(unit_centres(DESIGN), ((0, 0), (0, 1)))[:, None] + points + moved
     np.testing.assert_allclose(points_of(scene, 2).reshape(expected.shape), expected, atol=1e-4)
@@ -55,11 +59,11 @@ def test_pillars_move_as_the_field_says(field, scene):
 
 
 def test_displacement_is_drawn_as_large_as_asked(scene):
-    scene.show(NONE, NONE, Shown())
+    show(scene, NONE)
     rest = points_of(scene, 0)
     moved = []
     for scale in (1.0, 5.0):
-        scene.show(TRACTION, NONE, Shown(scale=scale))
+        show(scene, TRACTION, scale=scale)
         moved.append(points_of(scene, 0) - rest)
     np.testing.assert_allclose(moved[1], 5.0 * moved[0], atol=1e-4)  # mm: single precision, as drawn
 
@@ -67,8 +71,8 @@ def test_displacement_is_drawn_as_large_as_asked(scene):
 @pytest.mark.parametrize("colour", TITLES)
 def test_colours_lie_between_the_ends_of_the_bar(scene, colour):
     change = np.array([[-0.2, 0.1, 0.05]] * 4)
-    legend = scene.show(TRACTION, change, Shown(colour=colour))
-    values = np.asarray(scene._pillars.mesh["shown"])
+    legend = show(scene, TRACTION, change, colour)
+    values = np.asarray(scene.pillars["shown"])
     assert legend.low < legend.high
     assert np.isfinite(values).all()
     if colour in ("displacement", "vertical", "resistance"):  # stress has no bound at edges; its bar is cut
@@ -79,13 +83,13 @@ def test_colours_lie_between_the_ends_of_the_bar(scene, colour):
 
 
 def test_an_unloaded_array_has_a_colour_bar(scene):
-    legend = scene.show(NONE, NONE, Shown())
+    legend = show(scene, NONE)
     assert legend.low == 0.0 < legend.high
 
 
 def test_the_chosen_pad_is_marked_where_it_is(scene):
-    scene.show(TRACTION, NONE, Shown(chosen=1))
-    mark = np.asarray(scene._mark.points)
+    show(scene, TRACTION, chosen=1)
+    mark = np.asarray(scene.mark.points)
     assert mark[:, 0].min() > 0.0  # row 0, col 1: right of the middle
     assert mark[:, 1].max() < 0.0
     assert mark[:, 2].min() < DESIGN.unit.height_mm - 0.3  # pressed in by 3 MPa

@@ -238,6 +238,7 @@ async def test_only_the_pages_files_are_served(visitor):
 WRONG_VALUES = {
     "pad": [9999, -1, 0.5, "0", None, True, [0], {}, 10**400, float("nan")],
     "pressure": [-0.01, 5.01, 1e308, float("nan"), float("inf"), "1", None, False, [1.0], 10**4000],
+    "shear": [-0.01, 1.01, float("nan")],
     "angle": [361, -1, float("-inf")],
     "width": [0, -5, 1e9],
     "colour": ["unknown", "", None, 0, ["displacement"], "__class__"],

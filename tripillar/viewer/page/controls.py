@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dataset.protocols import FRICTION, NORMAL_MPA, TANGENTIAL_MPA
+from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
 from geometry.design import SensorDesign
-from geometry.errors import DesignError, TriPillarError
-from geometry.layout import FloatArray, unit_centres
+from geometry.errors import TriPillarError
+from geometry.layout import FloatArray
 from tripillar.viewer.page.scene import TITLES
 
 MAX_PRESSURE_MPA = NORMAL_MPA[1]  #: of a pad, as in the datasets
@@ -134,54 +134,14 @@ def shortened(value: object) -> str:
     return reprlib.repr(value)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PadLoad:
-    """Pressure and shear on one pad."""
-
-    pressure_mpa: float = 0.0
-    shear_mpa: float = 0.0  #: size of the tangential traction
-    angle_deg: float = 0.0  #: its direction from +x towards +y
-
-    def __post_init__(self) -> None:
-        for name, most in (("pressure_mpa", MAX_PRESSURE_MPA), ("shear_mpa", MAX_SHEAR_MPA)):
-            if not 0 <= getattr(self, name) <= most:
-                raise DesignError(f"{name}={getattr(self, name):g} must be from 0 to {most:g}.")
-
-    def within_cone(self, friction: float = FRICTION) -> "PadLoad":
-        """The same with no more shear than `friction` times the pressure."""
-        return replace(self, shear_mpa=min(self.shear_mpa, friction * self.pressure_mpa))
-
-    @property
-    def traction_mpa(self) -> FloatArray:
-        """Traction along x, y, z, shape (3,) [MPa]; z negative pushing down."""
-        angle = math.radians(self.angle_deg)
-        return np.array([self.shear_mpa * math.cos(angle), self.shear_mpa * math.sin(angle), -self.pressure_mpa])
-
-    @classmethod
-    def of(cls, traction_mpa: FloatArray) -> "PadLoad":
-        """The load of a traction (3,) [MPa], cut to what the page's sliders can show."""
-        tx, ty, tz = traction_mpa.tolist()
-        return cls(
-            pressure_mpa=min(max(-tz, 0.0), MAX_PRESSURE_MPA),
-            shear_mpa=min(math.hypot(tx, ty), MAX_SHEAR_MPA),
-            angle_deg=math.degrees(math.atan2(ty, tx)) % 360.0,
-        )
+def traction_of(pressure_mpa: float, shear_mpa: float, angle_deg: float) -> FloatArray:
+    """Traction along x, y, z, shape (3,) [MPa], z negative pushing down; the angle is that of shear, from +x to +y."""
+    angle = math.radians(angle_deg)
+    return np.array([shear_mpa * math.cos(angle), shear_mpa * math.sin(angle), -pressure_mpa])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Indenter:
-    """A round indenter that presses by a bell of pressure, p exp(−r²/2w²), and may drag, as the datasets' do."""
-
-    load: PadLoad  #: under its middle
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    width_mm: float = 15.0  #: w, standard deviation of the bell
-
-    def __post_init__(self) -> None:
-        if not self.width_mm > 0:
-            raise DesignError(f"width_mm={self.width_mm:g} must be above 0.")
-
-    def tractions(self, design: SensorDesign) -> FloatArray:
-        """Tractions on the pads, shape (n_units, 3) [MPa]."""
-        squared = ((unit_centres(design) - (self.x_mm, self.y_mm)) ** 2).sum(axis=1)
-        return np.exp(-squared / (2.0 * self.width_mm**2))[:, None] * self.load.traction_mpa
+def sliders_of(traction_mpa: FloatArray) -> tuple[float, float, float]:
+    """Pressure, shear [MPa] and angle [°] of a traction (3,), cut to the ends of the page's sliders."""
+    tx, ty, tz = traction_mpa.tolist()
+    pressure, shear = min(max(-tz, 0.0), MAX_PRESSURE_MPA), min(math.hypot(tx, ty), MAX_SHEAR_MPA)
+    return pressure, shear, math.degrees(math.atan2(ty, tx)) % 360.0

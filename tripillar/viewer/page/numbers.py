@@ -1,8 +1,8 @@
 """The page's numbers: as text, colours and rows beside the picture, and as files that other programs take."""
 
-import csv
 import io
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,12 +48,13 @@ def beside_picture(
         Forces, NaN where unknown; relative change of the resistances from rest.
     reading : Reading
     """
-    _, cols, _ = change.shape
+    cols = change.shape[1]
     row, col = divmod(unit, cols)
+    ohm, force_n, strain = reading.resistance_ohm, reading.force_n, reading.strain
     if tab == "table":
-        of_tab: dict[str, Any] = {"rows": table_rows(reading.resistance_ohm, applied_n, reading.force_n, cols)}
+        of_tab: dict[str, Any] = {"rows": table_rows(ohm, applied_n, force_n)}
     elif tab == "time":
-        of_tab = {"sample": sample(change, reading.force_n)}
+        of_tab = {"sample": sample(change, force_n)}
     else:
         of_tab = {
             "resistance_maps": [
@@ -61,24 +62,26 @@ def beside_picture(
                 for k, name in enumerate(PILLARS)
             ],
             "force_maps": [
-                as_map(f"F{name}", "N", reading.force_n[..., k], FULL_AT["force"], digits=0)
-                for k, name in enumerate(AXES)
+                as_map(f"F{name}", "N", force_n[..., k], FULL_AT["force"], digits=0) for k, name in enumerate(AXES)
             ],
         }
-    shown = (reading.resistance_ohm, change, reading.strain, applied_n, reading.force_n)
-    worst = np.unravel_index(int(reading.strain.argmax()), reading.strain.shape)
-    strain = float(reading.strain[worst])
-    missed = reading.force_n - applied_n
-    known = missed[np.isfinite(missed)]
-    return of_tab | unit_rows(*(values[row, col] for values in shown)) | {
+    error_n = force_n - applied_n
+    known = error_n[np.isfinite(error_n)]
+    at_row, at_col, pillar = np.unravel_index(int(strain.argmax()), strain.shape)
+    worst = float(strain.max())
+    of_pillars = np.stack([1e-3 * ohm, 100 * change, 100 * strain], axis=-1)[row, col]
+    of_forces = np.stack([applied_n, force_n, error_n], axis=-1)[row, col]
+    return of_tab | {
+        "unit_pillars": [[name, *texts(line, (3, 2, 1))] for name, line in zip(PILLARS, of_pillars, strict=True)],
+        "unit_forces": [[f"F{name}", *texts(line, (1, 1, 2))] for name, line in zip(AXES, of_forces, strict=True)],
         "pads": pad_cells(traction_mpa, cols, MAX_PRESSURE_MPA),
         "unit_name": f"row {row}, col {col}",
-        "strain": text(100.0 * strain, 1),
-        "strain_share": min(strain / CAP, 1.0) * 100.0,
-        "strain_over": strain > CAP,
-        "strain_at": f"{PILLARS[worst[2]]} pillar of row {worst[0]}, col {worst[1]}",
+        "strain": text(100.0 * worst, 1),
+        "strain_share": min(worst / CAP, 1.0) * 100.0,
+        "strain_over": worst > CAP,
+        "strain_at": f"{PILLARS[pillar]} pillar of row {at_row}, col {at_col}",
         "rms": text(float(np.sqrt(np.mean(known**2))), 2) if known.size else "",
-    }  # fmt: skip
+    }
 
 
 def as_map(title: str, unit: str, values: FloatArray, full_at: float, digits: int = 1) -> dict[str, Any]:
@@ -86,13 +89,10 @@ def as_map(title: str, unit: str, values: FloatArray, full_at: float, digits: in
 
     The strongest colour stands for the largest value, but at least for `full_at`, so that noise at rest stays pale.
     """
-    finite = np.abs(values[np.isfinite(values)])
-    most = max(float(finite.max(initial=0.0)), full_at)
-    rows, cols = values.shape
+    most = max(float(np.abs(values[np.isfinite(values)]).max(initial=0.0)), full_at)
     cells = [
-        {"unit": i * cols + j, "text": text(values[i, j], digits), "colour": colour(values[i, j] / most)}
-        for i in range(rows - 1, -1, -1)
-        for j in range(cols)
+        {"unit": number, "text": text(value, digits), "colour": colour(value / most)}
+        for number, value in _as_it_lies(values.ravel(), values.shape[1])
     ]
     return {"title": title, "unit": unit, "most": text(most, digits), "cells": cells}
 
@@ -100,39 +100,25 @@ def as_map(title: str, unit: str, values: FloatArray, full_at: float, digits: in
 def pad_cells(traction_mpa: FloatArray, cols: int, most_mpa: float) -> list[dict[str, Any]]:
     """The pads' pressures (n_units, 3) [MPa] as cells of a map, with an arrow where there is shear."""
     cells = []
-    for i in range(len(traction_mpa) // cols - 1, -1, -1):
-        for unit in range(i * cols, (i + 1) * cols):
-            tx, ty, tz = traction_mpa[unit].tolist()
-            eighth = round(math.atan2(ty, tx) / (math.pi / 4)) % 8
-            arrow = ARROWS[eighth] if math.hypot(tx, ty) > MIN_SHOWN_MPA else ""
-            pressed = text(-tz, 1) if abs(tz) > MIN_SHOWN_MPA else ""
-            cells.append({"unit": unit, "text": pressed, "arrow": arrow, "colour": colour(-tz / most_mpa)})
+    for unit, (tx, ty, tz) in _as_it_lies(traction_mpa, cols):
+        eighth = round(math.atan2(ty, tx) / (math.pi / 4)) % 8
+        arrow = ARROWS[eighth] if math.hypot(tx, ty) > MIN_SHOWN_MPA else ""
+        pressed = text(-tz, 1) if abs(tz) > MIN_SHOWN_MPA else ""
+        cells.append({"unit": unit, "text": pressed, "arrow": arrow, "colour": colour(-tz / most_mpa)})
     return cells
 
 
-def table_rows(resistance_ohm: FloatArray, applied_n: FloatArray, force_n: FloatArray, cols: int) -> list[list[str]]:
+def _as_it_lies(values: FloatArray, cols: int) -> Iterator[tuple[int, Any]]:
+    """Numbers of units with their values (n_units, ...), the last row first: the array as it lies before you."""
+    numbers = np.arange(len(values)).reshape(-1, cols)[::-1].ravel()
+    return zip(numbers.tolist(), values[numbers].tolist(), strict=True)
+
+
+def table_rows(resistance_ohm: FloatArray, applied_n: FloatArray, force_n: FloatArray) -> list[list[str]]:
     """A row a unit: its place, three resistances [kΩ], and applied and decoupled force along each axis [N]."""
-    kilo_ohm, applied, found = (1e-3 * resistance_ohm).reshape(-1, 3), applied_n.reshape(-1, 3), force_n.reshape(-1, 3)
-    pairs = np.stack([applied, found], axis=2).reshape(-1, 6)
-    return [
-        [f"{k // cols}, {k % cols}", *(text(v, 3) for v in kilo_ohm[k]), *(text(v, 1) for v in pairs[k])]
-        for k in range(len(pairs))
-    ]
-
-
-def unit_rows(
-    resistance_ohm: FloatArray, change: FloatArray, strain: FloatArray, applied_n: FloatArray, force_n: FloatArray
-) -> dict[str, list[list[str]]]:
-    """Tables of the pillars and the forces of one unit; all arrays have shape (3,)."""
-    pillars = [
-        [name, text(1e-3 * resistance_ohm[k], 3), text(100 * change[k], 2), text(100 * strain[k], 1)]
-        for k, name in enumerate(PILLARS)
-    ]
-    forces = [
-        [f"F{name}", text(applied_n[k], 1), text(force_n[k], 1), text(force_n[k] - applied_n[k], 2)]
-        for k, name in enumerate(AXES)
-    ]
-    return {"unit_pillars": pillars, "unit_forces": forces}
+    pairs = np.stack([applied_n, force_n], axis=-1).reshape(*force_n.shape[:2], 6)
+    lines = np.concatenate([1e-3 * resistance_ohm, pairs], axis=2)
+    return [[f"{i}, {j}", *texts(lines[i, j], 3 * (3,) + 6 * (1,))] for i, j in np.ndindex(lines.shape[:2])]
 
 
 def legend(bar: Bar) -> dict[str, Any]:
@@ -148,12 +134,15 @@ def sample(change: FloatArray, force_n: FloatArray) -> list[list[float | None]]:
     return [[None if math.isnan(number) else round(number, 3) for number in unit] for unit in values.tolist()]
 
 
+def texts(values: FloatArray, digits: Sequence[int]) -> list[str]:
+    """Numbers with so many decimals each."""
+    return [text(*pair) for pair in zip(values.tolist(), digits, strict=True)]
+
+
 def text(value: float, digits: int) -> str:
     """A number with so many decimals, a dash for NaN."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞"
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
     rounded = f"{value:.{digits}f}"
     return rounded.removeprefix("-") if float(rounded) == 0 else rounded.replace("-", "−")
 
@@ -183,15 +172,12 @@ def csv_of(
     resistance_ohm, applied_n, force_n : arrays, shape (rows, cols, 3)
         Of the pillars z, x, y; along x, y, z, Fz positive in compression. What is not known, NaN, is left empty.
     """
-    written = io.StringIO()
-    lines = csv.writer(written, lineterminator="\n")
-    lines.writerow(CSV_COLUMNS)
     by_unit = [part.reshape(-1, 3) for part in (resistance_ohm, applied_n, force_n)]
-    values = np.concatenate([unit_centres(design), traction_mpa, *by_unit], axis=1)
-    for unit, numbers in enumerate(values.tolist()):
-        place = divmod(unit, design.array.cols)
-        lines.writerow([*place, *("" if np.isnan(number) else f"{number:.7g}" for number in numbers)])
-    return written.getvalue()
+    places = np.divmod(np.arange(design.n_units), design.array.cols)
+    values = np.column_stack([*places, unit_centres(design), traction_mpa, *by_unit])
+    written, formats = io.StringIO(), ["%d", "%d", *["%.7g"] * (len(CSV_COLUMNS) - 2)]
+    np.savetxt(written, values, formats, delimiter=",", header=",".join(CSV_COLUMNS), comments="")
+    return written.getvalue().replace("nan", "")
 
 
 def scene_of(design: SensorDesign, traction_mpa: FloatArray, chosen: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from dataset.protocols import FRICTION
 from dataset.resistance import rest_resistances
 from dataset.simulation import forces
+from fem.fields.pad_loads import indenter_tractions
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -18,16 +19,16 @@ from tripillar.viewer.page.controls import (
     MAX_PRESSURE_MPA,
     MAX_SHEAR_MPA,
     ControlError,
-    Indenter,
-    PadLoad,
     controls_of,
     mapping,
     numbers_of,
     shortened,
+    sliders_of,
     taken,
+    traction_of,
 )
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Shown, Superposition
+from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Superposition
 from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel, by_unit, tractions
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
@@ -101,7 +102,7 @@ class Page:
         self.controls |= given
         if self.controls["source"] == "pads":
             if given.keys() & {*LOAD_SLIDERS, "cone"}:
-                self._traction[self.controls["pad"]] = self._held(*LOAD_SLIDERS).traction_mpa
+                self._traction[self.controls["pad"]] = self._held(*LOAD_SLIDERS)
             elif given.keys() & {"pad", "source"}:
                 self._show_load_of_pad()
         self.is_changed.set()
@@ -163,8 +164,10 @@ class Page:
             return {"trouble": str(error)}
         change = reading.resistance_ohm / self._rest_ohm - 1.0
         controls = self.controls
-        shown = Shown(colour=controls["colour"], scale=controls["scale"], chosen=controls["pad"], dark=controls["dark"])
-        legend = self.scene.show(self._traction, change.reshape(-1, 3), shown)
+        legend = self.scene.show(
+            self._traction, change.reshape(-1, 3), controls["colour"], controls["scale"], controls["pad"],
+            controls["dark"],
+        )  # fmt: skip
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
         feed = self._subject.feed
@@ -189,21 +192,20 @@ class Page:
             _, strain = sensor.strains(self._traction)
             return Reading(resistance_ohm=scan.resistance_ohm, force_n=scan.force_n, strain=strain)
         if controls["source"] == "indenter":
-            load = self._held("peak", "drag", "drag_angle")
-            indenter = Indenter(load=load, x_mm=controls["at_x"], y_mm=controls["at_y"], width_mm=controls["width"])
-            self._traction = indenter.tractions(self._design)
+            at_middle, centre = self._held("peak", "drag", "drag_angle"), (controls["at_x"], controls["at_y"])
+            self._traction = indenter_tractions(self._design, at_middle, centre, controls["width"])
         return sensor.read(self._traction, controls["noise"], self._generator)
 
-    def _held(self, pressure: str, shear: str, angle: str) -> PadLoad:
-        """The load of three sliders, within friction if the page asks for that."""
-        said = self.controls
-        load = PadLoad(pressure_mpa=said[pressure], shear_mpa=said[shear], angle_deg=said[angle])
-        return load.within_cone() if said["cone"] else load
+    def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
+        """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""
+        pressed, dragged, towards = (self.controls[name] for name in (pressure, shear, angle))
+        held = min(dragged, FRICTION * pressed) if self.controls["cone"] else dragged
+        return traction_of(pressed, held, towards)
 
     def _show_load_of_pad(self) -> None:
         """Set the sliders to the load of the chosen pad."""
-        load = PadLoad.of(self._traction[self.controls["pad"]])
-        values = round(load.pressure_mpa, 2), round(load.shear_mpa, 2), float(round(load.angle_deg))
+        pressure, shear, angle = sliders_of(self._traction[self.controls["pad"]])
+        values = round(pressure, 2), round(shear, 2), float(round(angle))
         self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
 
     def _applied_n(self) -> FloatArray:

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +22,7 @@ from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray, pillar_volumes
+from hardware.readout.forces import ScanForces
 from hardware.session import live
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
@@ -101,24 +102,17 @@ def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
     return np.nan_to_num(force_n).reshape(-1, 3) / forces(np.ones(3), design)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SensorScan:
-    """One scan of a sensor."""
-
-    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y, as the model saw them
-    force_n: FloatArray  #: (rows, cols, 3): along x, y, z; NaN where the model gives none
-
-
 class SensorFeed:
     """The board on a port or the frames of a recording, for all who look at the page.
 
     Open from entering to leaving the with block; `run` keeps `scan`, `trouble`, `link` and `ended` new and calls
-    `listeners`. Parameters and errors are those of `hardware.session.live`.
+    `listeners`. Forces of `scan` are along x, y and z, NaN where the model gives none. Parameters and errors are those
+    of `hardware.session.live`.
     """
 
     def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
         self.port, self.model = port, model
-        self.scan: SensorScan | None = None
+        self.scan: ScanForces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
         self.ended = False  #: a recording has been played to its end
         self.listeners: set[Callable[[], None]] = set()
@@ -163,7 +157,7 @@ class SensorFeed:
         except TriPillarError as error:  # the file is gone, perhaps
             self.trouble = str(error)
 
-    def _newest(self) -> SensorScan | None:
+    def _newest(self) -> ScanForces | None:
         """The newest scan, decoupled; None if none has come since the last look."""
         scan = None
         while (later := self._scanner.get(timeout=0.0)) is not None:
@@ -173,8 +167,7 @@ class SensorFeed:
             return None
         found = self._sensor.forces(scan)
         self._saturated = int(found.saturated.sum())
-        force_n = with_all_axes(found.force_n, self.model.component.axes)
-        return SensorScan(resistance_ohm=found.resistance_ohm, force_n=force_n)
+        return replace(found, force_n=with_all_axes(found.force_n, self.model.component.axes))
 
     def _status(self) -> str:
         """Rate, losses and saturated pillars, or why no scans come."""
