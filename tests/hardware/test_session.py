@@ -1,19 +1,22 @@
 """A connected board: its forces live, and the summary of a recording against what was sent and what the file says."""
 
 import time
+from collections import deque
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
 from hardware.link.frames import ScanMode, encode
-from hardware.link.scanner import Scanner
+from hardware.link.reception import LinkStatistics
+from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
-from hardware.session import live, record_scans
+from hardware.session import live, measure_link, record_scans
 from tests.hardware.boards import INFO, ScriptedPort, a_wire
 from tests.hardware.models import PillarModel
 from tripillar.cli.board.keeping import other_counts
@@ -79,6 +82,39 @@ def test_scans_that_were_not_taken_in_time_are_lost_and_said(tmp_path, queue):
     assert n + met.dropped == 50
     assert recording.statistics.lost == met.lost  # those before the first scan taken nobody can miss
     assert any("too slow" in said for said in other_counts(met))
+
+
+def a_link(*arrivals_s, rate_hz=150):
+    """A scanner of which scans made at a rate arrive so late; the board's clock wraps after half of them."""
+    first_us = 2**32 - 1e6 * len(arrivals_s) / 2 / rate_hz
+    scans = deque(
+        SimpleNamespace(
+            frame=SimpleNamespace(device_us=round(first_us + 1e6 * k / rate_hz) % 2**32), received_s=received_s
+        )
+        for k, received_s in enumerate(arrivals_s)
+    )
+
+    class Link:
+        stats, trouble = LinkStatistics(ok=len(arrivals_s)), None
+        ended = property(lambda self: not scans)
+
+        def get(self, timeout):
+            return scans.popleft() if scans else None
+
+    return Link()
+
+
+def test_the_rates_of_a_link_are_by_the_hosts_and_the_boards_clock():
+    """The host's clock runs 1 % faster than the board's, and every other scan is 2 ms late."""
+    k = np.arange(301)
+    found = measure_link(a_link(*(7.0 + 1.01 * k / 150 + 2e-3 * (k % 2))), None, 60.0)
+    assert (found.scans, found.statistics["ok"]) == (301, 301)
+    assert found.seconds == pytest.approx(2.02)
+    assert found.rate_hz == pytest.approx(150 / 1.01)
+    assert found.device_rate_hz == pytest.approx(150, rel=1e-5)  # whole microseconds
+    assert found.jitter_us == pytest.approx(2000 / np.sqrt(2), rel=1e-2)  # steps scatter by √2 of what arrivals do
+    with pytest.raises(ScannerError, match="2 scans within 60 s are too few"):
+        measure_link(a_link(0.0, 0.1), None, 60.0)
 
 
 def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):

@@ -259,8 +259,11 @@ def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
 
 def test_bench_measures_the_link(house, port):
     told = house.result("bench", port, "--model", MODEL, *WHOLE_SECOND)
+    made = 1 + told["statistics"]["overruns"] / (
+        told["scans"] - 1
+    )  # of a busy board, which skips some but never drifts
+    assert made * told["device_rate_hz"] == pytest.approx(150, rel=0.1)
     assert told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2)  # two clocks
-    assert told["rate_hz"] < 180  # of 150; a busy board skips some
     assert told["statistics"]["lost"] == 0
     assert 0 < told["latency_ms"]["median"] <= told["latency_ms"]["p99"] <= told["latency_ms"]["worst"]
 
