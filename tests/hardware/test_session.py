@@ -19,7 +19,7 @@ from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
 from tests.hardware.boards import INFO, ScriptedPort, a_wire
 from tests.hardware.models import PillarModel
-from tripillar.cli.board.keeping import other_counts
+from tripillar.cli.board.reading import other_counts
 
 HEAD = encode(INFO)
 

@@ -9,15 +9,14 @@ from typing import Annotated
 
 import typer
 
-from tripillar.cli.board import board
-from tripillar.cli.checking import doctor
-from tripillar.cli.designing import cad, design, mesh
+from tripillar.cli.board.fitting import calibrate, tare
+from tripillar.cli.board.reading import bench, convert, info, live, ports, record, replay
+from tripillar.cli.board.simulating import simulate
 from tripillar.cli.learning import crossval, dataset, evaluate, export, fine_tune, train
-from tripillar.cli.running import run
-from tripillar.cli.solving import response, solve
-from tripillar.cli.sweeping import optimize, sweep
+from tripillar.cli.solving import cad, design, mesh, response, solve
+from tripillar.cli.studying import doctor, optimize, run, sweep
 from tripillar.cli.viewing import SeveralPressures, view
-from tripillar.terminal.console import LEARNING, SOLVING, STUDYING, UnderHeadings
+from tripillar.terminal.console import BOARD, LEARNING, SOLVING, STUDYING, UnderHeadings
 from tripillar.terminal.entry import run as run_app
 
 app = typer.Typer(
@@ -55,10 +54,10 @@ for heading, commands in {
     SOLVING: (design, cad, mesh, solve, response),
     LEARNING: (dataset, train, evaluate, crossval, fine_tune, export),
     STUDYING: (run, view, sweep, optimize, doctor),
+    BOARD: (ports, info, live, bench, record, convert, replay, tare, calibrate, simulate),
 }.items():
     for command in commands:
         app.command(rich_help_panel=heading, cls=SeveralPressures if command is view else None)(command)
-app.add_typer(board)
 
 
 def main() -> None:

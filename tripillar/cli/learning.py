@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -11,12 +12,12 @@ from tripillar.terminal.console import (
     DesignOption,
     JsonOption,
     VerbosityOption,
+    answer,
     chosen,
     output_file,
     progress_bars,
     require_other,
     say,
-    show_json,
     spelled,
     wrote,
 )
@@ -24,7 +25,6 @@ from tripillar.terminal.console import (
 if TYPE_CHECKING:
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
     from tripillar.pipeline.data_checks import Caller
     from tripillar.terminal.progress import Bars
 
@@ -147,11 +147,8 @@ def dataset(
         data = simulate(solved, settings, lambda n: advance(n, ""), readout)
     data.write(out)
     redrawn = data.made_from["redrawn"]
-    if json_:
-        show_json({"file": str(out), "samples": samples, "redrawn": redrawn, "recipe": data.made_from["recipe"]})
-    else:
-        print(f"{samples} samples, {redrawn} draws passed the cap of {cap:g} and were redrawn")
-    wrote([out])
+    result = {"file": str(out), "samples": samples, "redrawn": redrawn, "recipe": data.made_from["recipe"]}
+    answer(json_, result, f"{samples} samples, {redrawn} draws passed the cap of {cap:g} and were redrawn", out)
 
 
 def train(
@@ -172,35 +169,33 @@ def train(
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
     require_other(out, data, design)
-    network, training = asked(hidden, net, feature, trainer, goal, iterations, seed)
     stated = None if design is None else chosen(design)
     from dataset import read_samples
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.model.model_file import write_model
-    from tripillar.pipeline.learning import train_checked
+    from tripillar.face import learning as face
 
     samples = read_samples(data, labels_only=True)
-    with progress_bars(verbosity) as bars:
-        model, seconds = train_checked(
-            samples, component, network, training,
-            automatic=feature == "auto", design=stated, force=force, caller=caller(data, bars),
+    with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
+        model = face.train(
+            samples, component, net=net, hidden=hidden, trainer=trainer, feature=feature, seed=seed, design=stated,
+            force=force, goal_mse=goal, max_iterations=iterations, caller=caller(data, bars),
         )  # fmt: skip
+        seconds = perf_counter() - bars.begun_s
     write_model(model, out)
     iterations, mse, reason = (model.made_from["outcome"][name] for name in ("iterations", "mse", "reason"))
-    if json_:
-        show_json({
-            "file": str(out),
-            "feature": model.network.feature,
-            "iterations": iterations,
-            "mse": mse,
-            "reason": reason,
-            "seconds": seconds,
-            "training_errors": plain(errors_on(model, samples)),
-            "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
-        })  # fmt: skip
-    else:
-        print(f"{iterations} iterations in {seconds:.1f} s to mse {mse:.2e} ({reason})")
-        say_untrusted(model)
+    result = {
+        "file": str(out),
+        "feature": model.network.feature,
+        "iterations": iterations,
+        "mse": mse,
+        "reason": reason,
+        "seconds": seconds,
+        "training_errors": plain(errors_on(model, samples)),
+        "untrusted": [f"{name} row {row} col {col}" for row, col, name in model.untrusted()],
+    }
+    answer(json_, result, f"{iterations} iterations in {seconds:.1f} s to mse {mse:.2e} ({reason})")
+    say_untrusted(model, json_)
     wrote([out])
 
 
@@ -217,22 +212,16 @@ def evaluate(
     stand beside.
     """
     from dataset import read_samples
+    from decoupler.evaluation.assessment import as_plain
     from decoupler.model.model_file import read_model
-    from tripillar.pipeline.learning import assess_checked
+    from tripillar.cli.tables import assessment_table
+    from tripillar.face import learning as face
 
     decoupler, samples = read_model(model), read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
-        assessed = assess_checked(decoupler, samples, limits, caller(data, bars, model))
-    if json_:
-        from decoupler.evaluation.assessment import as_plain
-
-        show_json(as_plain(assessed))
-    else:
-        from tripillar.cli.tables import assessment_table
-        from tripillar.terminal.tables import show
-
-        show(assessment_table(assessed))
-        say_untrusted(decoupler)
+        assessed = face.evaluate(decoupler, samples, limits=limits, caller=caller(data, bars, model))
+    answer(json_, as_plain(assessed), lambda: [assessment_table(assessed)])
+    say_untrusted(decoupler, json_)
 
 
 def crossval(
@@ -251,25 +240,21 @@ def crossval(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
-    network, training = asked(hidden, net, feature, trainer, goal, 0, seed)
     stated = None if design is None else chosen(design)
     from dataset import read_samples
     from decoupler.evaluation.crossval import summary
-    from tripillar.pipeline.learning import cross_validate_checked
+    from decoupler.model.settings import TrainingConfig
+    from tripillar.cli.tables import crossval_table
+    from tripillar.face.learning import folds_of
 
+    with spelled(goal_mse="--goal"):
+        training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
     samples = read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
-        network, tested = cross_validate_checked(
-            samples, component, network, training, folds,
-            automatic=feature == "auto", design=stated, force=force, caller=caller(data, bars),
-        )  # fmt: skip
-    if json_:
-        show_json({"feature": network.feature} | summary(tested))
-    else:
-        from tripillar.cli.tables import crossval_table
-        from tripillar.terminal.tables import show
-
-        show(crossval_table(tested))
+        network, tested = folds_of(
+            samples, component, folds, training, net, hidden, feature, stated, force, caller(data, bars)
+        )
+    answer(json_, {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
 
 
 def fine_tune(
@@ -290,7 +275,7 @@ def fine_tune(
     from dataset import read_samples
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.model.model_file import read_model, write_model
-    from tripillar.pipeline.learning import fine_tune_checked
+    from tripillar.face import learning as face
 
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
@@ -299,17 +284,15 @@ def fine_tune(
         raise DesignError(f"--pairs {pairs} must be at most {len(measured)}: {data} holds no more.")
     measured = measured[:pairs]
     with progress_bars(verbosity) as bars:
-        tuned = fine_tune_checked(decoupler, measured, force, caller(data, bars, model))
+        tuned = face.fine_tune(decoupler, measured, force=force, caller=caller(data, bars, model))
     write_model(tuned, out)
     before, after = (errors_on(one, measured) for one in (decoupler, tuned))
-    if json_:
-        show_json({"pairs": len(measured), "before": plain(before), "after": plain(after)})
-    else:
-        for name in after:
-            print(
-                f"{name}: {before[name].rmse_n:.3g} N before, {after[name].rmse_n:.3g} N after, on the pairs themselves"
-            )
-    wrote([out])
+    lines = [
+        f"{name}: {before[name].rmse_n:.3g} N before, {errors.rmse_n:.3g} N after, on the pairs themselves"
+        for name, errors in after.items()
+    ]
+    result = {"pairs": len(measured), "before": plain(before), "after": plain(after)}
+    answer(json_, result, "\n".join(lines), out)
 
 
 def export(
@@ -329,25 +312,9 @@ def export(
     from decoupler.model.model_file import read_model
 
     exported = export_model(read_model(model), out, precision)
-    if json_:
-        show_json({"file": str(out), **asdict(exported)})
-    elif exported.deviation is None:
-        print(f"not checked: {exported.unchecked}")
-    else:
-        print(f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})")
-    wrote([out])
-
-
-def asked(
-    hidden: int, net: Any, feature: str, trainer: Any, goal: float | None, iterations: int, seed: int
-) -> "tuple[NetworkConfig, TrainingConfig]":
-    """The network and the training that options ask for; nonsense is refused before anything takes time."""
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
-
-    with spelled(goal_mse="--goal", max_iterations="--iterations"):
-        training = TrainingConfig(trainer=trainer, goal_mse=goal, max_iterations=iterations, seed=seed)
-    given: dict[str, Any] = {} if feature == "auto" else {"feature": feature}
-    return NetworkConfig(hidden=hidden, net=net, **given), training
+    checked = f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
+    said = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
+    answer(json_, {"file": str(out), **asdict(exported)}, said, out)
 
 
 def caller(data: Path, bars: "Bars", model: Path | str = "model") -> "Caller":
@@ -357,9 +324,9 @@ def caller(data: Path, bars: "Bars", model: Path | str = "model") -> "Caller":
     return Caller(samples=str(data), model=str(model), go_on="--force", say=say, bars=bars)
 
 
-def say_untrusted(model: "Decoupler") -> None:
-    """Name the forces that dead pillars leave unsure, on stderr."""
-    for row, col, name in model.untrusted():
+def say_untrusted(model: "Decoupler", as_json: bool) -> None:
+    """Name the forces that dead pillars leave unsure, on stderr; JSON has them already."""
+    for row, col, name in [] if as_json else model.untrusted():
         say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 

@@ -1,25 +1,81 @@
-"""The commands that solve: any scene, or the response of an array."""
+"""The commands of a design and its response: its file, its solids, its mesh, any scene, the response of an array."""
 
 import math
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from geometry.design import Array, SensorDesign
+from geometry.design_file import design_to_toml, write_design
 from tripillar.terminal.console import (
     DesignOption,
     JsonOption,
     VerbosityOption,
+    answer,
     chosen,
     output_file,
+    output_folder,
     progress_bars,
     require_other,
     require_suffix,
+    say,
     show_json,
     wrote,
 )
+
+
+def design(
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", callback=output_file, help="File to write; default: print it.")
+    ] = None,
+    rows: Annotated[int, typer.Option(help="Number of units along y.")] = Array.rows,
+    cols: Annotated[int, typer.Option(help="Number of units along x.")] = Array.cols,
+    json_: JsonOption = False,
+) -> None:
+    """Write a design file: the paper's sensor, every number with its meaning."""
+    sensor = SensorDesign(array=Array(rows=rows, cols=cols))
+    if json_:
+        show_json(asdict(sensor))
+    elif out is None:
+        print(design_to_toml(sensor), end="")
+    if out is not None:
+        write_design(sensor, out)
+        wrote([out])
+
+
+def cad(
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_folder, help="Folder for STEP and STL files.")],
+    design: DesignOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Draw the sensor's solids and its casting mould as STEP and STL files.
+
+    The solids are pillars, unit, array, slab and matrix; the mould is what you cast the sensor in.
+    """
+    sensor = chosen(design)
+    from geometry.mould import write_cad
+
+    files = write_cad(sensor, out)
+    if json_:
+        show_json({"files": [str(path) for path in files]})
+    wrote(files)
+
+
+def mesh(design: DesignOption = None, json_: JsonOption = False, verbosity: VerbosityOption = None) -> None:
+    """Mesh the whole array with tetrahedra and judge their shape.
+
+    The mesh is kept in the cache. No other command but run needs it.
+    """
+    from tripillar.pipeline.run import meshed
+
+    sensor = chosen(design)
+    with progress_bars(verbosity) as bars:
+        stage = meshed(sensor, bars)
+    result = {"file": str(stage.files[0]), "reused": stage.reused, "seconds": stage.seconds, "note": stage.note}
+    answer(json_, result, stage.note, *stage.files)
 
 
 def solve(
@@ -44,6 +100,7 @@ def solve(
     from fem.methods.solving import follow
     from fem.scene.scene_file import read_scene
     from fem.scene.solution_file import solution_as_plain, write_field
+    from tripillar.cli.tables import solution_table
 
     body = read_scene(scene)
     if tolerance is not None:
@@ -54,21 +111,10 @@ def solve(
     solution = follow(plan, body, field=vtu is not None)
     if vtu is not None and solution.field is not None:
         write_field(solution.field, vtu)
-    if json_:
-        show_json(solution_as_plain(solution, plan.lines))
-    else:
-        from tripillar.cli.tables import solution_table
-        from tripillar.terminal.tables import show
-
-        if explain:
-            print(*solution.steps, sep="\n")
-        show(solution_table(solution))
-    if not solution.error_estimate <= body.tolerance:
-        print(
-            f"warning: the estimated error {solution.error_estimate:.1e} stays above the tolerance {body.tolerance:g}; "
-            "--explain says why",
-            file=sys.stderr,
-        )
+    if explain and not json_:
+        print(*solution.steps, sep="\n")
+    answer(json_, solution_as_plain(solution, plan.lines), lambda: [solution_table(solution)])
+    warn_above(body.tolerance, solution.error_estimate, "; --explain says why")
     wrote([] if vtu is None else [vtu])
 
 
@@ -98,20 +144,23 @@ def response(
     with progress_bars(verbosity) as bars:
         stage, solved = respond(sensor, bars, settings)
     write_response(solved, out)
-    if json_:
-        figures = {
-            "method": solved.method,
-            "unknowns": solved.unknowns,
-            "residual": solved.residual,
-            "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
-            "mesh_hash": solved.mesh_hash,
-        }
-        show_json({"file": str(out), "reused": stage.reused, "seconds": solved.seconds} | figures)
-    else:
-        print(stage.note)
-    if tolerance is not None and solved.error_estimate > tolerance:
-        print(
-            f"warning: the estimated error {solved.error_estimate:.1e} stays above the tolerance {tolerance:g}",
-            file=sys.stderr,
-        )
+    result = {
+        "file": str(out),
+        "reused": stage.reused,
+        "seconds": solved.seconds,
+        "method": solved.method,
+        "unknowns": solved.unknowns,
+        "residual": solved.residual,
+        "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
+        "mesh_hash": solved.mesh_hash,
+    }
+    answer(json_, result, stage.note)
+    if tolerance is not None and result["error_estimate"] is not None:
+        warn_above(tolerance, solved.error_estimate)
     wrote([out])
+
+
+def warn_above(tolerance: float, error: float, more: str = "") -> None:
+    """Say that an estimated error is above the tolerance, if it is."""
+    if not error <= tolerance:
+        say(f"warning: the estimated error {error:.1e} stays above the tolerance {tolerance:g}{more}")

@@ -1,37 +1,48 @@
 """Tables of results that the commands print."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from decoupler.evaluation.assessment import Assessment
-from decoupler.evaluation.crossval import Fold, over_folds
-from decoupler.evaluation.metrics import ForceErrors
-from fem.scene.solution import Solution
 from geometry.layout import AXES
-from tripillar.pipeline.comparison import AT_REST, TOUCHES_N, Comparison
-from tripillar.pipeline.manufactured import PAIRS, READ
-from tripillar.pipeline.run import CAP, SPLITS, Stage
 
-AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
+if TYPE_CHECKING:
+    from decoupler.evaluation.assessment import Assessment
+    from decoupler.evaluation.crossval import Fold
+    from decoupler.evaluation.metrics import ForceErrors
+    from fem.scene.solution import Solution
+    from tripillar.pipeline.comparison import Comparison
+    from tripillar.pipeline.run import Stage
 
 
-def comparison_table(comparisons: list[Comparison]) -> Table:
+def _headed(left: tuple[str, ...], right: tuple[str, ...], **settings: Any) -> Table:
+    """An empty table with columns of text and columns of numbers."""
+    table = Table(**settings)
+    for header in left:
+        table.add_column(header)
+    for header in right:
+        table.add_column(escape(header), justify="right")  # else rich takes [mm] for a style
+    return table
+
+
+def comparison_table(comparisons: "list[Comparison]") -> Table:
     """Errors of every decoupler on every protocol's test samples, beside the paper's."""
+    from tripillar.pipeline.manufactured import AS_READ, PAIRS
+    from tripillar.pipeline.run import CAP, SPLITS
+
     (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
-    table = Table(
+    table = _headed(
+        ("data", "decoupler"),
+        ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "tuned"),
         title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%}), noise-free",
         caption="Test samples come from the response that ours starts from; full scale is the largest force on a pad.\n"
         f"{AS_READ}: relative error of the same networks on the same samples, read with that noise and converter.\n"
         "At rest: nothing is on the sensor. As made: relative error on a sensor whose geometry, rubber, gains and\n"
         f"offsets are a little off, with that noise and converter; tuned: after {PAIRS} measured pairs of it",
     )
-    table.add_column("data")
-    table.add_column("decoupler")
-    for header in ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "tuned"):
-        table.add_column(escape(header), justify="right")
     for comparison in comparisons:
         title = f"{comparison.protocol}\nto {comparison.full_scale_n:.0f} N a pad"
         table.add_row(title, "paper's figure (its own data)", f"{comparison.paper_rel_err:.2%}")
@@ -47,17 +58,18 @@ def comparison_table(comparisons: list[Comparison]) -> Table:
     return table
 
 
-def touch_table(comparisons: list[Comparison]) -> Table:
+def touch_table(comparisons: "list[Comparison]") -> Table:
     """Errors in newtons of the force on one pad that is touched, for networks trained under load."""
-    table = Table(
+    from tripillar.pipeline.comparison import AT_REST, TOUCHES_N
+    from tripillar.pipeline.manufactured import AS_READ
+
+    table = _headed(
+        ("data", "decoupler"),
+        tuple(f"{size_n:g} N" for size_n in TOUCHES_N),
         title="One pad touched, nothing else on the sensor: error of its force [N], exact readings / " + AS_READ,
         caption="Root mean square over all pads; the networks of the table above. As made, tuned, zeroed: what the\n"
         f"sensor shows with nothing on it, the mean of {AT_REST} readings, is taken off",
     )
-    table.add_column("data")
-    table.add_column("decoupler")
-    for size_n in TOUCHES_N:
-        table.add_column(f"{size_n:g} N", justify="right")
     for comparison in comparisons:
         for number, one in enumerate(comparison.touches):
             cells = [
@@ -72,11 +84,9 @@ def _newtons(value: float) -> str:
     return f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
-def stage_table(stages: list[Stage]) -> Table:
+def stage_table(stages: "list[Stage]") -> Table:
     """Time of every stage, and what was reused."""
-    table = Table(title="Stages")
-    table.add_column("stage")
-    table.add_column("seconds", justify="right")
+    table = _headed(("stage",), ("seconds",), title="Stages")
     table.add_column("")
     for stage in stages:
         table.add_row(stage.name, f"{stage.seconds:.1f}", "reused, nothing changed" if stage.reused else stage.note)
@@ -84,13 +94,10 @@ def stage_table(stages: list[Stage]) -> Table:
     return table
 
 
-def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
+def assessment_table(assessed: "Mapping[str, Assessment]") -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
-    table = Table(caption=_coverage(assessed))
-    table.add_column("force")
-    table.add_column("decoupler")
-    for header in ("relative error", "RMSE [N]", "% of full scale", "times the limit"):
-        table.add_column(escape(header), justify="right")
+    headers = ("relative error", "RMSE [N]", "% of full scale", "times the limit")
+    table = _headed(("force", "decoupler"), headers, caption=_coverage(assessed))
     for name, one in assessed.items():
         table.add_row(name, "this model", *_error_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
         if one.limits is not None:
@@ -109,7 +116,7 @@ def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
     return table
 
 
-def _coverage(assessed: Mapping[str, Assessment]) -> str:
+def _coverage(assessed: "Mapping[str, Assessment]") -> str:
     shares = [
         f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}"
         for name, one in assessed.items()
@@ -118,11 +125,12 @@ def _coverage(assessed: Mapping[str, Assessment]) -> str:
     return f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
 
 
-def crossval_table(tested: list[Fold]) -> Table:
+def crossval_table(tested: "list[Fold]") -> Table:
     """Errors of every fold, their mean and their spread."""
-    table = Table(title=f"{len(tested)}-fold cross-validation")
-    for header in ("fold", "force", "relative error", "RMSE [N]", "% of full scale", "iterations", "seconds"):
-        table.add_column(escape(header), justify="right")
+    from decoupler.evaluation.crossval import over_folds
+
+    headers = ("fold", "force", "relative error", "RMSE [N]", "% of full scale", "iterations", "seconds")
+    table = _headed((), headers, title=f"{len(tested)}-fold cross-validation")
     for number, fold in enumerate(tested, 1):
         for row, (name, errors) in enumerate(fold.errors.items()):
             trained = ("", "") if row else (str(fold.iterations), f"{fold.seconds:.1f}")
@@ -134,23 +142,22 @@ def crossval_table(tested: list[Fold]) -> Table:
     return table
 
 
-def solution_table(solution: Solution) -> Table:
+def solution_table(solution: "Solution") -> Table:
     """Displacement of every probe of a scene, with how far to trust it below."""
     seconds = sum(solution.seconds.values())
-    table = Table(
+    table = _headed(
+        ("probe",),
+        tuple(f"u{axis} [mm]" for axis in AXES),
         min_width=100,
         caption=f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, "
         f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s",
     )
-    table.add_column("probe")
-    for axis in AXES:
-        table.add_column(escape(f"u{axis} [mm]"), justify="right")  # else rich takes [mm] for a style
     for name, displacement in solution.probes.items():
         table.add_row(escape(name), *(f"{u:.6g}" for u in displacement))
     return table
 
 
-def _error_cells(errors: ForceErrors) -> tuple[str, str, str]:
+def _error_cells(errors: "ForceErrors") -> tuple[str, str, str]:
     relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
     share = "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
     return relative, f"{errors.rmse_n:.3f}", share

@@ -13,11 +13,10 @@ from tripillar.terminal.console import (
     DesignOption,
     JsonOption,
     VerbosityOption,
+    answer,
     chosen,
     output_file,
     progress_bars,
-    show_json,
-    wrote,
 )
 from tripillar.viewer.page.opening import (
     HTTP_PORT,
@@ -120,13 +119,8 @@ def view(
         raise DesignError(f"{body} and --design {design} both say what to show: give one of them.")
     require_together(context, serve)
     if serve:
-        options = PageOptions(
-            host=LOOPBACK if host is None else host,
-            http_port=HTTP_PORT if http_port is None else http_port,
-            port=port,
-            model=model,
-            calibration=calibration,
-        )
+        address, number = LOOPBACK if host is None else host, HTTP_PORT if http_port is None else http_port
+        options = PageOptions(host=address, http_port=number, port=port, model=model, calibration=calibration)
         show_page(options, body or design, verbosity, json_)
         return
     pressures = _pressures(pressure)
@@ -146,19 +140,18 @@ def view(
         for name, parts in panels.items()
     }
     largest = {name: max(of_parts.values()) for name, of_parts in moved.items()}
-    if json_:
-        show_json({
-            "file": None if save is None else str(save),
-            "scale": factor,
-            "largest_displacement_mm": largest,
-            "seconds": perf_counter() - start,
-        })  # fmt: skip
-    else:
-        drawn_as = "" if factor == 1 else f", drawn {factor:g} times"
-        for name, of_parts in moved.items():
-            pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
-            print(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
-    wrote([] if save is None else [save])
+    drawn_as = "" if factor == 1 else f", drawn {factor:g} times"
+    lines = []
+    for name, of_parts in moved.items():
+        pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
+        lines.append(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
+    result = {
+        "file": None if save is None else str(save),
+        "scale": factor,
+        "largest_displacement_mm": largest,
+        "seconds": perf_counter() - start,
+    }
+    answer(json_, result, "\n".join(lines), *([] if save is None else [save]))
 
 
 def require_together(context: typer.Context, serve: bool) -> None:

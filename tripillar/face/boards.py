@@ -11,6 +11,7 @@ from tripillar.face.bodies import response
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from fem.array.response import ArrayResponse
+    from hardware.link.frames import Info
     from hardware.readout.forces import Forces
 
 
@@ -60,24 +61,25 @@ def simulated_board(
     """
     from dataset.imperfections import Imperfections
     from hardware.boards.simulated import PressAndSlide, counts_over_time, press_and_slide, run_board
-    from hardware.link.frames import Info, ScanMode
-    from hardware.readout.crossbar import Crossbar
+    from hardware.readout.calibration import Electronics
 
     solved = response(sensor) if sensor is None or isinstance(sensor, SensorDesign) else sensor
     rows, cols = solved.design.array.rows, solved.design.array.cols
-    crossbar = Crossbar.suited(ScanMode.ZERO_POTENTIAL, rows=rows, cols=cols, bits=bits)
-    info = Info(
-        rows=rows,
-        cols=cols,
-        bits=bits,
-        rate_hz=rate_hz,
-        scan_mode=crossbar.scan_mode,
-        sense_ohm=round(crossbar.sense_ohm),
-    )
+    info = info_of(rows=rows, cols=cols, bits=bits, rate_hz=rate_hz)
     motion = press_and_slide(solved, PressAndSlide(peak_mpa=pressure_mpa, seconds=period_s))
-    counts = counts_over_time(motion, crossbar, Imperfections())
+    counts = counts_over_time(motion, Electronics().crossbar(info), Imperfections())
     with run_board("python", info, counts, None if link is None else Path(link)) as board:
         yield str(link or board.port)
+
+
+def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: int) -> "Info":
+    """What a simulated board says of itself; its sense resistor suits pillars of 10 kΩ unless another is given."""
+    from hardware.link.frames import Info
+    from hardware.readout.crossbar import SUITED_SENSE_OHM, scan_mode_named
+
+    scan_mode = scan_mode_named(mode)
+    sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
+    return Info(scan_mode=scan_mode, sense_ohm=sense, **told)
 
 
 def record(

@@ -1,6 +1,7 @@
-"""Make samples, and train, test and tune networks on them."""
+"""Make samples, and train, test and tune networks on samples that are checked first; the commands call these, too."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from geometry.design import SensorDesign
@@ -9,10 +10,12 @@ from tripillar.face.bodies import response
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.evaluation.assessment import Assessment
+    from decoupler.evaluation.crossval import Fold
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.settings import Net, Trainer
+    from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
     from fem.array.response import ArrayResponse
+    from tripillar.pipeline.data_checks import Caller
 
 Component = Literal["fz", "fx", "fy", "all"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
@@ -80,6 +83,7 @@ def train(
     seed: int = 0,
     design: SensorDesign | None = None,
     force: bool = False,
+    caller: "Caller | None" = None,
     **settings: Any,
 ) -> "Decoupler":
     """Train a network that turns resistances into forces.
@@ -105,6 +109,8 @@ def train(
         Of samples that state none; default: the paper's, if its array has their size.
     force : bool
         True trains although the samples look wrong; the model remembers why they did.
+    caller : Caller, optional
+        Takes messages and shows progress; default: Python's warnings, and no progress.
     **settings
         Further fields of `decoupler.TrainingConfig`, such as goal_mse or max_iterations.
 
@@ -134,16 +140,21 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
+    from decoupler.model.settings import TrainingConfig
     from tripillar.pipeline.data_checks import Caller
-    from tripillar.pipeline.learning import train_checked
 
-    parts, network, training = _asked(samples, component, net, hidden, feature, trainer, seed, settings)
-    return train_checked(
-        samples, parts, network, training, automatic=feature == "auto", design=design, force=force, caller=Caller()
-    )[0]
+    training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
+    parts, network, solved, forced = _checked(samples, component, net, hidden, feature, design, force, caller)
+    from decoupler import train  # loads torch: only once the samples are found right
+
+    advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
+    model = train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
+    return replace(model, made_from=model.made_from | forced)
 
 
-def evaluate(model: "Decoupler", samples: "Samples", *, limits: bool = True) -> "dict[str, Assessment]":
+def evaluate(
+    model: "Decoupler", samples: "Samples", *, limits: bool = True, caller: "Caller | None" = None
+) -> "dict[str, Assessment]":
     """Errors of a model on samples that it has not seen, beside what the readings allow.
 
     Parameters
@@ -152,11 +163,18 @@ def evaluate(model: "Decoupler", samples: "Samples", *, limits: bool = True) -> 
     samples : Samples
     limits : bool
         False leaves the limits out, for which the response is solved if need be.
+    caller : Caller, optional
+        As of `train`.
 
     Returns
     -------
     dict of Assessment
         By force: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and limit, and more.
+
+    Raises
+    ------
+    FileFormatError
+        If the samples are of another sensor than the model's.
 
     Examples
     --------
@@ -169,10 +187,17 @@ def evaluate(model: "Decoupler", samples: "Samples", *, limits: bool = True) -> 
     >>> list(found), found["fz"].ratio < 1.15
     (['fx', 'fy', 'fz'], True)
     """
-    from tripillar.pipeline.data_checks import Caller
-    from tripillar.pipeline.learning import assess_checked
+    from decoupler import assess, require_same_sensor
+    from tripillar.pipeline.data_checks import Caller, warn_of_test
 
-    return assess_checked(model, samples, limits, Caller())
+    caller = caller or Caller()
+    require_same_sensor(model, samples, Path(caller.model), Path(caller.samples))
+    for name, design in ((caller.samples, samples.design), (caller.model, model.design)):
+        if design is None:
+            caller.say(f"{name} states no design that can be read: only the array's size was compared")
+    solved = _response(samples.design or model.design, caller) if limits else None
+    warn_of_test(model, samples, solved, caller)
+    return assess(model, samples, solved)
 
 
 def crossval(
@@ -219,18 +244,39 @@ def crossval(
     import numpy as np
 
     from decoupler.evaluation.crossval import over_folds
+    from decoupler.model.settings import TrainingConfig
     from tripillar.pipeline.data_checks import Caller
-    from tripillar.pipeline.learning import cross_validate_checked
 
-    parts, network, training = _asked(samples, component, net, hidden, feature, trainer, seed, settings)
-    _, tested = cross_validate_checked(
-        samples, parts, network, training, folds,
-        automatic=feature == "auto", design=design, force=force, caller=Caller(),
-    )  # fmt: skip
+    training = TrainingConfig(trainer=trainer, seed=seed, **settings)
+    _, tested = folds_of(samples, component, folds, training, net, hidden, feature, design, force, Caller())
     return over_folds(tested, np.mean)
 
 
-def fine_tune(model: "Decoupler", pairs: "Samples", *, force: bool = False) -> "Decoupler":
+def folds_of(
+    samples: "Samples",
+    component: Component | None,
+    folds: int,
+    training: "TrainingConfig",
+    net: "Net",
+    hidden: int,
+    feature: Feature,
+    design: SensorDesign | None,
+    force: bool,
+    caller: "Caller",
+) -> "tuple[NetworkConfig, list[Fold]]":
+    """The network of a cross-validation, with the inputs that were chosen, and the result of each fold."""
+    from decoupler import cross_validate
+    from decoupler.evaluation.crossval import split_folds
+
+    split_folds(len(samples), folds, training.seed)  # refuses too many before anything takes time
+    parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, force, caller)
+    advance = caller.bars.begin(f"{folds} folds", total=folds)
+    return network, cross_validate(samples, parts, network, training, folds, solved, lambda _: advance(1, ""))
+
+
+def fine_tune(
+    model: "Decoupler", pairs: "Samples", *, force: bool = False, caller: "Caller | None" = None
+) -> "Decoupler":
     """Fit a model to one real sensor by a few measured pairs of forces and resistances.
 
     Parameters
@@ -241,9 +287,13 @@ def fine_tune(model: "Decoupler", pairs: "Samples", *, force: bool = False) -> "
         Measured on the sensor.
     force : bool
         True goes on although the pairs look wrong; the model remembers why they did.
+    caller : Caller, optional
+        As of `train`.
 
     Raises
     ------
+    FileFormatError
+        If the pairs are of another sensor than the model's.
     SampleError
         If the pairs look wrong or are too few.
 
@@ -262,29 +312,68 @@ def fine_tune(model: "Decoupler", pairs: "Samples", *, force: bool = False) -> "
     >>> after < before / 5
     True
     """
-    from tripillar.pipeline.data_checks import Caller
-    from tripillar.pipeline.learning import fine_tune_checked
+    from decoupler import fine_tune, require_same_sensor
+    from decoupler.evaluation.plausibility import doubt
+    from tripillar.pipeline.data_checks import Caller, heed, joint_model, mention, mention_another_sensor
 
-    return fine_tune_checked(model, pairs, force, Caller())
+    caller = caller or Caller()
+    require_same_sensor(model, pairs, Path(caller.model), Path(caller.samples))
+    solved = None if model.inverse is not None else _response(pairs.design or model.design, caller)
+    judge = joint_model(solved) if model.inverse is None else model.inverse.forward
+    forced = heed(doubt(pairs, model.component, judge), force, caller)
+    mention(pairs, model.component, joint_model(solved), caller)
+    mention_another_sensor(pairs, model.component, judge, caller)
+    tuned = fine_tune(model, pairs, solved)
+    return replace(tuned, made_from=tuned.made_from | forced)
 
 
-def _asked(
+def _checked(
     samples: "Samples",
     component: Component | None,
     net: "Net",
     hidden: int,
     feature: Feature,
-    trainer: "Trainer",
-    seed: int,
-    settings: dict[str, Any],
-) -> tuple[str, Any, Any]:
-    """Component, network and training as plain arguments ask for them."""
+    design: SensorDesign | None,
+    force: bool,
+    caller: "Caller",
+) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
+    """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     from dataset.samples import require_samples
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.training.suited import suited_component
+    from decoupler import component_named
+    from decoupler.evaluation.plausibility import doubt, nothing_to_learn
+    from decoupler.model.settings import NetworkConfig
+    from decoupler.training.suited import suited_component, suited_feature
+    from tripillar.pipeline.data_checks import heed, joint_model, mention
 
     require_samples("samples", samples)
-    network = NetworkConfig(hidden=hidden, net=net)
-    if feature != "auto":
-        network = replace(network, feature=feature)
-    return component or suited_component(samples), network, TrainingConfig(trainer=trainer, seed=seed, **settings)
+    automatic, named = feature == "auto", component or suited_component(samples)
+    network, parts = NetworkConfig(hidden=hidden, net=net), component_named(named)
+    likely = samples.design or design or SensorDesign()
+    fits = samples.force_n.shape[1:3] == (likely.array.rows, likely.array.cols)
+    sensor = likely if fits else None
+    forced = heed(nothing_to_learn(samples, parts), force, caller)
+    note, solved = "", None
+    if net == "skip" if automatic else feature == "inverse":
+        solved = _response(sensor, caller)
+    chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
+    if automatic and chosen == "root" and solved is not None:
+        note = "the response of the design does not explain these data: inputs are √R"
+    if automatic and chosen == "inverse" and samples.design is None:
+        which = "the paper's sensor" if design is None else "the given design"
+        note = f"the data state no design, but the response of {which} explains them and is used"
+    judging = solved
+    if samples.design is not None or design is not None:
+        judging = _response(sensor, caller) if solved is None else solved
+    elif chosen != "inverse":
+        judging = None  # a guessed design that does not explain the samples cannot judge them
+    judge = joint_model(judging)
+    forced |= heed(None if forced else doubt(samples, parts, judge), force, caller)
+    caller.say(note)
+    mention(samples, parts, judge, caller)
+    return named, replace(network, feature=chosen), solved, forced
+
+
+def _response(design: SensorDesign | None, caller: "Caller") -> "ArrayResponse | None":
+    from tripillar.pipeline.run import respond
+
+    return None if design is None else respond(design, caller.bars)[1]

@@ -18,6 +18,7 @@ SETTINGS = ResponseSettings(tolerance=2e-3)  #: another tolerance than designs a
 #: readings of the sensor as made: gains of 1 ± 0.1, offsets of 100 Ω, noise of 0.1 %, a converter of 12 bits
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
 READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: noise and converter alone, for the sensor as designed
+AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
 PAIRS = 10  #: measured samples that a model is fine-tuned on
 SEEDS = {"test": 2, "pairs": 3}
 

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,8 @@ from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import require_file, require_folder
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from tripillar.terminal.progress import Bars
 
 #: headings under which --help lists the commands
@@ -68,6 +70,20 @@ def show_json(result: dict[str, Any]) -> None:
     print(json.dumps(result, indent=2))
 
 
+def answer(as_json: bool, result: dict[str, Any], text: str | Callable[[], "Iterable[Table]"], *files: Path) -> None:
+    """Print a result as JSON, or for people as a text or as tables; then name the files written, on stderr."""
+    if as_json:
+        show_json(result)
+    elif isinstance(text, str):
+        print(text)
+    else:
+        from tripillar.terminal.tables import show
+
+        for table in text():
+            show(table)
+    wrote(files)
+
+
 def wrote(files: Iterable[Path]) -> None:
     """Name every file written, last of all, on stderr."""
     for path in files:
@@ -104,6 +120,8 @@ def spelled(**flags: str) -> Iterator[None]:
         message = str(error)
         for parameter, flag in flags.items():
             message = message.replace(f"{parameter}=", f"{flag} ")
+        if message == str(error):
+            raise
         raise type(error)(message) from None
 
 

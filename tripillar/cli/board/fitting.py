@@ -22,21 +22,16 @@ from tripillar.cli.board.options import (
     require_unused,
 )
 from tripillar.terminal.console import (
-    BOARD,
     DesignOption,
     JsonOption,
     VerbosityOption,
+    answer,
     chosen,
     output_file,
     progress_bars,
-    show_json,
-    wrote,
 )
 
-commands = typer.Typer()
 
-
-@commands.command(rich_help_panel=BOARD)
 def tare(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
@@ -66,17 +61,13 @@ def tare(
         measured_ohm, noise = averaged(counts, crossbar)
         tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
     write_calibration(tared, out)
-    if json_:
-        rest_ohm = measured_ohm.astype(object)
-        rest_ohm[np.isnan(measured_ohm)] = None  # JSON knows no NaN
-        show_json({"file": str(out), "noise": noise, "rest_ohm": rest_ohm.tolist()})
-    else:
-        least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
-        print(f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %")
-    wrote([out])
+    rest_ohm = measured_ohm.astype(object)
+    rest_ohm[np.isnan(measured_ohm)] = None  # JSON knows no NaN
+    least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
+    text = f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %"
+    answer(json_, {"file": str(out), "noise": noise, "rest_ohm": rest_ohm.tolist()}, text, out)
 
 
-@commands.command(rich_help_panel=BOARD)
 def calibrate(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
@@ -130,18 +121,16 @@ def calibrate(
         _, solved = respond(sensor, bars)
     found, residual = calibrated(pairs, solved, electronics, noise, force)
     write_calibration(found, out)
-    metrics = {
+    result = {
+        "file": str(out),
         "loads": len(pairs.names),
         "noise": found.made_from["noise"],
         "gain": [float(found.gain.min()), float(found.gain.max())],
         "offset_ohm": [float(found.offset_ohm.min()), float(found.offset_ohm.max())],
         "residual": residual,
     }
-    if json_:
-        show_json({"file": str(out), **metrics})
-    else:
-        print(
-            f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
-            f"{found.offset_ohm.min():.0f} to {found.offset_ohm.max():.0f} Ω; what is left: {100 * residual:.2f} %"
-        )
-    wrote([out])
+    text = (
+        f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
+        f"{found.offset_ohm.min():.0f} to {found.offset_ohm.max():.0f} Ω; what is left: {100 * residual:.2f} %"
+    )
+    answer(json_, result, text, out)

@@ -18,7 +18,6 @@ from tripillar.cli.board.options import (
     require_positive,
 )
 from tripillar.terminal.console import (
-    BOARD,
     DesignOption,
     JsonOption,
     VerbosityOption,
@@ -31,10 +30,7 @@ from tripillar.terminal.console import (
     wrote,
 )
 
-commands = typer.Typer()
 
-
-@commands.command(rich_help_panel=BOARD)
 def simulate(
     board_: Annotated[
         Literal["auto", "atmega328p", "atmega2560", "python"],
@@ -86,18 +82,15 @@ def simulate(
         suited_kind,
         write_truth,
     )
-    from hardware.link.frames import Info
-    from hardware.readout.crossbar import SUITED_SENSE_OHM, scan_mode_named
     from hardware.session import ended_by_signal
+    from tripillar.face.boards import info_of
 
     require_positive(seconds=seconds)
     if not 0.1 <= period <= 600:
         raise DesignError(f"--period {period:g} must be from 0.1 to 600 s.")
     require_suffix("--truth", truth, ".nc")
-    scan_mode = scan_mode_named(mode)
-    sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     with spelled(rate_hz="--rate", sense_ohm="--sense-ohm"):
-        told = Info(bits=bits, scan_mode=scan_mode, rate_hz=rate, serial=serial, sense_ohm=sense)
+        told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate, serial=serial)
     electronics = electronics_of(None, switch_ohm, line_ohm)
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     sensor = Imperfections(gain_spread=gain_spread, offset_ohm=offset, specimen=specimen)

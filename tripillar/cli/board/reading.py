@@ -1,4 +1,4 @@
-"""Record what a board says, and play it again."""
+"""Find a board, ask it, watch its forces, measure its link, record what it says and play it again."""
 
 import math
 import sys
@@ -15,6 +15,7 @@ from tripillar.cli.board.options import (
     TIMEOUT_S,
     BaudOption,
     CalibrationOption,
+    LinesOption,
     ModelOption,
     PortArgument,
     SecondsOption,
@@ -22,22 +23,19 @@ from tripillar.cli.board.options import (
     require_positive,
 )
 from tripillar.terminal.console import (
-    BOARD,
     JsonOption,
     VerbosityOption,
+    answer,
     output_file,
     require_other,
     require_suffix,
     say,
-    show_json,
-    wrote,
+    spelled,
 )
 
 if TYPE_CHECKING:
     from hardware.link.reception import LinkStatistics
     from hardware.recording import Recording
-
-commands = typer.Typer()
 
 RecordingArgument = Annotated[
     Path, typer.Argument(help="Recording, or what 'convert' made of one, or a board's bytes.")
@@ -45,7 +43,94 @@ RecordingArgument = Annotated[
 MAX_NAMED = 3  #: places of damage in one line
 
 
-@commands.command(rich_help_panel=BOARD)
+def ports(json_: JsonOption = False) -> None:
+    """List the serial ports of this machine."""
+    from hardware.link.serial_ports import list_ports
+
+    found = list_ports()
+    if found or json_:
+        lines = [f"{port.device}  {port.description}  {port.hardware_id}" for port in found]
+        answer(json_, {"ports": [asdict(port) for port in found]}, "\n".join(lines))
+    else:
+        say("no serial port: plug the board in, or run 'tripillar simulate'")
+
+
+def info(
+    port: PortArgument, baud: BaudOption = BAUD, timeout: TimeoutOption = TIMEOUT_S, json_: JsonOption = False
+) -> None:
+    """Ask a board what it is: size, rate, circuit, firmware."""
+    from hardware.session import connect
+
+    require_positive(timeout=timeout)
+    with connect(port, baud=baud, timeout=timeout) as (scanner, _):
+        told, errors = scanner.info, scanner.errors()
+    plain = (
+        asdict(told)
+        | ({} if errors is None else asdict(errors))
+        | {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
+    )
+    answer(json_, plain, "\n".join(f"{name:11} {value}" for name, value in plain.items()))
+
+
+def live(
+    port: PortArgument,
+    model: ModelOption,
+    calibration: CalibrationOption = None,
+    seconds: SecondsOption = math.inf,
+    rate: Annotated[
+        int | None, typer.Option(help="Number of scans a second to ask the board for; default: its own.")
+    ] = None,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: LinesOption = False,
+) -> None:
+    """Show the forces on a sensor as they come: heat map, shear, rate, losses.
+
+    With --json every scan is a line; its deviations are at most 0.1 s old.
+    """
+    from hardware.session import live as live_forces
+    from tripillar.terminal.force_view import print_lines, show_forces
+
+    if rate is not None and Path(port).is_file():
+        raise DesignError("a recording has the rate that it was made at: leave --rate out.")
+    require_positive(seconds=seconds, timeout=timeout)
+    with live_forces(port, model, calibration, baud=baud, timeout=timeout) as sensor:
+        if rate is not None:
+            with spelled(rate_hz="--rate"):
+                sensor.scanner.set_rate(rate)
+        (print_lines if json_ else show_forces)(sensor, seconds)
+
+
+def bench(
+    port: PortArgument,
+    model: Annotated[Path | None, typer.Option(help="Model file; default: frames are only read.")] = None,
+    calibration: CalibrationOption = None,
+    seconds: Annotated[float, typer.Option(help="Time to measure for [s].")] = 10.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    json_: JsonOption = False,
+) -> None:
+    """Measure a board's link: rate, losses, jitter, and latency.
+
+    Latency is the time from the last byte of a scan to its forces.
+    """
+    from decoupler.model.model_file import read_model
+    from hardware.readout.forces import LiveSensor
+    from hardware.session import connect, measure_link
+    from tripillar.terminal.tables import plain_table
+
+    require_positive(seconds=seconds, timeout=timeout)
+    decoupler = None if model is None else read_model(model)
+    with connect(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
+        sensor = None if decoupler is None else LiveSensor(scanner, decoupler, known)
+        found = measure_link(scanner, sensor, seconds)
+    result = asdict(found)
+    shown = {name: value for name, value in result.items() if name not in ("latency_ms", "statistics")}
+    shown |= {f"latency_{name}_ms": value for name, value in (found.latency_ms or {}).items()}
+    tables = {"The board's link": shown, "What was met": found.statistics}
+    answer(json_, result, lambda: [plain_table(title, [row]) for title, row in tables.items()])
+
+
 def record(
     port: PortArgument,
     out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="File to write; it ends in .frames.")],
@@ -81,11 +166,8 @@ def record(
         n, met = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
-    if json_:
-        show_json({"file": str(out), "scans": n, "statistics": asdict(met)})
-    else:
-        print(", ".join([f"{n} scans, {met.lost} lost, {met.overruns} overruns", *other_counts(met)]))
-    wrote([out])
+    text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns} overruns", *other_counts(met)])
+    answer(json_, {"file": str(out), "scans": n, "statistics": asdict(met)}, text, out)
 
 
 def other_counts(met: "LinkStatistics") -> list[str]:
@@ -102,7 +184,6 @@ def other_counts(met: "LinkStatistics") -> list[str]:
     return [f"{n} {what}" for what, n in named.items() if n]
 
 
-@commands.command(rich_help_panel=BOARD)
 def convert(
     recording: RecordingArgument,
     out: Annotated[
@@ -119,11 +200,8 @@ def convert(
     recorded = read_recording(recording)
     say(damage(recording, recorded))
     write_converted(recorded, out)
-    if json_:
-        show_json({"file": str(out), "frames": len(recorded.run), "statistics": asdict(recorded.statistics)})
-    else:
-        print(f"{len(recorded.run)} frames, {recorded.statistics.lost} lost")
-    wrote([out])
+    n, met = len(recorded.run), recorded.statistics
+    answer(json_, {"file": str(out), "frames": n, "statistics": asdict(met)}, f"{n} frames, {met.lost} lost", out)
 
 
 def damage(path: Path, recorded: "Recording") -> str:
@@ -141,7 +219,6 @@ def progress(seconds: float, scans: int, trouble: str | None) -> None:
     print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
 
 
-@commands.command(rich_help_panel=BOARD)
 def replay(
     recording: RecordingArgument,
     model: ModelOption,
@@ -200,15 +277,14 @@ def replay(
             write_mcap(used, out, found.force_n, found.deviation_n, decoupler.component.axes)
         else:
             write_forces(used, found, decoupler.component.axes, out)
-    if json_:
-        counts = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(recorded.statistics)}
-        forces = {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist()}
-        show_json(counts | {"axes": decoupler.component.axes} | ({} if out else forces))
-    else:
-        print(f"{frames} frames, {recorded.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)")
-        for name, newtons in zip(decoupler.component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
-            print(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
-    wrote([] if out is None else [out])
+    result = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(recorded.statistics)}
+    result["axes"] = decoupler.component.axes
+    if json_ and out is None:
+        result |= {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist()}
+    lines = [f"{frames} frames, {recorded.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)"]
+    for name, newtons in zip(decoupler.component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
+        lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
+    answer(json_, result, "\n".join(lines), *([] if out is None else [out]))
 
 
 def other_design(recorded: Mapping[str, str], used: Mapping[str, str]) -> bool:

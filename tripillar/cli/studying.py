@@ -1,22 +1,24 @@
-"""The commands that compare designs and search for the best."""
+"""The commands of whole studies: the pipeline, sweeps of designs and the search for the best; and of this machine."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from geometry.errors import DesignError
 from tripillar.terminal.console import (
+    DesignOption,
     JsonOption,
     VerbosityOption,
+    answer,
+    chosen,
     output_folder,
     progress_bars,
     say,
-    show_json,
     wrote,
 )
 from tripillar.terminal.interrupts import last_words
@@ -42,6 +44,35 @@ SchedulerOption = Annotated[
 ]
 TrainOption = Annotated[bool, typer.Option("--train", help="Train the network of every design, too.")]
 RetryOption = Annotated[bool, typer.Option("--retry", help="Try designs that failed before once more.")]
+MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
+
+
+def run(
+    design: DesignOption = None,
+    out: Annotated[Path, typer.Option("--out", "-o", callback=output_folder, help="Folder for all files.")] = Path(
+        "out"
+    ),
+    until: Annotated[Literal["dataset", "table"], typer.Option(help="Last stage to run.")] = "table",
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Run the whole pipeline, from a design to a table of errors.
+
+    The stages are CAD, response, unit, data sets, networks and table. What did not change is not made again.
+    """
+    from tripillar.cli.tables import comparison_table, stage_table, touch_table
+    from tripillar.pipeline.run import run_pipeline
+
+    sensor = chosen(design)
+    with progress_bars(verbosity) as bars:
+        result = run_pipeline(sensor, out, bars, until_dataset=until == "dataset")
+    of_errors = (comparison_table, touch_table) if result.comparisons else ()
+    answer(
+        json_,
+        result.as_plain(),
+        lambda: [*(table(result.comparisons) for table in of_errors), stage_table(result.stages)],
+        *result.files,
+    )
 
 
 def sweep(
@@ -66,9 +97,8 @@ def sweep(
     from tripillar.sweep.sampling import samples_of
     from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
     from tripillar.sweep.workers import open_workers
-    from tripillar.terminal.tables import show
 
-    asked = chosen(file, train)
+    asked = sweep_of(file, train)
     samples = samples_of(asked)
     folder = out / f"{file.stem}-rows"
     found = kept_rows(samples, folder, retry)
@@ -86,16 +116,14 @@ def sweep(
         draw_pareto(rows, asked, files[2])
         draw_parallel(rows, asked, files[3])
     failed = reasons(rows)
-    if json_:
-        best_rows = [row.flat() for row in ranked(rows, asked)[:best]]
-        counts = {
-            "designs": len(rows),
-            "judged_now": len(missing),
-            "failed": {kind: len(each) for kind, each in failed.items()},
-        }
-        show_json(counts | {"best": best_rows, "files": [str(path) for path in files]})
-    else:
-        show(best_table(rows, asked, best))
+    result = {
+        "designs": len(rows),
+        "judged_now": len(missing),
+        "failed": {kind: len(each) for kind, each in failed.items()},
+        "best": [row.flat() for row in ranked(rows, asked)[:best]],
+        "files": [str(path) for path in files],
+    }
+    answer(json_, result, lambda: [best_table(rows, asked, best)])
     for each in failed.values():
         say(f"{len(each)} failed, such as: {each[0]}")
     wrote(files)
@@ -123,9 +151,8 @@ def optimize(
     from tripillar.sweep.run import kept_rows
     from tripillar.sweep.trade_offs import best_table, ranked
     from tripillar.sweep.workers import open_workers
-    from tripillar.terminal.tables import show
 
-    asked = chosen(file, train=False)
+    asked = sweep_of(file, train=False)
     if trials is not None:
         asked = replace(asked, samples=trials)
     folder = out / f"{file.stem}-rows"
@@ -153,15 +180,43 @@ def optimize(
     path = out / f"{file.stem}-best.toml"
     with replacing(path) as temporary:
         temporary.write_text(best[0].design or "", encoding="utf-8")
-    if json_:
-        counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
-        show_json(counts | {"best": best[0].flat(), "file": str(path)})
-    else:
-        show(best_table(rows, asked, 5))
-    wrote([path])
+    counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
+    result = counts | {"best": best[0].flat(), "file": str(path)}
+    answer(json_, result, lambda: [best_table(rows, asked, 5)], path)
 
 
-def chosen(file: Path, train: bool) -> "Sweep":
+def doctor(
+    compute: Annotated[bool, typer.Option(help="Compute what has a known answer, too: about 5 s.")] = True,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Check this machine: versions, solver, display, serial ports, known answers.
+
+    Ends with code 1 if something is wrong.
+    """
+    from tripillar.doctor.known_answers import KNOWN, check_answers
+    from tripillar.doctor.surroundings import check_surroundings
+
+    with progress_bars(verbosity) as bars:
+        checks = list(check_surroundings())
+        if compute:
+            advance = bars.begin("known answers", total=len(KNOWN))
+            for check in check_answers():
+                advance(1, check.name)
+                checks.append(check)
+    wrong = sum(check.state == "wrong" for check in checks)
+    lines = []
+    for check in checks:
+        lines.append(f"{MARKS[check.state]} {check.name:32} {check.found}")
+        if check.advice:
+            lines.append(f"    {check.advice}")
+    lines.append(f"{wrong} of {len(checks)} checks failed" if wrong else "all is well")
+    answer(json_, {"checks": [asdict(check) for check in checks], "wrong": wrong}, "\n".join(lines))
+    if wrong:
+        raise typer.Exit(1)
+
+
+def sweep_of(file: Path, train: bool) -> "Sweep":
     """The sweep of a file, with or without trained nets."""
     from tripillar.sweep.sweep_file import read_sweep
 
