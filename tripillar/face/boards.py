@@ -73,7 +73,7 @@ def simulated_board(
 
 
 def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: Any) -> "Info":
-    """What a simulated board says of itself; its sense resistor suits pillars of 10 kΩ unless another is given."""
+    """INFO frame of a simulated board; its sense resistor suits pillars of 10 kΩ unless another is given."""
     from hardware.link.frames import Info
     from hardware.readout.crossbar import SUITED_SENSE_OHM, scan_mode_named
 
