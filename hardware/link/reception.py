@@ -4,6 +4,8 @@ import time
 from collections import Counter, deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from hardware.link.frames import MAX_DRIFT, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
 
 _TURN_US = 2**32  # the board's clock starts again from 0
@@ -187,10 +189,10 @@ class DeviceClock:
     -----
     `host_time` is late by the link's least delay, which cannot be told from the clock's offset.
 
-    The line lies below all kept points and comes closest to them on average: it is the edge of their lower convex hull
-    over their mean time (Moon, Skelly & Towsley, "Estimation and removal of clock skew from network delay
-    measurements", INFOCOM 1999). It is fitted once a second; a frame in between only lowers it. In the first four
-    seconds the drift is taken as 0.
+    The line lies below all kept points and comes closest to them on average: of the lines through two points it is the
+    one that can be highest at their mean time (Moon, Skelly & Towsley, "Estimation and removal of clock skew from
+    network delay measurements", INFOCOM 1999). It is fitted once a second; a frame in between only lowers it. In the
+    first four seconds the drift is taken as 0.
 
     Examples
     --------
@@ -262,22 +264,10 @@ class DeviceClock:
     def _fit(self) -> None:
         points = list(self._quickest)
         if len(points) >= _MIN_POINTS:
-            mean_s = sum(board_s for board_s, _ in points) / len(points)
-            hull = _lower_hull(points)
-            k = next(k for k in range(1, len(hull)) if hull[k][0] >= mean_s)
-            (start_s, start), (end_s, end) = hull[k - 1], hull[k]
-            self._drift = min(max((end - start) / (end_s - start_s), -MAX_DRIFT), MAX_DRIFT)
+            board_s, delay_s = np.array(points).T
+            board_s -= board_s.mean()
+            i, j = np.triu_indices(len(points), 1)
+            slopes = (delay_s[j] - delay_s[i]) / (board_s[j] - board_s[i])
+            highest = (delay_s - np.outer(slopes, board_s)).min(axis=1).argmax()
+            self._drift = min(max(float(slopes[highest]), -MAX_DRIFT), MAX_DRIFT)
         self._offset_s = min(delay_s - self._drift * board_s for board_s, delay_s in points)
-
-
-def _lower_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Corners of the lower convex hull of points sorted by x (Andrew's monotone chain)."""
-    hull: list[tuple[float, float]] = []
-    for x, y in points:
-        while len(hull) > 1:
-            (x0, y0), (x1, y1) = hull[-2:]
-            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
-                break
-            hull.pop()
-        hull.append((x, y))
-    return hull

@@ -7,7 +7,7 @@ the format.
 
 from hardware.recording.formats import convert, read_recording
 from hardware.recording.frames_file import Recorder, RecordingError, parse_recording
-from hardware.recording.playback import PlaybackPort, recording_bytes
+from hardware.recording.playback import PlaybackPort
 from hardware.recording.recorded import Recording
 
 __all__ = [
@@ -18,5 +18,4 @@ __all__ = [
     "convert",
     "parse_recording",
     "read_recording",
-    "recording_bytes",
 ]

@@ -90,14 +90,15 @@ def csv_text(recording: Recording) -> str:
     return text.getvalue()
 
 
-_COLUMNS = {  # variable: its attributes; on the dimension frame
-    "counts": {"long_name": "counts in the order of the wires"},
-    "sequence": {"long_name": "frames sent since the board's start, modulo 2**16"},
-    "device_us": {"long_name": "board's clock at the start of the scan in us, modulo 2**32"},
-    "flags": {"long_name": "bit 0: saturation; bits 1 and 2: scan mode"},
-    "overruns": {"long_name": "scans skipped since the board's start, 255 stands for more"},
-    "received_s": {"long_name": "arrival at the host", "units": "seconds since 1970-01-01 00:00:00"},
-    "run": {"long_name": "counts up where the board or the recorder began anew; nothing is lost from one to the next"},
+_BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF
+_COLUMNS = {  # of NetCDF and MCAP: the largest number in it, and what it holds; on the dimension frame
+    "sequence": (_SHORT, "frames sent since the board's start, modulo 2^16"),
+    "device_us": (_WORD, "board's clock at the start of the scan [us], modulo 2^32"),
+    "flags": (5, "bit 0: saturation; bits 1 and 2: scan mode"),
+    "overruns": (_BYTE, "scans skipped since the board's start, 255 stands for more"),
+    "run": (_WORD, "counts up where the board or the recorder began anew; nothing is lost from one to the next"),
+    "counts": (_SHORT, "in the order of the wires, docs/frames.md"),
+    "received_s": (None, "arrival at the host"),
 }
 
 
@@ -105,7 +106,10 @@ def _write_netcdf(recording: Recording, path: Path) -> None:
     import xarray as xr
 
     columns = recording.columns()
-    variables = {name: (_dimensions(name), columns[name], attributes) for name, attributes in _COLUMNS.items()}
+    variables = {
+        name: (_dimensions(name), columns[name], {"long_name": meaning}) for name, (_, meaning) in _COLUMNS.items()
+    }
+    variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"
     write_netcdf(xr.Dataset(variables, attrs=recording.header.plain() | asdict(recording.statistics)), path)
 
 
@@ -152,8 +156,6 @@ def _list(items: dict[str, Any], description: str) -> dict[str, Any]:
     return {"type": "array", "items": items, "description": description}
 
 
-_BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF
-
 #: JSON schemas of the topics. Foxglove refuses a schema with arrays of arrays, so units are a list of objects.
 SCHEMAS: dict[str, dict[str, Any]] = {
     INFO: {
@@ -180,14 +182,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     SCAN: {
         "title": "tripillar.Scan",
         "type": "object",
-        "properties": {
-            "sequence": _whole("frames sent since the board's start, modulo 2^16", _SHORT),
-            "device_us": _whole("board's clock at the start of the scan [us], modulo 2^32", _WORD),
-            "flags": _whole("bit 0: saturation; bits 1 and 2: scan mode", 5),
-            "overruns": _whole("scans skipped since the board's start, 255 stands for more", _BYTE),
-            "run": _whole("counts up where the board or the recorder began anew", _WORD),
-            "counts": _list({"type": "integer"}, "in the order of the wires, docs/frames.md"),
-        },
+        "properties": {name: _whole(meaning, largest) for name, (largest, meaning) in _COLUMNS.items() if largest}
+        | {"counts": _list({"type": "integer"}, _COLUMNS["counts"][1])},
     },
     FORCES: {
         "title": "tripillar.Forces",

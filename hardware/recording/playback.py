@@ -1,30 +1,22 @@
-"""A recording played in place of a board: a port that answers and sends as the board did."""
+"""A recording played in place of a board: a port that sends and answers as the board did."""
 
-import threading
 import time
-from types import TracebackType
-from typing import Literal, Self
 
 import numpy as np
 
 from geometry.errors import DesignError
-from geometry.layout import FloatArray
 from hardware.link.frames import encode
 from hardware.recording.recorded import Recording, frames_of, is_restart
 
-_CAPACITY = 4096  # bytes that wait at most, as in a serial driver; here the others wait behind them and are not lost
-
-
-def recording_bytes(recording: Recording) -> bytes:
-    """The recording as its board would have sent it: an INFO frame, then every data frame."""
-    return encode(recording.info) + b"".join(map(encode, frames_of(recording)))
+_CAPACITY = 4096  # bytes that wait at most, as in a serial driver; the frames behind them wait, too, and are not lost
+_TIMEOUT_S = 0.1  # longest wait of a read
 
 
 class PlaybackPort:
-    """Stands in for pyserial's ``Serial``; its clock starts with the first read.
+    """Stands in for pyserial's ``Serial`` in the thread of a `Scanner`; its clock starts with the first read.
 
-    Frames can be read once they are due and stay until they are: a slow reader loses none. As a board does, it
-    sends its INFO frame when asked by ``?`` and not before.
+    Frames can be read once they are due by the board's clock, and stay until they are: a slow reader loses none. As a
+    board does, it sends its INFO frame when asked by ``?`` and not before.
 
     Parameters
     ----------
@@ -32,15 +24,11 @@ class PlaybackPort:
         To play.
     speed : float
         1 plays in real time, 10 ten times as fast, `math.inf` as fast as it is read.
-    timeout : float or None
-        Longest wait of `read` [s], None for no limit; may be changed.
-    clock : "device" or "received"
-        When frames are due: by the board's clock, or by the host's times of arrival, if these were recorded.
 
     Raises
     ------
     DesignError
-        If speed is not above 0, or the times of arrival were not recorded.
+        If speed is not above 0.
 
     Examples
     --------
@@ -48,103 +36,58 @@ class PlaybackPort:
     >>> from hardware.recording import parse_recording
     >>> frames = [Frame(sequence=k, device_us=0, bits=10, counts=np.full(6, 512)) for k in range(5)]
     >>> stream = encode(Info(rows=1, cols=2)) + b"".join(map(encode, frames))
-    >>> with PlaybackPort(parse_recording(stream), speed=np.inf) as port:
-    ...     _ = port.write(b"?")
-    ...     port.read(port.in_waiting) == stream, port.finished
+    >>> port = PlaybackPort(parse_recording(stream), speed=np.inf)
+    >>> _ = port.write(b"?")
+    >>> port.read(port.in_waiting) == stream, port.finished
     (True, True)
     """
 
-    def __init__(
-        self,
-        recording: Recording,
-        *,
-        speed: float = 1.0,
-        timeout: float | None = 0.1,
-        clock: Literal["device", "received"] = "device",
-    ) -> None:
+    def __init__(self, recording: Recording, speed: float = 1.0) -> None:
         if not speed > 0:
             raise DesignError(f"speed={speed:g} must be above 0: 1 is real time, inf as fast as possible.")
-        self.timeout = timeout
-        self.is_open = True
+        steps_s = np.diff(recording.time_s)
+        steps_s[is_restart(recording.sequence, recording.device_us)] = 1 / recording.info.rate_hz
         self._info = encode(recording.info)
-        self._frames = frames_of(recording)
-        self._due_s = _schedule_s(recording, clock) / speed
-        self._sent = 0  # frames that went into the buffer
+        self._frames = zip(np.concatenate([[0.0], np.cumsum(steps_s)]) / speed, frames_of(recording), strict=True)
+        self._next = next(self._frames, None)  # when it is due since the start [s], and the frame; None at the end
         self._buffer = bytearray()
-        self._started: float | None = None
-        self._changed = threading.Condition()
+        self._start_s: float | None = None
 
     @property
     def finished(self) -> bool:
-        """The last byte was read, or the port is closed: nothing will come any more unless ``?`` is asked."""
-        with self._changed:
-            return not self.is_open or (self._sent == len(self._due_s) and not self._buffer)
+        """The last byte was read: nothing will come any more unless ``?`` is asked."""
+        return self._next is None and not self._buffer
 
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once."""
-        with self._changed:
-            self._fill(_CAPACITY)
-            return len(self._buffer)
+        self._fill()
+        return len(self._buffer)
 
     def read(self, size: int = 1) -> bytes:
-        """Up to `size` bytes: fewer after `timeout` seconds, at the recording's end, or when the port is closed."""
-        with self._changed:
-            deadline = None if self.timeout is None else time.monotonic() + self.timeout
-            while self.is_open:
-                next_s = self._fill(max(size, _CAPACITY))
-                now = time.monotonic()
-                if len(self._buffer) >= size or next_s is None or (deadline is not None and now >= deadline):
-                    break
-                until = next_s if deadline is None else min(next_s, deadline)
-                self._changed.wait(min(until - now, threading.TIMEOUT_MAX))
-            taken = bytes(self._buffer[:size])
-            del self._buffer[:size]
-            return taken
+        """Up to `size` of the bytes that are there, or that come within 0.1 s."""
+        wait_s = self._fill()
+        if not self._buffer and wait_s is not None:
+            time.sleep(min(wait_s, _TIMEOUT_S))
+            self._fill()
+        taken = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return taken
 
     def write(self, data: bytes) -> int:
         """Answer each ``?`` with an INFO frame; other bytes mean nothing to a board."""
-        with self._changed:
-            self._buffer += self._info * data.count(b"?")  # whole frames wait there, so it comes between two
-            self._changed.notify_all()
+        self._buffer += self._info * data.count(b"?")  # whole frames wait there, so it comes between two
         return len(data)
 
-    def close(self) -> None:
-        """Drop what waits and wake a `read` in another thread, which returns with nothing."""
-        with self._changed:
-            self.is_open = False
-            self._buffer.clear()
-            self._changed.notify_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _fill(self, capacity: int) -> float | None:
-        """Put the frames that are due into the buffer; when the next one is (monotonic time [s]), None at the end."""
-        now = time.monotonic()
-        if self._started is None:
-            self._started = now
-        while self._sent < len(self._due_s):
-            due = self._started + float(self._due_s[self._sent])
-            if due > now or len(self._buffer) >= capacity:
-                return due
-            self._buffer += encode(next(self._frames))
-            self._sent += 1
+    def _fill(self) -> float | None:
+        """Put the frames that are due into the buffer; seconds until the next one, None at the end."""
+        if self._start_s is None:
+            self._start_s = time.monotonic()
+        while self._next is not None:
+            due_s, frame = self._next
+            wait_s = self._start_s + float(due_s) - time.monotonic()
+            if wait_s > 0 or len(self._buffer) >= _CAPACITY:
+                return max(wait_s, 0.0)
+            self._buffer += encode(frame)
+            self._next = next(self._frames, None)
         return None
-
-
-def _schedule_s(recording: Recording, clock: Literal["device", "received"]) -> FloatArray:
-    """When each frame is due [s], the first at 0. A restart of the board takes one scan's time."""
-    if clock == "device":
-        steps_s = np.diff(recording.time_s)
-        steps_s[is_restart(recording.sequence, recording.device_us)] = 1 / recording.info.rate_hz
-    elif recording.received_s is None:
-        raise DesignError("clock='received', but the recording has no times of arrival: play it with clock='device'.")
-    else:
-        steps_s = np.diff(recording.received_s).clip(min=0)  # the host's clock may have been set back
-    return np.concatenate([[0.0], np.cumsum(steps_s)])
