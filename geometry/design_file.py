@@ -7,8 +7,7 @@ from typing import Any
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.storage.files import replacing
-from geometry.storage.strict_tables import StrictTables
-from geometry.storage.text_file import read_text, tables_of
+from geometry.storage.text_file import StrictTables, read_text, tables_of
 
 STRICT = StrictTables(DesignError)
 

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.apart import run_apart
 from geometry.design import SensorDesign, quantity, require_numbers, require_positive
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
+from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
-from geometry.storage.files import cache_folder, digest, keep, scratch, write_bytes
+from geometry.storage.files import cache_folder, digest, keep, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, say_made_anew, sealed
-from geometry.storage.vtk_file import vtk_content
 from geometry.surface import Surface, check_surface
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.cell import CondensedCell
-from fem.array.port_modes import EDGES, FACES, PortModes
+from fem.array.cell import EDGES, FACES, CondensedCell, PortModes
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.layout import FloatArray
 

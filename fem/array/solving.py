@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from fem.array.halfspace import halfspace_response
-from fem.array.layer import layer_response
+from fem.array.closed_forms import halfspace_response, layer_response
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import SensorDesign

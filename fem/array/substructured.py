@@ -1,30 +1,73 @@
-"""Arrays as copies of one condensed cell, refined until the answer is as accurate as asked.
+"""Arrays as copies of one condensed cell, refined until the answer is as accurate as asked, and the cell's file.
 
 A cell of one rubber is a grid of hexahedra, of which a quarter suffices; a cell with pillars of another rubber is a
-mesh of tetrahedra. Either way the array itself is never meshed.
+mesh of tetrahedra. Either way the array itself is never meshed. A refined cell is kept in the cache, a few megabytes
+that spare arrays of the same cell its mesh and its condensation.
 """
 
+import zlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from io import BytesIO
+from pathlib import Path
 from time import perf_counter
+from zipfile import BadZipFile
 
 import numpy as np
 from skfem import MeshTet
 
-from fem.array.cell import CondensedCell, condense, condense_by_parity
-from fem.array.cell_file import RefinedCell, read_refined, write_refined
+from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
+from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.layer import layer_mean_compliance
-from fem.array.port_modes import PortModes
 from fem.array.response import ArrayResponse
 from fem.discretization.elasticity import ElasticBody, taylor_hood
-from fem.discretization.grid import Attractor, Grid, graded_lines
-from fem.discretization.hexahedra import GridBasis, grid_stiffness
+from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_stiffness
 from fem.discretization.richardson import richardson_factor
 from geometry.design import SensorDesign
+from geometry.errors import FileFormatError
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-from geometry.storage.files import cache_folder, digest, keep
+from geometry.storage.files import cache_folder, digest, keep, write_bytes
+from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
+
+MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RefinedCell:
+    """A condensed cell with what is known of the error of arrays of it."""
+
+    cell: CondensedCell
+    error_estimate: float  #: of any block of such an array, relative to the loaded unit's own
+    steps: tuple[str, ...]  #: one line a stage of refinement
+
+
+def write_refined(refined: RefinedCell, path: Path) -> None:
+    """Write a refined cell, whole or not at all."""
+    cell = refined.cell
+    matrices = {name: getattr(cell, name) for name in MATRICES}
+    numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
+    content = BytesIO()
+    np.savez(content, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps))
+    write_bytes(path, *sealed(content.getbuffer(), LAST_LINE))
+
+
+def read_refined(path: Path) -> RefinedCell | None:
+    """A cell that `write_refined` wrote; None if it is missing or damaged, which is said: it is refined again."""
+    try:
+        require_intact(path, "delete it", required=True)
+        with path.open("rb") as file, np.load(file) as opened:
+            kept = dict(opened)
+        matrices = {name: kept[name] for name in MATRICES}
+        unknowns, residual, error_estimate = kept["numbers"].tolist()
+        ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
+        steps = tuple(kept["steps"].tolist())
+    except (FileFormatError, OSError, KeyError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error):
+        say_made_anew(path)
+        return None
+    cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
+    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=steps)
+
 
 VERSION = 2  #: raise when the same design gives another refined cell, so that cached ones are not reused
 

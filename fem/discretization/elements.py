@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementHex1, ElementTetP1
 
-from fem.discretization.hexahedra import ELEMENT, GridBasis
+from fem.discretization.grid import ELEMENT, GridBasis
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are

@@ -11,8 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from skfem import Basis, MeshTet
 
-from fem.discretization.assembly import IntArray
-from fem.discretization.elasticity import ElasticBody, pressure_dofs
+from fem.discretization.elasticity import ElasticBody, IntArray, pressure_dofs
 from fem.discretization.elements import Elements, shape_gradients
 from fem.scene.solution import SMALLEST_SHARE
 from geometry.layout import FloatArray

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis
 
-from fem.discretization.hexahedra import GridBasis
+from fem.discretization.grid import GridBasis
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 

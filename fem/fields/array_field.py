@@ -11,16 +11,76 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.array.cell import CondensedCell, PortModes, condensation
 from fem.array.coupled_cells import CoupledArray
-from fem.array.port_modes import PortModes
 from fem.array.substructured import cell_grid, elastic_body, lone_unit, mirrored
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.fields.cell_field import CellInterior, cell_interior
-from geometry.design import SensorDesign
+from fem.discretization.elasticity import ElasticBody
+from fem.discretization.elements import Elements
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.fields.stress import CornerStress, corner_stress
+from fem.linear.linear_solver import checked_solve, factorized
+from geometry.design import Material, SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import AXES, FloatArray, pad_squares
+from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
 from geometry.mesh import sensor_mesh, suited_settings
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellInterior:
+    """A condensed cell, and what every one of its amplitudes does inside.
+
+    An amplitude is a port displacement [mm], n_modes·3 of them, or a force on a rectangle [N], three for each.
+    """
+
+    cell: CondensedCell
+    elements: Elements
+    material: list[Material]  #: one per region
+    moved_mm: FloatArray  #: (n_nodes, 3, n_amplitudes), displacement per unit amplitude
+    pressure_mpa: FloatArray | None  #: (n_pressure, n_amplitudes) of the mixed form
+
+    @cached_property
+    def stress(self) -> CornerStress:
+        """Stress per unit amplitude, worked out when first asked for."""
+        return corner_stress(self.elements, self.material, self.moved_mm, self.pressure_mpa)
+
+
+def cell_interior(
+    body: ElasticBody, region: NDArray[np.int64], material: list[Material], ports: PortModes, rectangles: FloatArray
+) -> CellInterior:
+    """Condense a meshed cell and keep its inside; parameters as in `cell.condense`.
+
+    Notes
+    -----
+    u_I = K_II⁻¹ (f_I − K_IB Φ q) in the notation of `cell.condense`. The same solutions give S, L and C, so that cells
+    coupled by them meet exactly the displacements that are shown.
+    """
+    parts = condensation(body, ports, rectangles)
+    n = parts.modes.shape[1]
+    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
+    rhs = np.hstack([-(parts.K_IB @ parts.modes), parts.loads[parts.inner]])
+    inner, residual = checked_solve(parts.K_II, factor, rhs)
+    solution = np.zeros((body.matrix.shape[0], rhs.shape[1]))
+    solution[parts.inner] = inner
+    solution[parts.outer, :n] = parts.modes
+    S = parts.modes.T @ (parts.K_BB @ parts.modes) - rhs[:, :n].T @ inner[:, :n]
+    L = parts.modes.T @ parts.loads[parts.outer] + rhs[:, :n].T @ inner[:, n:]
+    C = rhs[:, n:].T @ inner[:, n:]
+    cell = CondensedCell(
+        ports=ports,
+        stiffness=(S + S.T) / 2,
+        reach=L,
+        compliance=(C + C.T) / 2,
+        unknowns=len(solution),
+        residual=residual,
+    )
+    return CellInterior(
+        cell=cell,
+        elements=Elements.of_basis(body.basis, region),
+        material=material,
+        moved_mm=body.displacements(solution).reshape(body.basis.N, 3, -1),
+        pressure_mpa=solution[len(body.free) :] if body.n_pressure else None,
+    )
+
 
 #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time)
 GRID_LEVEL, GRID_DEGREE = 2, 6
@@ -187,3 +247,33 @@ def solve_array_field(
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled)
+
+
+def indenter_tractions(
+    design: SensorDesign, traction_mpa: FloatArray, centre_mm: tuple[float, float], width_mm: float
+) -> FloatArray:
+    """Tractions (n_units, 3) [MPa] of a round indenter: exp(−r²/2w²) of the traction (3,) at its middle."""
+    squared = ((unit_centres(design) - centre_mm) ** 2).sum(axis=1)
+    return np.exp(-squared / (2 * width_mm**2))[:, None] * traction_mpa
+
+
+def bell_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
+    """Tractions (n_units, 3) [MPa] of a round indenter over the middle of the array, one pitch wide.
+
+    `peak_mpa` is the pressure at the indenter's middle, as on the page and in datasets: pads beside it carry less, on
+    an array of even rows and columns at most exp(−1/4), 78 %.
+    """
+    return indenter_tractions(design, np.array([0.0, 0.0, -peak_mpa]), (0.0, 0.0), design.array.pitch_mm)
+
+
+def uniform_pressure(design: SensorDesign, peak_mpa: float) -> FloatArray:
+    """Tractions (n_units, 3) [MPa] of the same pressure on every pad."""
+    return np.tile([0.0, 0.0, -peak_mpa], (design.n_units, 1))
+
+
+#: what a pressure of each is the pressure of
+WHERE = {"indenter": "at the indenter's middle", "uniform": "on every pad"}
+PAD_LOADS: dict[str, Callable[[SensorDesign, float], FloatArray]] = {
+    "indenter": bell_pressure,
+    "uniform": uniform_pressure,
+}

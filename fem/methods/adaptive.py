@@ -8,9 +8,8 @@ import numpy as np
 
 from fem.discretization.richardson import errors_by_indicators
 from fem.linear.factors import FactorMemoryError, SolverError
-from fem.methods.stopwatch import Stopwatch
 from fem.scene.scene import Scene
-from fem.scene.solution import Field, Solution
+from fem.scene.solution import Field, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual

@@ -1,12 +1,19 @@
-"""Displacement of a whole body of boxes for pictures: quadratic hexahedra, with the mirrored parts unfolded."""
+"""Displacement of a whole body of boxes for pictures: quadratic hexahedra, with the mirrored parts unfolded.
+
+The few large elements of the methods give displacements to a tolerance, but their stress only at certain points:
+pictures of stress come from one grid of many small ones (`picture_field`).
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.discretization.graded_box import Level, box_part
+from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
 from fem.discretization.lagrange import line_nodes
-from fem.discretization.mirrors import Parity, flipped_points, images
+from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
+from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON, Field
@@ -86,3 +93,31 @@ def unfolded_field(
         region=np.tile(region, len(all_cells)),
         material=(scene.material, *(material for _, material in plan.regions)),
     )
+
+
+WIDEST = 0.45  #: element far from all edges, relative to the body's height
+ACROSS = 15  #: such elements to the greatest extent of a flat body, where that makes them wider
+
+
+def picture_field(scene: Scene, plan: Plan) -> Field:
+    """Displacement of the whole body on a grid that is fine enough for pictures, not to the scene's tolerance."""
+    widest = max(WIDEST, max(scene.outline.section_mm) / scene.height_mm / ACROSS)
+    part = box_part(scene, plan.regions, plan.mirrors, Level(order=2, layers=1, at_loads=1, widest=widest, fall=1.0))
+    basis = GridBasis(part.grid)
+    stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])
+
+    def integral(rectangle: FloatArray) -> FloatArray:
+        return basis.patch_integrals(rectangle[None]).toarray()[0]
+
+    parts = []
+    for parity in parities(plan.mirrors):
+        body = grid_body(basis, stiffness, parity)
+        forces = np.zeros((basis.N, 3))
+        for load in scene.loads:
+            integrals = folded_integrals(integral, np.array(load.rectangle), plan.mirrors, parity)
+            forces += part.share * integrals * np.array(load.traction_mpa)
+        factor = factorized(body.matrix, definite=True)
+        x, _ = checked_solve(body.matrix, factor, body.loads(forces.reshape(-1, 1)))
+        parts.append((parity, body.displacements(x).reshape(-1, 3)))
+    halves, cells = lattice_boxes(part.grid.lines)
+    return unfolded_field(scene, plan, crossings(halves), cells, parts)

@@ -15,9 +15,8 @@ from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_field import crossings, lattice_boxes, picture_lines, unfolded_field
 from fem.methods.plan import Plan
-from fem.methods.stopwatch import Stopwatch
 from fem.scene.scene import Scene
-from fem.scene.solution import Field, Solution
+from fem.scene.solution import Field, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns

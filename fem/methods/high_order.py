@@ -1,7 +1,7 @@
 """Scenes of boxes by few hexahedra of high order, refined until the probes are as accurate as asked.
 
 Elements shrink geometrically toward every edge at which the stress is singular, and their order rises with the number
-of layers: so the error falls about tenfold a level, whatever ν. The matrix is never formed: see `kronecker.py`.
+of layers: so the error falls about tenfold a level, whatever ν. The matrix is never formed: see `graded_box.py`.
 """
 
 import os
@@ -12,17 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fem.discretization.graded_box import BoxPart, Level, box_part
-from fem.discretization.kronecker import FastDiagonal, Term, conjugate_gradients
+from fem.discretization.graded_box import BoxPart, FastDiagonal, Level, Term, box_part, conjugate_gradients
 from fem.discretization.lagrange import elastic_tensors
 from fem.discretization.mirrors import Parity, parities
 from fem.discretization.richardson import errors_by_falls
 from fem.linear.factors import SolverError
 from fem.methods.box_field import crossings, lattice_boxes, picture_lines, unfolded_field
 from fem.methods.plan import Plan
-from fem.methods.stopwatch import Stopwatch
 from fem.scene.scene import Scene
-from fem.scene.solution import Field, Probes, Solution
+from fem.scene.solution import Field, Probes, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 LEVELS = (

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.bisection import bisected
 from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
@@ -21,13 +20,12 @@ from fem.discretization.indicator import (
 )
 from fem.discretization.patch import patch_integrals
 from fem.discretization.richardson import MIN_MESHES
-from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
+from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
-from fem.methods.stopwatch import Stopwatch
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes

@@ -12,8 +12,7 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from fem.fields.deformed import Part, Parts
 from fem.pictures.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
-from fem.pictures.legend import INK, draw_legend, words_at
-from fem.pictures.scenery import Camera, draw_scenery
+from fem.pictures.scenery import INK, Camera, draw_legend, draw_scenery, words_at
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]

@@ -6,8 +6,7 @@ from typing import Any
 from fem.scene.scene import Block, Body, Inclusion, Load, Pillar, Probe, Scene, SceneError, Sensor, shown
 from geometry.design import Material, SensorDesign
 from geometry.design_file import design_from_dict
-from geometry.storage.strict_tables import StrictTables
-from geometry.storage.text_file import read_text, tables_of
+from geometry.storage.text_file import StrictTables, read_text, tables_of
 
 STRICT = StrictTables(SceneError)
 BODY_KEYS = {

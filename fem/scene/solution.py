@@ -1,13 +1,18 @@
-"""The solution of a scene: its probes, the estimate of their error, and the effort."""
+"""The solution of a scene: its probes, the estimate of their error, the effort, and how it becomes a file."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.design import Material
 from geometry.layout import FloatArray
+from geometry.storage.files import vtk_content, write_bytes
 
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
 
@@ -66,3 +71,40 @@ def largest_error(found: Mapping[str, FloatArray], reference: Mapping[str, Float
     """Largest of the `relative_errors` of probes held against a reference."""
     difference = {name: found[name] - reference[name] for name in reference}
     return max(relative_errors(difference, reference).values(), default=0.0)
+
+
+class Stopwatch:
+    """Adds up the seconds between calls of `spent` by step."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+        self._last = perf_counter()
+
+    def spent(self, step: str) -> None:
+        """Count the time since the last call, or since the start, as spent on a step."""
+        now = perf_counter()
+        self.seconds[step] += now - self._last
+        self._last = now
+
+
+def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str, Any]:
+    """A solution as the object that `tripillar solve --json` prints; an error that nobody could estimate is null."""
+    return {
+        "probes": {name: [float(u) for u in displacement] for name, displacement in solution.probes.items()},
+        "energy_mj": float(solution.energy_mj),
+        "residual": float(solution.residual),
+        "dofs": int(solution.unknowns),
+        "error_estimate": float(solution.error_estimate) if math.isfinite(solution.error_estimate) else None,
+        "seconds": {step: float(seconds) for step, seconds in solution.seconds.items()},
+        "plan": [*plan_lines, *solution.steps],
+    }
+
+
+def write_field(field: Field, path: Path) -> None:
+    """Write the displacement of the whole body as VTU, whole or not at all."""
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid({pv.CellType(field.cell_type): field.cells}, field.points_mm)
+    grid.point_data["displacement_mm"] = field.displacement_mm
+    grid.cell_data["region"] = field.region
+    write_bytes(path, vtk_content(grid))

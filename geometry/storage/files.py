@@ -18,12 +18,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geometry.errors import FileFormatError, NotWrittenError
 from geometry.storage.unfinished import unfinished_folder
+
+if TYPE_CHECKING:
+    import pyvista as pv
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: errors of a disk, a quota or a file that may not grow any more
 
@@ -228,3 +231,19 @@ def uninterrupted() -> Iterator[None]:
 def cache_folder() -> Path:
     """Folder of meshes and responses, named by their cache keys: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
     return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))
+
+
+VTK_POLY_DATA = 0  #: VTK's number of surfaces among its kinds of data
+
+
+def vtk_content(grid: "pv.DataSet") -> bytes:
+    """Content of the VTU file of a grid or the VTP file of a surface."""
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    is_surface = grid.GetDataObjectType() == VTK_POLY_DATA
+    writer = vtkXMLPolyDataWriter() if is_surface else vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetWriteToOutputString(True)
+    if not writer.Write():
+        raise MemoryError
+    return writer.GetOutputString().encode()

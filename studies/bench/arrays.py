@@ -18,8 +18,7 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import cell_grid
 from fem.array.unit_check import meshed_response
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, SensorDesign

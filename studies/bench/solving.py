@@ -6,8 +6,7 @@ from time import perf_counter
 
 import numpy as np
 
-from fem.array.halfspace import mean_compliance
-from fem.array.layer import layer_mean_compliance
+from fem.array.closed_forms import layer_mean_compliance, mean_compliance
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors

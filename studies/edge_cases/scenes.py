@@ -7,8 +7,8 @@ import numpy as np
 from skfem import ElementTetP2, FacetBasis, LinearForm, MeshTet
 from threadpoolctl import threadpool_limits
 
+from fem.array.closed_forms import mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.halfspace import mean_compliance
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS, condensed_cell, lone_unit
 from fem.discretization.elasticity import taylor_hood

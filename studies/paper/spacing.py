@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
-from fem.array.layer import decay_length_mm, layer_mean_compliance
+from fem.array.closed_forms import decay_length_mm, layer_mean_compliance
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from geometry.design import Array, SensorDesign

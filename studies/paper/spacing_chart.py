@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fem.array.layer import layer_mean_compliance
+from fem.array.closed_forms import layer_mean_compliance
 from geometry.design import Material
 from geometry.layout import FloatArray
 from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, save

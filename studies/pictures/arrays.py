@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fem.fields.array_field import solve_array_field
+from fem.fields.array_field import indenter_tractions, solve_array_field
 from fem.fields.deformed import Parts, sensor_parts
-from fem.fields.pad_loads import indenter_tractions
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray

@@ -5,15 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import condense
+from fem.array.cell import PortModes, condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.port_modes import PortModes
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import condensed_cell
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
-from fem.fields.array_field import MESH_DEGREE, solve_array_field
-from fem.fields.cell_field import cell_interior
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.fields.array_field import MESH_DEGREE, cell_interior, solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares, upper_electrodes

@@ -4,7 +4,7 @@ import numpy as np
 from skfem import Basis, ElementTetP2, ElementVector, asm
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
-from fem.discretization.assembly import SparsePattern, shear_blocks
+from fem.discretization.elasticity import SparsePattern, shear_blocks
 
 
 def test_stiffness_equals_that_of_the_stock_vector_form(disordered_cube):

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import condense, condense_by_parity
+from fem.array.cell import PortModes, condense, condense_by_parity, lobatto
 from fem.array.coupled_cells import CoupledArray
-from fem.array.port_modes import PortModes, lobatto
 from fem.discretization import mirrors
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.mirrors import flipped_points, images, parities
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import pyvista as pv
 
+from fem.fields.array_field import bell_pressure, uniform_pressure
 from fem.fields.deformed import sensor_parts
-from fem.fields.pad_loads import bell_pressure, uniform_pressure
 from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
 from fem.pictures.deformation import VIEWS, DeformedPicture, look, reach
 from geometry.design import Array, SensorDesign

@@ -10,7 +10,7 @@ from numpy.lib.array_utils import byte_bounds
 from numpy.polynomial.legendre import leggauss
 from skfem import MeshTet
 
-from fem.array.halfspace import HalfspaceError, halfspace_response, mean_compliance
+from fem.array.closed_forms import HalfspaceError, halfspace_response, mean_compliance
 from fem.array.response import read_response, write_response
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.patch import patch_integrals

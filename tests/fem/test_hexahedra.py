@@ -5,8 +5,7 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.discretization.grid import Attractor, Grid, geometric_line, graded_lines
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import Attractor, Grid, GridBasis, geometric_line, graded_lines, grid_body, grid_stiffness
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
 

@@ -5,7 +5,7 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.discretization.kronecker import Term, conjugate_gradients
+from fem.discretization.graded_box import Term, conjugate_gradients
 from fem.discretization.lagrange import elastic_tensors, line_integral, line_nodes, line_values
 from fem.linear.factors import SolverError
 from geometry.design import Material

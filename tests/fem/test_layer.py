@@ -8,8 +8,15 @@ import scipy.sparse as sp
 from scipy.linalg import expm
 from skfem import MeshTet
 
-from fem.array.halfspace import HalfspaceError, halfspace_response, mean_compliance
-from fem.array.layer import decay_length_mm, layer_mean_compliance, layer_response, layer_spectrum
+from fem.array.closed_forms import (
+    HalfspaceError,
+    decay_length_mm,
+    halfspace_response,
+    layer_mean_compliance,
+    layer_response,
+    layer_spectrum,
+    mean_compliance,
+)
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.patch import patch_integrals
 from fem.linear.linear_solver import checked_solve, factorized

@@ -11,8 +11,7 @@ import pytest
 import scipy.sparse as sp
 
 from fem.discretization.elasticity import taylor_hood
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.linear import factors, linear_solver
 from fem.linear.factors import CholmodFactor, Factor, FactorMemoryError, PardisoFactor
 from fem.linear.linear_solver import (

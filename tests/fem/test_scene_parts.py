@@ -9,8 +9,7 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
-from fem.fields.deformed import sensor_parts
-from fem.fields.scene_parts import elements_of, merged, solve_scene_parts
+from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
 from fem.fields.stress import projected_pressure
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.box_field import VTK_PLACES

@@ -5,8 +5,7 @@ import pytest
 from skfem import Basis, ElementTetP1, ElementTetP2
 
 from fem.discretization.elements import Elements
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.patch import patch_means
 from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
 from fem.linear.linear_solver import checked_solve, factorized

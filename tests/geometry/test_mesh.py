@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from geometry import Array, FileFormatError, GeometryError, Material, Pad, SensorDesign, Unit
-from geometry.apart import run_apart
 from geometry.mesh import (
     REGIONS,
     MeshSettings,
@@ -26,6 +25,7 @@ from geometry.mesh import (
     suited_settings,
     write_mesh,
 )
+from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
 
 COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)

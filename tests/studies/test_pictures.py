@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fem.array.layer import layer_response
-from fem.fields.pad_loads import uniform_pressure
+from fem.array.closed_forms import layer_response
+from fem.fields.array_field import uniform_pressure
 from geometry.design import Array, SensorDesign
 from geometry.layout import pillar_ends, pillar_sections, pillar_volumes
 from studies.paper.deformation_pictures import draw_electrode_grid

@@ -7,9 +7,8 @@ import numpy as np
 
 from dataset import DatasetSettings, read_samples, simulate
 from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
-from fem.array import cell_file
-from fem.array.cell import CondensedCell
-from fem.array.port_modes import PortModes
+from fem.array import substructured
+from fem.array.cell import CondensedCell, PortModes
 from fem.array.response import read_response, write_response
 from geometry import Array, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
@@ -30,10 +29,10 @@ def a_mesh(path: Path):
 
 
 def a_cell(path: Path):
-    matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in cell_file.MATRICES}
+    matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in substructured.MATRICES}
     cell = CondensedCell(ports=PortModes(7.5, 10.0, 2, 2), **matrices, unknowns=100, residual=1e-12)
-    cell_file.write_refined(cell_file.RefinedCell(cell=cell, error_estimate=1e-3, steps=("one", "two")), path)
-    return cell_file.read_refined
+    substructured.write_refined(substructured.RefinedCell(cell=cell, error_estimate=1e-3, steps=("one", "two")), path)
+    return substructured.read_refined
 
 
 def a_response(path: Path):

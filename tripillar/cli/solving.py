@@ -99,7 +99,7 @@ def solve(
     from fem.methods.plan import make_plan
     from fem.methods.solving import follow
     from fem.scene.scene_file import read_scene
-    from fem.scene.solution_file import solution_as_plain, write_field
+    from fem.scene.solution import solution_as_plain, write_field
     from tripillar.cli.tables import solution_table
 
     body = read_scene(scene)

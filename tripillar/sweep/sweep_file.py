@@ -11,8 +11,7 @@ from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign, quantity, require_numbers
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
-from geometry.storage.strict_tables import StrictTables
-from geometry.storage.text_file import read_text, tables_of
+from geometry.storage.text_file import StrictTables, read_text, tables_of
 from tripillar.sweep.rows import METRICS
 from tripillar.sweep.variables import Variable
 

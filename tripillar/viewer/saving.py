@@ -17,8 +17,7 @@ from fem.fields.stress import pressure, von_mises
 from fem.pictures.colours import Bar
 from fem.pictures.deformation import DeformedPicture, Medium, grid_of
 from geometry.errors import NotWrittenError
-from geometry.storage.files import replacing, scratch, write_bytes, write_text
-from geometry.storage.vtk_file import vtk_content
+from geometry.storage.files import replacing, scratch, vtk_content, write_bytes, write_text
 
 FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those at its end under the whole load, and frames a second
 #: of the saved page; the script places pictures one below the other where the window is higher than wide

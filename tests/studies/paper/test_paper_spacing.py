@@ -7,7 +7,7 @@ import pytest
 
 from dataset.resistance import pillar_lengths, pillar_resistances
 from dataset.simulation import displacements
-from fem.array.layer import decay_length_mm
+from fem.array.closed_forms import decay_length_mm
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import pillar_volumes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset.protocols import FRICTION
-from fem.fields.pad_loads import bell_pressure, indenter_tractions
+from fem.fields.array_field import bell_pressure, indenter_tractions
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page.controls import sliders_of, traction_of

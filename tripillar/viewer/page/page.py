@@ -10,7 +10,7 @@ import numpy as np
 from dataset.protocols import FRICTION
 from dataset.resistance import rest_resistances
 from dataset.simulation import forces
-from fem.fields.pad_loads import indenter_tractions
+from fem.fields.array_field import indenter_tractions
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
