@@ -284,34 +284,3 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
     with simulating(house) as port:
         assert house.result("info", port)["firmware"] == "1.1.0"
         assert house.result("bench", port, *WHOLE_SECOND)["statistics"]["lost"] == 0
-
-
-MISTAKES = [
-    (["info", "nowhere"], "nowhere"),
-    (["live", "board", "--model", "data.nc"], "no safetensors file"),
-    (["record", "board", "-o", "press.txt"], "must be a file that ends in .frames"),
-    (["record", "board", "-o", "x.nc"], "record to x.frames, then 'tripillar convert' makes x.nc of it"),
-    (["calibrate", "board", "-o", "x.json"], "give either --loads FILE or --weights"),
-    (["tare", "board", "-o", "x.json", "--calibration", "small.toml"], "small.toml is no calibration"),
-    (["replay", "small.toml", "--model", MODEL], "small.toml"),
-    (["replay", "data.nc", "--model", MODEL, "--out", "data.nc"], "data.nc is read by this command"),
-    (["info", "board", "--timeout", "inf"], "--timeout inf must be above 0 and at most 3600 s"),
-    (["info", "socket://x"], "socket://x: no host and port number: give socket://HOST:PORT"),
-    (["live", "data.nc", "--model", MODEL, "--rate", "100"], "leave --rate out"),
-    (
-        ["simulate", "--board", "python", "-q", "--design", "small.toml", "--link", "small.toml"],
-        "exists and is no link",
-    ),
-    (["tare", "board", "-o", "data.nc"], "the file exists: build on it by --calibration"),
-    (["replay", "data.nc", "--model", MODEL, "--speed", "0"], "--speed 0 must be 0.001 or more"),
-    (["replay", "data.nc", "--model", MODEL, "--speed", "1", "--out", "x.nc"], "--speed only shows forces"),
-    (["bench", "board", "--seconds", "nan"], "--seconds nan must be above 0"),
-    (["simulate", "--scene", "x.toml", "--pressure", "2"], "a scene has its own design and loads"),
-    (["simulate", "--mode", "divider", "--bits", "40"], "bits=40 must be"),
-    (["simulate", "--pressure", "-1"], "peak_mpa=-1 must be from 0, at rest, to 10"),
-]
-
-
-def test_a_mistake_is_one_line(house, port):
-    for words, says in MISTAKES:
-        assert says in house.refusal(*words), words

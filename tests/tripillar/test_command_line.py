@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from io import StringIO
 from unittest.mock import patch
 
@@ -18,6 +18,7 @@ from geometry.design import Array, SensorDesign
 from geometry.design_file import design_from_toml
 from tests.house import House
 from tripillar.cli.app import app
+from tripillar.terminal.progress import Bars
 
 COMMANDS = typer.main.get_command(app).commands
 
@@ -127,6 +128,17 @@ def test_talk_and_silence(tmp_path):
     *steps, last = loud.stderr.splitlines()
     assert last == "r.nc"
     assert any("response: cell" in step and " s  " in step for step in steps)
+
+
+def test_bars_end_full_unless_what_they_show_fails(capsys):
+    """Training may end before its limit."""
+    with Bars() as bars:
+        bars.begin("training", total=200)(150, "nothing left to learn")
+    assert capsys.readouterr().err.splitlines()[-1].split()[3] == "100%"
+    with suppress(ValueError), Bars() as bars:
+        bars.begin("training", total=200)(150, "")
+        raise ValueError
+    assert " 75%" in capsys.readouterr().err
 
 
 def test_nobody_reads_any_more(tmp_path):

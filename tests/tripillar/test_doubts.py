@@ -1,7 +1,6 @@
 """Commands that are given wrong samples: one line, exit code 2 and no file, unless --force."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -9,45 +8,37 @@ import xarray as xr
 
 from decoupler.model.model_file import read_model
 from geometry.storage.netcdf import write_netcdf
-from tripillar.cli.app import main
+from tests.house import House
 
 DESIGN = 'extends = "paper"\n[array]\nrows = 2\ncols = 2\n'
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def house(tmp_path_factory):
     """A sensor of four units, a model of it, and 40 pairs of one specimen."""
-    folder = tmp_path_factory.mktemp("doubts")
-    (folder / "design.toml").write_text(DESIGN)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setenv("TRIPILLAR_CACHE", str(folder / "cache"))
-
-        def run(*words):
-            patch.setattr(sys, "argv", ["tripillar", *words, "-q"])
-            with pytest.raises(SystemExit) as ended:
-                main()
-            assert not ended.value.code
-
-        made = ("dataset", "--design", "design.toml", "--protocol", "three-axis", "--noise", "0.001")
-        run(*made, "--samples", "80", "--seed", "1", "--out", "train.nc")
-        run(*made, "--samples", "40", "--seed", "2", "--gain-spread", "0.1", "--offset", "100", "--out", "pairs.nc")
-        run("train", "--data", "train.nc", "--component", "all", "--hidden", "4", "--out", "model.safetensors")
-    return folder
+    house = House(tmp_path_factory.mktemp("doubts"))
+    (house.folder / "design.toml").write_text(DESIGN)
+    made = ("dataset", "--design", "design.toml", "--protocol", "three-axis", "--noise", "0.001", "-q")
+    house.result(*made, "--samples", "80", "--seed", "1", "--out", "train.nc")
+    specimen = ("--gain-spread", "0.1", "--offset", "100")
+    house.result(*made, "--samples", "40", "--seed", "2", *specimen, "--out", "pairs.nc")
+    trained = ("--component", "all", "--hidden", "4", "--out", "model.safetensors", "-q")
+    house.result("train", "--data", "train.nc", *trained)
+    return house
 
 
 @pytest.fixture
-def command(folder, tmp_path, monkeypatch, capsys):
-    """A command in that folder: its exit code, stdout and stderr."""
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(folder / "cache"))
+def folder(house):
+    return house.folder
+
+
+@pytest.fixture
+def command(house):
+    """Run a command in that folder; its exit code, stdout and stderr."""
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["tripillar", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out, said.err
+        done = house.tripillar(*map(str, words))
+        return done.returncode, done.stdout, done.stderr
 
     return run
 

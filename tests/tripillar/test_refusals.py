@@ -199,14 +199,18 @@ info empty -> the file is empty
 info data.nc -> data.nc: not a recording
 info foo://bar -> there are no ports of the kind foo://; name a device as /dev/ttyUSB0, or socket://HOST:PORT
 info socket://localhost:x -> give socket://HOST:PORT of a running server
+info socket://x -> socket://x: no host and port number: give socket://HOST:PORT
 info /dev/null -> no serial port
 info text.txt --timeout 0 -> --timeout 0 must be above 0 and at most 3600 s
+info text.txt --timeout inf -> --timeout inf must be above 0 and at most 3600 s
 info text.txt --baud fast -> --baud fast must be a whole number
 live text.txt --model missing -> missing: no such file
+live text.txt --model data.nc -> no safetensors file
 live text.txt --model model.safetensors --seconds 0 -> --seconds 0 must be above 0 s
 live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 bench missing -> missing: no such port
+bench missing --seconds nan -> --seconds nan must be above 0
 record missing -o y.nc --seconds -1 -> --seconds -1 must be above 0 s
 record missing -o dir -> dir is a folder: give the name of a file in it.
 record foo://x -o y.frames -> there are no ports of the kind foo://
@@ -222,8 +226,13 @@ replay text.txt --model model.safetensors -> no valid frame in 6 bytes
 replay text.txt --model dir -> dir: a folder
 replay text.txt --model model.safetensors --out x.csv -> must be a file that ends in .nc or .mcap
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
+replay text.txt --model model.safetensors --speed 1 --out x.nc -> --speed only shows forces
+replay text.txt --model model.safetensors --speed 1 --no-crosstalk -> --speed only shows forces
+replay small.toml --model model.safetensors -> small.toml
+replay text.nc --model model.safetensors --out text.nc -> text.nc is read by this command
 tare missing -o dir -> dir is a folder: give the name of a file in it
-tare missing -o text.json -> the file exists
+tare missing -o text.json -> the file exists: build on it by --calibration
+tare missing -o x.json --calibration small.toml -> small.toml is no calibration
 tare missing -o x.json --seconds nan -> --seconds nan must be above 0 s
 calibrate text.txt -o x.json -> give either --loads FILE or --weights
 calibrate text.txt -o x.json --weights --loads columns.csv -> give either --loads FILE or --weights
@@ -232,7 +241,10 @@ calibrate text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be ab
 simulate --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
 simulate --rate 0 -> --rate 0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
+simulate --mode divider --bits 40 -> bits=40 must be
 simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
+simulate --pressure=-1 -> peak_mpa=-1 must be from 0, at rest, to 10
+simulate --board python -q --design small.toml --link small.toml -> exists and is no link
 simulate --period 0 -> --period 0 must be from 0.1 to 600 s
 simulate --sense-ohm 0 -> --sense-ohm 0 must be a whole number from 1
 simulate --switch-ohm -1 -> switch_ohm=-1 must be from 0

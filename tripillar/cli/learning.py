@@ -10,7 +10,9 @@ import typer
 from geometry.errors import DesignError
 from tripillar.terminal.console import (
     DesignOption,
+    GainSpreadOption,
     JsonOption,
+    OffsetOption,
     VerbosityOption,
     answer,
     chosen,
@@ -72,10 +74,8 @@ def dataset(
     cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
     bits: Annotated[int | None, typer.Option(help="Bits of the converter; default: exact readings.")] = None,
-    gain_spread: Annotated[
-        float, typer.Option(help="Spread of the pillars' gains: each is uniform in 1 ± this.")
-    ] = 0.0,
-    offset: Annotated[float, typer.Option(help="Standard deviation of the pillars' offsets [Ω].")] = 0.0,
+    gain_spread: GainSpreadOption = 0.0,
+    offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
     dead_pillar: Annotated[
         list[str] | None, typer.Option(metavar="ROW,COL,PILLAR", help="Broken pillar, such as 0,3,z; can be repeated.")

@@ -27,6 +27,10 @@ HEADINGS = SOLVING, LEARNING, STUDYING, BOARD = (
 
 DesignOption = Annotated[Path | None, typer.Option("--design", help="Design file (TOML); default: the paper's sensor.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on stdout.")]
+GainSpreadOption = Annotated[
+    float, typer.Option("--gain-spread", help="Spread of the pillars' gains: each is uniform in 1 ± this.")
+]
+OffsetOption = Annotated[float, typer.Option("--offset", help="Standard deviation of the pillars' offsets [Ω].")]
 VerbosityOption = Annotated[
     bool | None,
     typer.Option("--verbose/--quiet", "-v/-q", help="Print a line for each step and its time, or no progress at all."),

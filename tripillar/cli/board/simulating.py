@@ -19,7 +19,9 @@ from tripillar.cli.board.options import (
 )
 from tripillar.terminal.console import (
     DesignOption,
+    GainSpreadOption,
     JsonOption,
+    OffsetOption,
     VerbosityOption,
     chosen,
     output_file,
@@ -54,10 +56,8 @@ def simulate(
     line_ohm: LineOption = None,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, as a fraction of full scale.")] = 0.0,
     bits: Annotated[int, typer.Option(help="Bits of the converter; chips have 10.")] = 10,
-    gain_spread: Annotated[
-        float, typer.Option(help="Spread of the pillars' gains: each is uniform in 1 ± this.")
-    ] = 0.0,
-    offset: Annotated[float, typer.Option(help="Standard deviation of the pillars' offsets [Ω].")] = 0.0,
+    gain_spread: GainSpreadOption = 0.0,
+    offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets.")] = 0,
     serial: Annotated[int, typer.Option(help="Serial number of the board.")] = 0,
     seconds: SecondsOption = math.inf,
