@@ -8,7 +8,7 @@ import serial
 
 from hardware import Crossbar, Frame, FrameDecoder, Info
 from hardware.boards.virtual_board import VirtualBoard
-from hardware.link.frames import Errors, ScanMode, encode
+from hardware.link.frames import ScanMode, encode
 from tests.hardware.frames_page import Reader
 from tests.hardware.simulated import DISTINCT, INFO
 
@@ -69,11 +69,6 @@ def test_a_repetition_is_left_out_and_a_restart_at_the_same_number_is_not():
     )
     reader.feed(first + first + first + again)
     assert (reader.repeated, reader.restarts, reader.lost, len(reader.frames)) == (2, 1, 0, 2)
-
-
-def test_errors_survive_the_codec():
-    errors = Errors(reset_cause=8, bad_bytes=255, losses=3)
-    assert FrameDecoder().feed(encode(errors)) == [errors]
 
 
 @pytest.mark.parametrize("mode", list(ScanMode))

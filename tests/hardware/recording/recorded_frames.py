@@ -3,9 +3,11 @@
 from dataclasses import asdict
 
 import numpy as np
+import pytest
 
+from geometry.errors import FileFormatError
 from hardware.link.frames import Frame, Info, ScanMode
-from hardware.recording import Recorder
+from hardware.recording import Recorder, read_recording
 
 INFO = Info(
     rows=2,
@@ -68,3 +70,11 @@ def assert_same(recording, sent, received_s):
 def without_info(statistics):
     """Statistics of the frames alone; a stream of bytes may hold the INFO frame any number of times."""
     return {name: value for name, value in asdict(statistics).items() if name != "info"}
+
+
+def assert_refused(path, message):
+    """In one line that begins with the file's name."""
+    with pytest.raises(FileFormatError, match=message) as refusal:
+        read_recording(path)
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert "\n" not in str(refusal.value)

@@ -10,11 +10,6 @@ from tests.hardware.recording.recorded_frames import CALIBRATION, INFO, MADE_FRO
 N = 40
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "press.frames"
-
-
 def test_a_flipped_bit_costs_one_frame_at_most_and_is_named(path):
     """Headers stand twice, and two zero bytes part two records."""
     sent, received_s = record(path, N, calibration=CALIBRATION, made_from=MADE_FROM)

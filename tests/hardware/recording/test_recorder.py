@@ -23,18 +23,15 @@ from tests.hardware.recording.recorded_frames import (
 )
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "press.frames"
-
-
 def test_what_was_recorded_is_read_to_the_last_bit(path):
     sent, received_s = record(path, 100, calibration=CALIBRATION, made_from=MADE_FROM)
     recording = read_recording(path)
     assert_same(recording, sent, received_s)
     assert (recording.info, recording.calibration, recording.made_from) == (INFO, CALIBRATION, MADE_FROM)
-    assert np.diff(recording.time_s) == pytest.approx(np.full(99, 0.005), abs=1e-9)  # through the clock's rollover
-    assert (recording.overruns, recording.truncated_bytes) == (99, 0)  # through the counter's
+    # through the wraps of the clock, of the counter of overruns, and of the sequence
+    assert recording.time_s == pytest.approx(2**32 * 1e-6 - 0.020 + 0.005 * np.arange(100), abs=1e-9)
+    assert (recording.overruns, recording.truncated_bytes) == (99, 0)
+    assert (recording.sequence[5], recording.sequence[6]) == (65_535, 0)
     assert recording.statistics == Statistics(ok=100, info=1)
 
 
@@ -73,10 +70,11 @@ def test_frames_come_one_by_one_or_several_at_once(path):
     assert_same(read_recording(path), sent, received_s[:3] + received_s[5:] * 3)
 
 
-def test_damage_that_the_decoder_met_is_kept(path):
-    record(path, statistics=Statistics(ok=10, info=2, bad_crc=3, bad_cobs=1))
-    statistics = read_recording(path).statistics
-    assert (statistics.ok, statistics.bad_crc, statistics.bad_cobs, statistics.bad_form) == (10, 3, 1, 0)
+def test_damage_and_frames_that_the_receiver_refused_are_kept(path):
+    """What is lost follows from the frames."""
+    met = Statistics(ok=10, info=2, lost=99, bad_crc=3, bad_cobs=1, foreign=7, repeated=2)
+    record(path, statistics=met)
+    assert read_recording(path).statistics == replace(met, info=1, lost=0)
 
 
 def test_the_kind_is_told_by_content_not_by_name(path, tmp_path):
@@ -142,52 +140,33 @@ def test_frames_lost_are_those_within_runs(path):
     assert (recorder.lost, recorder.restarts) == (statistics.lost, statistics.restarts) == (3 + 2, 1)
 
 
-def test_what_the_receiver_refused_is_kept(path):
-    record(path, 3, statistics=Statistics(foreign=7, repeated=2, lost=99))
-    statistics = read_recording(path).statistics
-    assert (statistics.foreign, statistics.repeated, statistics.lost) == (
-        7,
-        2,
-        0,
-    )  # what is lost follows from the frames
-
-
 def test_append_makes_a_file_that_is_not_there(path):
     sent, received_s = record(path.parent / "new" / path.name, append=True)
     assert_same(read_recording(path.parent / "new" / path.name), sent, received_s)
 
 
-def test_a_file_that_exists_is_not_overwritten(path):
-    record(path)
-    before = path.read_bytes()
-    with pytest.raises(FileFormatError, match=r"exists: give another name, or continue it by --append\.$"):
-        Recorder(path, INFO)
-    assert path.read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"append": False}, r"exists: give another name, or continue it by --append\.$"),
         ({"info": replace(INFO, serial=7)}, "recorded with info .*serial=4294967295.*, not .*serial=7"),
         ({"calibration": "{}"}, "recorded with calibration '', not '{}'"),
         ({"made_from": MADE_FROM}, "recorded with made_from {}, not {'model_recipe'"),
+        (b"force_n,1.0\n" * 50, "not made by a recorder: record to a new file"),
     ],
-    ids=["board", "calibration", "model"],
+    ids=["exists", "board", "calibration", "model", "no recording"],
 )
-def test_another_boards_recording_is_not_continued(path, changes, message):
-    record(path)
+def test_another_file_is_neither_overwritten_nor_continued(path, changes, message):
+    if isinstance(changes, bytes):
+        path.write_bytes(changes)
+        changes = {}
+    else:
+        record(path)
     before = path.read_bytes()
     with pytest.raises(FileFormatError, match=message) as refusal:
-        Recorder(path, **{"info": INFO} | changes, append=True)
+        Recorder(path, **{"info": INFO, "append": True} | changes)
     assert "\n" not in str(refusal.value)
     assert path.read_bytes() == before
-
-
-def test_what_is_no_recording_is_not_continued(path):
-    path.write_bytes(b"force_n,1.0\n" * 50)
-    with pytest.raises(FileFormatError, match="not made by a recorder: record to a new file"):
-        Recorder(path, INFO, append=True)
-    assert path.read_bytes() == b"force_n,1.0\n" * 50
 
 
 # what is refused

@@ -20,11 +20,6 @@ ROOT = Path(__file__).parents[3]
 MANY = frames(200)
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "press.frames"
-
-
 def test_a_frame_is_in_the_file_at_once(path):
     with Recorder(path, INFO) as recorder:
         for n in (1, 2, 3):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geometry.errors import FileFormatError
 from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Frame, Info, ScanMode, encode
 from hardware.recording import parse_recording, read_recording
+from tests.hardware.recording.recorded_frames import assert_refused
 
 INFO = Info(rows=2, cols=3, bits=12, rate_hz=200)
 SIZE = 12 + 2 * 18 + 2 + 1 + 1  # bytes of one of its data frames on the wire
@@ -39,27 +39,6 @@ def test_what_was_written_is_read(tmp_path):
     assert recording.flags.tolist() == [0] * 5
     assert (recording.statistics.ok, recording.statistics.info, recording.truncated_bytes) == (5, 1, 0)
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_time_runs_on_through_the_clocks_rollover():
-    """The board's clock restarts from 0 every 2³² µs, 71.6 min; 5 ms a frame all the same."""
-    recording = parse_recording(a_recording(6, first_us=2**32 - 12_000))
-    assert np.diff(recording.time_s) == pytest.approx(np.full(5, 0.005), abs=1e-9)  # µs exact, float64 to spare
-    assert recording.time_s[0] == pytest.approx(2**32 * 1e-6 - 0.012)
-    assert recording.statistics.restarts == 0
-
-
-def test_sequence_runs_on_through_its_wrap():
-    recording = parse_recording(a_recording(6, first_sequence=65_533))
-    assert recording.sequence.tolist() == [65_533, 65_534, 65_535, 0, 1, 2]
-    assert recording.statistics.lost == 0
-
-
-def test_overruns_are_counted_through_their_wrap():
-    """The board's u8 counter goes 250, 254, 1, 1: 4 + 3 + 0 scans skipped since the first frame."""
-    counters = [250, 254, 1, 1]
-    stream = encode(INFO) + b"".join(a_frame(k, overruns=counter) for k, counter in enumerate(counters))
-    assert parse_recording(stream).overruns == 7
 
 
 def test_a_lost_frame_leaves_a_gap_in_time_and_is_counted():
@@ -108,15 +87,11 @@ def test_long_recordings_are_decoded_in_steps():
 def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, stream, message):
     path = tmp_path / "press.frames"
     path.write_bytes(stream)
-    with pytest.raises(FileFormatError, match=message) as refusal:
-        read_recording(path)
-    assert str(refusal.value).startswith(f"{path}: ")
-    assert "\n" not in str(refusal.value)
+    assert_refused(path, message)
 
 
 def test_a_missing_file_is_refused_in_one_line(tmp_path):
-    with pytest.raises(FileFormatError, match=r"nothing\.frames: no such file: give"):
-        read_recording(tmp_path / "nothing.frames")
+    assert_refused(tmp_path / "nothing.frames", r"nothing\.frames: no such file: give")
 
 
 def test_resistances_of_another_array_are_refused():
