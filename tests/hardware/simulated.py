@@ -1,20 +1,20 @@
-"""What tests of the simulated board share: builds, readings, and an ear at its port."""
+"""What tests of boards share: builds of the firmware, readings, and an ear at the port."""
 
 import subprocess
 import time
 from contextlib import contextmanager
 
 import numpy as np
-import serial
 
 from geometry.wiring import crossings
 from hardware.boards.simavr_board import FIRMWARE
 from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode
+from hardware.link.serial_ports import close, open_port, read_available
+from tests.hardware.boards import PATIENT_S
 
 INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)
 DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
-PATIENCE_S = 30  # of real time, until a test calls a board silent
 
 
 def build(folder, *arguments):
@@ -33,12 +33,12 @@ class Listener:
     def take(self, enough):
         """Listen until `enough` holds of self."""
         before = time.monotonic()
-        end = before + PATIENCE_S
+        end = before + PATIENT_S
         while not enough(self):
             now = time.monotonic()
             self.longest_pause_s, before = max(self.longest_pause_s, now - before), now
             assert now < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
-            for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
+            for received in self.decoder.feed(read_available(self.port)):
                 {Info: self.infos, Errors: self.errors}.get(type(received), self.frames).append(received)
         return self
 
@@ -48,7 +48,7 @@ class Listener:
         self.take(lambda self: len(self.frames) >= start + n)
         return self.frames[start : start + n]
 
-    def ask(self, command):
+    def ask(self, command=b"?"):
         """Send a command and return the INFO frame that answers it."""
         n_before = len(self.infos)
         self.port.write(command)
@@ -63,8 +63,11 @@ class Listener:
 
 @contextmanager
 def listening(board):
-    with serial.Serial(board.port, 1_000_000, timeout=0.05) as port:
+    port = open_port(board.port, timeout_s=0.05)
+    try:
         yield Listener(port)
+    finally:
+        close(port)
 
 
 def is_gapless(frames):

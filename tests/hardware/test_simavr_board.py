@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hardware.boards.simavr_board import FIRMWARE, MCUS, SimavrBoard, SimavrError, find_tools, write_table
-from tests.hardware.simulated import DISTINCT, PATIENCE_S, listening
+from tests.hardware.boards import PATIENT_S
+from tests.hardware.simulated import DISTINCT, listening
 
 
 def test_the_table_goes_round_or_stays(board, tmp_path):
@@ -35,7 +36,7 @@ def test_a_table_written_in_place_takes_effect(board, tmp_path):
 
 def test_a_fast_board_waits_for_its_reader(board):
     with board(fast=True) as running, listening(running) as listener:
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + PATIENT_S
         while listener.port.in_waiting < 4000:  # what a port holds: beyond, the board must wait or drop
             assert time.monotonic() < end
         listener.take_frames(200)
@@ -92,7 +93,7 @@ def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):
         ([*good, "--link", tmp_path / "no" / "link"], "link: No such file or directory"),
     ]
     for arguments, message in cases:
-        ended = subprocess.run([built / "simavr-board", *arguments], capture_output=True, text=True, timeout=PATIENCE_S)
+        ended = subprocess.run([built / "simavr-board", *arguments], capture_output=True, text=True, timeout=PATIENT_S)
         assert ended.returncode == 2
         assert message in ended.stderr
         assert ended.stderr.count("\n") == 1

@@ -3,7 +3,6 @@
 import os
 import threading
 import time
-from collections import deque
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -11,61 +10,21 @@ import numpy as np
 import pytest
 
 from hardware.boards.virtual_board import VirtualBoard
-from hardware.link.frames import Frame, FrameDecoder, FrameError, Info
-from hardware.link.serial_ports import close, open_port, read_available, write
-from tests.hardware.boards import COUNTS, INFO, PATIENT_S, wait_until
+from hardware.link.frames import FrameError
+from tests.hardware.boards import COUNTS, INFO, wait_until
+from tests.hardware.simulated import listening
 
 
-class Host:
-    """An open port and the frames that came through it."""
-
-    def __init__(self, port):
-        self.port = port
-        self.decoder = FrameDecoder()
-        self.waiting = deque()
-
-    def receive(self):
-        """The next frame of any kind."""
-        while not self.waiting:
-            data = read_available(self.port)
-            assert data, f"nothing within {PATIENT_S} s"
-            self.waiting.extend(self.decoder.feed(data))
-        return self.waiting.popleft()
-
-    def frames(self, n):
-        """The next n data frames."""
-        frames = []
-        while len(frames) < n:
-            frames += [frame for frame in [self.receive()] if isinstance(frame, Frame)]
-        return frames
-
-    def ask(self, command=b"?"):
-        write(self.port, command)
-        while not isinstance(answer := self.receive(), Info):
-            pass
-        return answer
-
-    def quiet(self, board):
-        """Have the board hang, and read what it had sent, so that nothing is waiting any more."""
-        board.stall(3600)
-        while self.port.in_waiting:
-            self.decoder.feed(read_available(self.port))
-        self.waiting.clear()
-
-
-@contextmanager
-def a_host(board):
-    port = open_port(board.port, timeout_s=PATIENT_S)
-    try:
-        yield Host(port)
-    finally:
-        close(port)
+def quiet(board, listener):
+    """Have the board hang, and read what it had sent, so that nothing is waiting any more."""
+    board.stall(3600)
+    listener.take(lambda self: not self.port.in_waiting)
 
 
 @contextmanager
 def a_board_and_host(counts=COUNTS, info=INFO, **options):
-    with VirtualBoard(counts, info, **options) as board, a_host(board) as host:
-        yield board, host
+    with VirtualBoard(counts, info, **options) as board, listening(board) as listener:
+        yield board, listener
 
 
 def periods_us(frames):
@@ -76,7 +35,7 @@ def periods_us(frames):
 
 def test_frames_carry_the_counts_in_their_order():
     with a_board_and_host() as (_, host):
-        frames = host.frames(60)
+        frames = host.take_frames(60)
     first = frames[0].sequence
     assert [frame.sequence for frame in frames] == list(range(first, first + 60))
     assert all((frame.counts == COUNTS[(frame.sequence + frame.overruns) % 50]).all() for frame in frames)
@@ -85,7 +44,7 @@ def test_frames_carry_the_counts_in_their_order():
 
 def test_counts_may_be_computed_from_the_boards_time():
     with a_board_and_host(lambda time_s: np.full(108, int(time_s * 1e3))) as (_, host):
-        frames = host.frames(5)
+        frames = host.take_frames(5)
     assert all(abs(frame.counts - frame.device_us / 1e3).max() <= 1 for frame in frames)
 
 
@@ -95,9 +54,9 @@ def test_counts_go_by_at_their_own_pace(rate_hz):
     steps = np.arange(1000)[:, None] * np.ones(108, int)
     with a_board_and_host(steps, step_s=0.01) as (board, host):
         host.ask(b"R%d\n" % rate_hz)
-        frames = host.frames(20)
+        frames = host.take_frames(20)
         board.stall(0.1)
-        frames += host.frames(20)
+        frames += host.take_frames(20)
     late = [frame.device_us // 10_000 - frame.counts[0] for frame in frames]
     assert set(late) <= {0, 1}  # 1 where rounding to a microsecond took the time to the next step
 
@@ -110,7 +69,7 @@ def test_a_looped_array_needs_a_step():
 def test_the_schedule_does_not_drift():
     """Frame k, overruns counted in, starts k periods after the first: up to what the system is late by."""
     with a_board_and_host() as (_, host):
-        frames = host.frames(200)
+        frames = host.take_frames(200)
     late_us = [frame.device_us - 5000 * (frame.sequence + frame.overruns) for frame in frames]
     late_us = np.array([late + 1 for late in late_us]) % (256 * 5000)  # 1 for the rounding; overruns are modulo 256
     assert late_us.max() <= 5002  # never early; and what is later by a period is an overrun
@@ -121,22 +80,23 @@ def test_answers_and_rates():
     with a_board_and_host() as (_, host):
         assert host.ask() == INFO
         assert host.ask(b"R500\n") == replace(INFO, rate_hz=500)
-        assert np.median(periods_us(host.frames(52)[1:])) == pytest.approx(2000, abs=500)
+        assert np.median(periods_us(host.take_frames(52)[1:])) == pytest.approx(2000, abs=500)
         assert host.ask(b"R0\n") == host.ask(b"R1001\n") == replace(INFO, rate_hz=500)
         assert host.ask(b"Rx7\nR\n7\n?") == replace(INFO, rate_hz=500)
-        host.frames(20)
+        host.take_frames(20)
         assert host.decoder.statistics.info == 5  # one an answer, none to nonsense
         assert host.ask(b"R10?") == replace(INFO, rate_hz=500)
         assert host.ask(b"0\nR000300\n") == replace(INFO, rate_hz=300)
-        host.frames(20)
+        host.take_frames(20)
         assert host.decoder.statistics.info == 7  # the question ended the command, the digit behind it is nothing
 
 
 def test_a_new_rate_holds_after_the_scan_that_is_due():
     with a_board_and_host(info=replace(INFO, rate_hz=5)) as (_, host):
-        host.frames(1)
+        host.take_frames(1)
+        start = len(host.frames)
         host.ask(b"R1000\n")
-        frames = host.frames(5)
+        frames = host.take(lambda self: len(self.frames) >= start + 5).frames[start:]
     assert frames[0].device_us >= 200_000 * frames[0].sequence  # still on the old schedule
     assert np.median(periods_us(frames)) == pytest.approx(1000, abs=500)
 
@@ -145,9 +105,9 @@ def test_nobody_reads():
     """The pty fills within 70 frames or so. The board goes on; who reads then, gets whole frames again."""
     with VirtualBoard(COUNTS, replace(INFO, rate_hz=1000)) as board:
         wait_until(lambda: board.dropped_bytes)
-        with a_host(board) as host:
+        with listening(board) as host:
             newest = board.sent[-1][0]
-            while host.frames(1)[0].sequence < newest:
+            while host.take_frames(1)[0].sequence < newest:
                 pass
             assert host.decoder.statistics.bad_form == 0
 
@@ -162,11 +122,11 @@ def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
         return COUNTS[0]
 
     with a_board_and_host(counts) as (_, host):
-        frames = host.frames(5)
+        frames = host.take_frames(5)
         is_slow.set()
         while is_slow.is_set():
-            frames += host.frames(1)
-        frames += host.frames(30)
+            frames += host.take_frames(1)
+        frames += host.take_frames(30)
     assert host.decoder.statistics.lost == 0
     assert frames[-1].overruns >= 3  # of the four that fell due meanwhile, the last is only late
     assert frames[0].overruns < frames[-1].overruns
@@ -178,9 +138,9 @@ def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
 
 def test_a_stall_is_silent_and_counted():
     with a_board_and_host() as (board, host):
-        before = host.frames(1)[0]
+        before = host.take_frames(1)[0]
         board.stall(0.2)
-        after = host.frames(10)[-1]
+        after = host.take_frames(10)[-1]
     assert after.device_us - before.device_us > 200_000
     assert (after.overruns - before.overruns) % 256 >= 39  # 0.2 s of 200 scans a second, less one
 
@@ -189,59 +149,59 @@ def test_the_link_follows_the_port(tmp_path):
     link = tmp_path / "board"
     with VirtualBoard(COUNTS, INFO, link=link) as board:
         assert board.port == str(link)
-        with a_host(board) as host:
+        with listening(board) as host:
             board.unplug()
             assert not os.path.lexists(link)
             with pytest.raises(OSError, match="the port is gone"):
-                host.frames(1000)
+                host.take_frames(1000)
         board.unplug()  # once more does nothing
         board.replug()
-        with a_host(board) as host:
-            assert host.frames(1)[0].sequence > 0  # it ran on
+        with listening(board) as host:
+            assert host.take_frames(1)[0].sequence > 0  # it ran on
     assert not os.path.lexists(link)
 
 
 def test_a_restart_begins_at_0():
     with a_board_and_host() as (board, host):
-        host.frames(20)
-        host.quiet(board)  # else what waits might leave no room for frame 0
+        host.take_frames(20)
+        quiet(board, host)  # else what waits might leave no room for frame 0
         board.restart()
-        assert min(frame.sequence for frame in host.frames(20)) == 0
+        assert min(frame.sequence for frame in host.take_frames(20)) == 0
         assert host.decoder.statistics.restarts == 1
 
 
 def test_a_restart_forgets_the_rate_and_half_a_command():
     with a_board_and_host() as (board, host):
         assert host.ask(b"R500\n").rate_hz == 500
-        write(host.port, b"R30")
+        host.port.write(b"R30")
         wait_until(lambda: board._commands._line == b"R30")
         board.restart()
-        write(host.port, b"0\n")
+        host.port.write(b"0\n")
         assert host.ask() == INFO
-        host.frames(20)
+        host.take_frames(20)
         assert host.decoder.statistics.info == 2
 
 
 def test_a_restart_begins_with_a_delimiter():
     """So that what the reset cut off, here garbage without an end, does not take the first frame along."""
     with a_board_and_host() as (board, host):
-        host.frames(1)
-        host.quiet(board)
+        host.take_frames(1)
+        quiet(board, host)
 
         def reset_while_sending():
             board._send(b"\x05ab")
             board._boot()
 
         board._do(reset_while_sending)
-        assert host.frames(1)[0].sequence == 0
+        assert host.take_frames(1)[0].sequence == 0
 
 
 def test_garbage_takes_the_place_of_frames():
     with a_board_and_host() as (board, host):
-        host.frames(3)
+        host.take_frames(3)
         board.garble(b"\x05ab\0", n_frames=4)
         while not host.decoder.statistics.lost:
-            host.frames(1)
+            host.take_frames(1)
     assert (host.decoder.statistics.bad_cobs, host.decoder.statistics.lost) == (4, 4)
 
 
@@ -250,15 +210,15 @@ def test_an_impostor_says_so():
     with a_board_and_host() as (board, host):
         board.impostor(other)
         assert host.ask() == other
-        assert host.frames(2)[-1].counts.tolist() == [512] * 18
+        assert host.take_frames(2)[-1].counts.tolist() == [512] * 18
         board.impostor(None)
         assert host.ask() == INFO
-        assert host.frames(2)[-1].counts.size == 108
+        assert host.take_frames(2)[-1].counts.size == 108
 
 
 def test_what_was_sent_is_logged_with_its_time():
     with a_board_and_host() as (board, host):
-        frames = host.frames(20)
+        frames = host.take_frames(20)
         received_s = time.perf_counter()
         sent = dict(board.sent)
     times = [sent[frame.sequence] for frame in frames]
