@@ -27,7 +27,7 @@ from tripillar.terminal.console import (
 if TYPE_CHECKING:
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
-    from tripillar.pipeline.data_checks import Caller
+    from tripillar.face.checks import Caller
     from tripillar.terminal.progress import Bars
 
 Protocol = Literal[
@@ -319,7 +319,7 @@ def export(
 
 def caller(data: Path, bars: "Bars", model: Path | str = "model") -> "Caller":
     """This command, which messages name its files to."""
-    from tripillar.pipeline.data_checks import Caller
+    from tripillar.face.checks import Caller
 
     return Caller(samples=str(data), model=str(model), go_on="--force", say=say, bars=bars)
 

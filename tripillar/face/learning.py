@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
     from fem.array.response import ArrayResponse
-    from tripillar.pipeline.data_checks import Caller
+    from tripillar.face.checks import Caller
 
 Component = Literal["fz", "fx", "fy", "all"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
@@ -141,7 +141,7 @@ def train(
     True
     """
     from decoupler.model.settings import TrainingConfig
-    from tripillar.pipeline.data_checks import Caller
+    from tripillar.face.checks import Caller
 
     training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
     parts, network, solved, forced = _checked(samples, component, net, hidden, feature, design, force, caller)
@@ -188,7 +188,7 @@ def evaluate(
     (['fx', 'fy', 'fz'], True)
     """
     from decoupler import assess, require_same_sensor
-    from tripillar.pipeline.data_checks import Caller, warn_of_test
+    from tripillar.face.checks import Caller, warn_of_test
 
     caller = caller or Caller()
     require_same_sensor(model, samples, Path(caller.model), Path(caller.samples))
@@ -245,7 +245,7 @@ def crossval(
 
     from decoupler.evaluation.crossval import over_folds
     from decoupler.model.settings import TrainingConfig
-    from tripillar.pipeline.data_checks import Caller
+    from tripillar.face.checks import Caller
 
     training = TrainingConfig(trainer=trainer, seed=seed, **settings)
     _, tested = folds_of(samples, component, folds, training, net, hidden, feature, design, force, Caller())
@@ -314,7 +314,7 @@ def fine_tune(
     """
     from decoupler import fine_tune, require_same_sensor
     from decoupler.evaluation.plausibility import doubt
-    from tripillar.pipeline.data_checks import Caller, heed, joint_model, mention, mention_another_sensor
+    from tripillar.face.checks import Caller, heed, joint_model, mention, mention_another_sensor
 
     caller = caller or Caller()
     require_same_sensor(model, pairs, Path(caller.model), Path(caller.samples))
@@ -343,7 +343,7 @@ def _checked(
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.settings import NetworkConfig
     from decoupler.training.suited import suited_component, suited_feature
-    from tripillar.pipeline.data_checks import heed, joint_model, mention
+    from tripillar.face.checks import heed, joint_model, mention
 
     require_samples("samples", samples)
     automatic, named = feature == "auto", component or suited_component(samples)
