@@ -26,6 +26,14 @@ ACROSS = 12  #: squares along a pad's side
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 
+#: corners of VTK's cells that span them: the first, and its neighbours
+SPANNED_BY = {
+    QUADRILATERAL: (0, 1, 3),
+    HEXAHEDRON: (0, 1, 3, 4),
+    TRIQUADRATIC_HEXAHEDRON: (0, 1, 3, 4),
+    QUADRATIC_TETRAHEDRON: (0, 1, 2, 3),
+}
+
 Quads = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
 
 
@@ -46,6 +54,14 @@ class Part:
         if self.stress_mpa is None:
             raise ValueError("this part has no stress: ask for it where parts are made.")
         return self.stress_mpa
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Weight of the points, (n,): sum of the volumes or areas of the cells that meet there, up to a constant."""
+        first, *others = (self.points_mm[self.cells[:, k]] for k in SPANNED_BY[self.cell_type])
+        sides = np.stack([corner - first for corner in others], axis=1)
+        size = np.sqrt(np.abs(np.linalg.det(sides @ sides.swapaxes(1, 2))))
+        return np.bincount(self.cells.ravel(), np.repeat(size, self.cells.shape[1]), len(self.points_mm))
 
     @property
     def strength_mpa(self) -> FloatArray:

@@ -14,7 +14,7 @@ from geometry.layout import FloatArray
 
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 
-MAX_PERCENTILE = 99.8  #: percentile of the stress that ends its colours: at edges it has no bound
+SHOWN_SHARE = 0.998  #: of the volume, whose stress ends the colours: at edges it has no bound
 ROOM = 0.15  #: of a scale, that a label takes
 SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
 BELOW = ("#053061", "#3f8ec0", "#ffffff")  #: from the least value to 0
@@ -64,13 +64,15 @@ class Bar:
 def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
     """One colour bar for several pictures: it ends at the least and the largest value, 0 among its values.
 
-    Of stress, which has no bound at edges, it ends at the 99.8th percentile and says so.
+    Of stress, which has no bound at edges, it ends where 99.8 % of the volume (of surfaces: of the area) has less, and
+    says so. A share of the points instead would depend on how many of them a mesh has at the edges.
     """
     solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
     values = np.concatenate([quantity.of(part) for _, part in solid])
     whose = "" if solid[0][0] == "body" else f" of the {solid[0][0]}"
-    share = MAX_PERCENTILE if quantity.of_stress else 100.0
-    low, high = (float(np.percentile(values, q)) for q in (100 - share, share))
+    share = SHOWN_SHARE if quantity.of_stress else 1.0
+    sizes = np.concatenate([part.sizes for _, part in solid])
+    low, high = np.quantile(values, [1 - share, share], weights=sizes, method="inverted_cdf").tolist()
     low, high = min(low, 0.0), max(high, 0.0)
     if low == high:
         high = 1.0

@@ -7,9 +7,10 @@ import pytest
 import pyvista as pv
 
 from fem.fields.array_field import bell_pressure, uniform_pressure
-from fem.fields.deformed import sensor_parts
+from fem.fields.deformed import Part, sensor_parts
 from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
 from fem.pictures.deformation import VIEWS, DeformedPicture, look, reach
+from fem.scene.solution import QUADRILATERAL
 from geometry.design import Array, SensorDesign
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
@@ -74,6 +75,24 @@ def test_a_bar_of_stress_says_that_it_is_cut(parts):
     bar = bar_of(QUANTITIES["mises"], [parts])
     assert bar.labels[bar.high].startswith("≥ ")
     assert bar.labels[0.0] == "0"
+
+
+def test_points_crowded_at_an_edge_do_not_widen_the_scale():
+    """A strip of 1000 narrow squares at 5 MPa fills a thousandth of a surface at 1 MPa: colours end at 1 MPa."""
+    x = np.concatenate([[0.0], 100 + np.linspace(0.0, 0.1, 1001)])
+    points = np.array([(at, y, 0.0) for at in x for y in (0.0, 1.0)])
+    first = 2 * np.arange(len(x) - 1)
+    stress = np.zeros((len(points), 6))
+    stress[:, 0] = np.where(points[:, 0] > 100, 5.0, 1.0)
+    part = Part(
+        points_mm=points,
+        cells=np.stack([first, first + 2, first + 3, first + 1], axis=1),
+        cell_type=QUADRILATERAL,
+        displacement_mm=np.zeros_like(points),
+        stress_mpa=stress,
+    )
+    assert part.sizes.sum() == pytest.approx(4 * 100.1)
+    assert bar_of(QUANTITIES["mises"], [{"body": part}]).high == pytest.approx(1.0)
 
 
 def test_the_key_to_the_pads_ends_at_the_largest_traction(parts):

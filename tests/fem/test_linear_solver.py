@@ -25,34 +25,15 @@ from fem.linear.linear_solver import (
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 
-PARDISO = pytest.param("pardiso", marks=pytest.mark.skipif(not find_spec("pypardiso"), reason="no wheel of MKL here"))
-CHOLMOD = pytest.param("cholmod", marks=pytest.mark.skipif(not find_spec("kvxopt"), reason="kvxopt is optional"))
-DIRECT = [PARDISO, "superlu"]  #: of any symmetric matrix
-DEFINITE = [PARDISO, CHOLMOD, "superlu"]
-HALVES = [PARDISO, CHOLMOD]
+WHEELS = {"pardiso": "pypardiso", "cholmod": "kvxopt"}  #: neither is everywhere
 
 
 @pytest.fixture(scope="module")
-def mesh():
-    return box_mesh((4, 4, 3), (10.0, 10.0, 6.0), disorder=0.2)
-
-
-@pytest.fixture(scope="module")
-def mixed(mesh):
+def mixed():
     """Taylor-Hood, quasi-definite, all but incompressible."""
+    mesh = box_mesh((4, 4, 3), (10.0, 10.0, 6.0), disorder=0.2)
     matrix = taylor_hood(mesh, [Material(poisson=0.4999)], np.zeros(mesh.nelements, dtype=int)).matrix
     return matrix, np.random.default_rng(3).standard_normal((matrix.shape[0], 5))
-
-
-@pytest.fixture(scope="module", params=[0.3, 0.4999], ids=["ν=0.3", "ν=0.4999"])
-def elastic(request):
-    """Displacements alone, definite; ill conditioned near ν = 0.5."""
-    return elastic_system((3, 3, 2), request.param)
-
-
-@pytest.fixture(scope="module")
-def definite():
-    return elastic_system((3, 3, 2), 0.3)
 
 
 def elastic_system(boxes, poisson):
@@ -62,26 +43,97 @@ def elastic_system(boxes, poisson):
     return body.matrix, np.random.default_rng(3).standard_normal((body.matrix.shape[0], 5))
 
 
-@pytest.mark.parametrize("solver", DIRECT)
-def test_a_quasi_definite_system_is_solved_to_rounding(mixed, solver):
-    matrix, exact = mixed
-    x, residual = checked_solve(matrix, factorized(matrix, solver), matrix @ exact)
-    assert residual < 1e-12
-    assert np.allclose(x, exact, rtol=0, atol=1e-8)  # the condition number, near 1e4, times rounding, and room
+@pytest.fixture(scope="module")
+def definite():
+    return elastic_system((3, 3, 2), 0.3)
 
 
-@pytest.mark.parametrize("solver", DEFINITE)
-def test_a_definite_system_is_solved(elastic, solver):
-    matrix, exact = elastic
-    factor = factorized(matrix, solver, definite=True)
-    assert factor.solver == solver
+def installed(solver):
+    if solver in WHEELS and not find_spec(WHEELS[solver]):
+        pytest.skip(f"no {WHEELS[solver]} here")
+    return solver
+
+
+@pytest.fixture(params=FACTOR_BYTES)
+def solver(request):
+    return installed(request.param)
+
+
+@pytest.fixture(params=["pardiso", "superlu"])
+def direct(request):
+    """A solver of any symmetric matrix."""
+    return installed(request.param)
+
+
+@pytest.fixture(params=["pardiso", "cholmod"])
+def halving(request, definite):
+    """A factor of `definite` that solves by halves."""
+    return factorized(definite[0], installed(request.param), definite=True)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        (kind, solver)
+        for kind in ("quasi-definite", "ν=0.3", "ν=0.4999")
+        for solver in FACTOR_BYTES
+        if (kind, solver) != ("quasi-definite", "cholmod")
+    ],
+    ids=", ".join,
+)
+def factored(request, mixed):
+    """A matrix, five solutions and its factor, of every solver that takes it; near ν = 0.5 ill conditioned."""
+    kind, solver = request.param
+    is_definite = kind != "quasi-definite"
+    matrix, exact = elastic_system((3, 3, 2), float(kind[2:])) if is_definite else mixed
+    return matrix, exact, factorized(matrix, installed(solver), definite=is_definite)
+
+
+def test_every_system_is_solved_to_rounding(factored):
+    matrix, exact, factor = factored
+    assert isinstance(factor, Factor)
     x, residual = checked_solve(matrix, factor, matrix @ exact)
     assert residual < 1e-12
-    # the condition number, near 1e3 at ν = 0.3 and 1e7 at 0.4999, times the residual
+    # the condition number, near 1e4 of the mixed form, 1e3 at ν = 0.3 and 1e7 at 0.4999, times the residual, and room
     assert np.allclose(x, exact, rtol=0, atol=1e-8)
+    assert np.array_equal(factor(matrix @ exact), factor.solve(matrix @ exact))
+    x, residual = checked_solve(matrix, factor, np.zeros_like(exact))
+    assert residual == 0.0
+    assert not x.any()
 
 
-@pytest.mark.parametrize("solver", DEFINITE)
+def test_products_with_the_inverse_are_right(factored):
+    """YᵀY = Bᵀ K⁻¹ B by half solves or whole ones, with K⁻¹ B known: B = K X."""
+    matrix, exact, factor = factored
+    expected = exact.T @ (matrix @ exact)
+    product = schur_product(factor, matrix @ exact)
+    assert np.array_equal(product, product.T)
+    assert np.abs(product - expected).max() < 1e-11 * np.abs(expected).max()  # rounding times what cancels
+    if factor.halves:
+        y = factor.half_solve(matrix @ exact)
+        assert np.abs(y.T @ y - expected).max() < 1e-12 * np.abs(expected).max()  # rounding, and room
+    else:
+        with pytest.raises(SolverError, match="has no half solve of this matrix: use schur_product"):
+            factor.half_solve(exact)
+
+
+def test_definite_matrices_have_half_solves_and_others_none(definite, mixed, direct):
+    assert factorized(definite[0], direct, definite=True).halves == (direct == "pardiso")
+    assert not factorized(mixed[0], direct).halves
+
+
+def test_what_cannot_be_solved_is_refused(factored):
+    """A load that is not a number; lengths that the libraries, told an address and a length, would read past."""
+    matrix, exact, factor = factored
+    load = exact.copy()
+    load[3, 1] = np.nan
+    with pytest.raises(SolverError):
+        checked_solve(matrix, factor, load)
+    for rhs in (exact[:-1], exact[:, 0]):
+        with pytest.raises(ValueError, match=r"right-hand sides have shape .*, expected \(\d+, k\)"):
+            factor(rhs)
+
+
 @pytest.mark.parametrize("columns", [0, 1, 2, 65, 130])
 def test_any_number_of_columns_in_any_order_of_memory(definite, solver, columns):
     """CHOLMOD's columns go by 64, one column takes another way; rows or columns may be contiguous, or neither."""
@@ -95,28 +147,7 @@ def test_any_number_of_columns_in_any_order_of_memory(definite, solver, columns)
         assert np.array_equal(layout, kept)  # a solve leaves its right-hand sides alone
 
 
-@pytest.mark.parametrize("solver", HALVES)
-def test_half_solves_multiply_to_the_whole(elastic, solver):
-    """YᵀY = Bᵀ K⁻¹ B, with K⁻¹ B known: B = K X."""
-    matrix, exact = elastic
-    factor = factorized(matrix, solver, definite=True)
-    assert factor.halves
-    y = factor.half_solve(matrix @ exact)
-    expected = exact.T @ (matrix @ exact)
-    assert np.abs(y.T @ y - expected).max() < 1e-12 * np.abs(expected).max()  # rounding, and room
-
-
-@pytest.mark.parametrize("solver", DIRECT)
-def test_an_indefinite_matrix_has_no_half_solve(mixed, solver):
-    matrix, exact = mixed
-    factor = factorized(matrix, solver)
-    assert not factor.halves
-    with pytest.raises(SolverError, match="has no half solve of this matrix: use schur_product"):
-        factor.half_solve(exact)
-
-
-@pytest.mark.parametrize("solver", DEFINITE)
-def test_schur_product_of_a_definite_matrix(definite, solver):
+def test_schur_product_eliminates(definite, solver):
     """Against eliminating the unknowns from the dense matrix."""
     matrix, _ = definite
     columns = np.arange(0, matrix.shape[0], 97)[:7]
@@ -124,61 +155,41 @@ def test_schur_product_of_a_definite_matrix(definite, solver):
     coupling[columns, np.arange(len(columns))] = np.arange(1.0, len(columns) + 1)
     expected = coupling.T @ np.linalg.solve(matrix.toarray(), coupling)
     product = schur_product(factorized(matrix, solver, definite=True), coupling)
-    assert np.array_equal(product, product.T)
     assert np.abs(product - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("solver", DIRECT)
-def test_schur_product_of_a_quasi_definite_matrix(mixed, solver):
-    matrix, exact = mixed
-    expected = exact.T @ (matrix @ exact)
-    product = schur_product(factorized(matrix, solver), matrix @ exact)
-    assert np.abs(product - expected).max() < 1e-11 * np.abs(expected).max()  # rounding times what cancels
+def test_a_wrong_schur_product_is_refused(definite, halving, monkeypatch):
+    """A small column as well: off by 1e-6 itself, it would add 1e-14 to what the others, 1e8 times as large, leave."""
+    half_solve, exact = halving.half_solve, definite[1]
+    small = np.array([1e-8, 1, 1, 1, 1])
+    for off, rhs, says in (
+        (1.0001, exact, r"the product of 5 columns .* is off by 2.0e-04"),
+        (np.array([1 + 1e-6, 1, 1, 1, 1]), exact * small, "the product of 5 columns"),
+    ):
+        monkeypatch.setattr(halving, "half_solve", lambda b, off=off: half_solve(b) * off)
+        with pytest.raises(SolverError, match=says):
+            schur_product(halving, rhs)
 
 
-@pytest.mark.parametrize("solver", HALVES)
-def test_a_wrong_schur_product_is_refused(definite, solver, monkeypatch):
-    matrix, exact = definite
-    factor = factorized(matrix, solver, definite=True)
-    half_solve = factor.half_solve
-    monkeypatch.setattr(factor, "half_solve", lambda rhs: half_solve(rhs) * 1.0001)
-    with pytest.raises(SolverError, match=r"the product of 5 columns .* is off by 2.0e-04"):
-        schur_product(factor, exact)
-
-
-@pytest.mark.parametrize("solver", HALVES)
-def test_a_small_column_is_checked_as_well(definite, solver, monkeypatch):
-    """Off by 1e-6 itself, it would add 1e-14 to what the others, 1e8 times as large, leave."""
-    matrix, exact = definite
-    factor = factorized(matrix, solver, definite=True)
-    half_solve = factor.half_solve
-    off = np.array([1 + 1e-6, 1, 1, 1, 1])
-    monkeypatch.setattr(factor, "half_solve", lambda rhs: half_solve(rhs) * off)
-    with pytest.raises(SolverError, match="the product of 5 columns"):
-        schur_product(factor, exact * np.array([1e-8, 1, 1, 1, 1]))
-
-
-@pytest.mark.parametrize("solver", DIRECT)
-def test_two_factorisations_live_side_by_side(mixed, solver):
+def test_two_factorisations_live_side_by_side(mixed, direct):
     """Factoring another matrix leaves the first one's factors alone, and so does the other's end."""
     matrix, exact = mixed
-    first = factorized(matrix, solver)
-    other = factorized(sp.eye_array(7, format="csr") * 2.0, solver)
+    first = factorized(matrix, direct)
+    other = factorized(sp.eye_array(7, format="csr") * 2.0, direct)
     checked_solve(matrix, first, matrix @ exact)
     del other
     gc.collect()
     checked_solve(matrix, first, matrix @ exact)
 
 
-@pytest.mark.parametrize("solver", [PARDISO, CHOLMOD])
-def test_memory_goes_back_when_a_factor_dies(solver):
+def test_memory_goes_back_when_a_factor_dies(halving):
     """40 factorisations kept for good would leave 730 MB behind."""
     matrix, exact = elastic_system((8, 8, 3), 0.3)
     process = psutil.Process()
 
     def factor_and_forget(times):
         for _ in range(times):
-            factorized(matrix, solver, definite=True).solve(exact)
+            factorized(matrix, halving.solver, definite=True).solve(exact)
         gc.collect()
         return process.memory_info().rss / 1e6
 
@@ -186,21 +197,26 @@ def test_memory_goes_back_when_a_factor_dies(solver):
     assert factor_and_forget(40) - before_mb < 60
 
 
-def test_a_poor_answer_is_refined_once(mixed):
-    """An answer off by 1e-6 misses the limit; the same solver applied to what is left brings it to 1e-12."""
+def test_answers_are_refined_once_or_refused(mixed):
+    """One off by 1e-6 misses the limit; the same solver applied to what is left brings it to 1e-12. Good ones stay."""
     matrix, exact = mixed
-    factor = factorized(matrix)
+    factor, calls = factorized(matrix), []
     rhs = matrix @ exact
     rhs[:, 1] = 0.0
-    calls = []
 
-    def sloppy(b):
+    def counted(b, off=0.0):
         calls.append(b.shape[1])
-        return factor.solve(b) * (1 + 1e-6)
+        return factor.solve(b) * (1 + off)
 
-    _, residual = checked_solve(matrix, sloppy, rhs)
+    checked_solve(matrix, counted, rhs)
+    assert calls == [5]
+    _, residual = checked_solve(matrix, lambda b: counted(b, 1e-6), rhs)
     assert residual < 1e-11
-    assert calls == [5, 4]  # the zero column needs none
+    assert calls == [5, 5, 4]  # the zero column needs none
+    with pytest.raises(SolverError, match=r"residual .* is above 1e-09 for \d+ unknowns"):
+        checked_solve(matrix, lambda b: exact * 1.001, matrix @ exact)
+    with pytest.raises(SolverError):
+        checked_solve(matrix, lambda b: exact * np.nan, matrix @ exact)
 
 
 def test_columns_are_judged_one_by_one():
@@ -228,66 +244,26 @@ def test_a_product_may_stand_in_for_the_matrix(mixed):
         checked_solve(matrix, factor, matrix @ exact, lambda x: matrix @ x * 1.001)
 
 
-def test_a_good_answer_is_not_refined(mixed):
-    matrix, exact = mixed
-    factor, calls = factorized(matrix), []
-    checked_solve(matrix, lambda b: calls.append(b) or factor.solve(b), matrix @ exact)
-    assert len(calls) == 1
-
-
-def test_a_wrong_answer_is_refused_with_its_residual(mixed):
-    matrix, exact = mixed
-    with pytest.raises(SolverError, match=r"residual .* is above 1e-09 for \d+ unknowns"):
-        checked_solve(matrix, lambda rhs: exact * 1.001, matrix @ exact)
-
-
-def test_a_nan_is_refused(mixed):
-    matrix, exact = mixed
-    with pytest.raises(SolverError):
-        checked_solve(matrix, lambda rhs: exact * np.nan, matrix @ exact)
-
-
-@pytest.mark.parametrize("solver", DEFINITE)
-def test_a_nan_load_is_refused(definite, solver):
-    matrix, exact = definite
-    factor = factorized(matrix, solver, definite=True)
-    load = exact.copy()
-    load[3, 1] = np.nan
-    with pytest.raises(SolverError):
-        checked_solve(matrix, factor, load)
-
-
-@pytest.mark.parametrize("solver", DEFINITE)
-def test_a_zero_load_gives_zero(mixed, definite, solver):
-    for matrix, exact in (definite,) if solver == "cholmod" else (definite, mixed):
-        factor = factorized(matrix, solver, definite=matrix is definite[0])
-        x, residual = checked_solve(matrix, factor, np.zeros_like(exact))
-        assert residual == 0.0
-        assert not x.any()
-
-
-@pytest.mark.parametrize("definite", [False, True])
-@pytest.mark.parametrize("solver", [*DIRECT, CHOLMOD])
-def test_a_singular_matrix_is_refused(solver, definite):
+@pytest.mark.parametrize("is_definite", [False, True])
+def test_a_singular_matrix_is_refused(solver, is_definite):
     """A free body moves at no cost; the factorisation or the residual says so."""
-    if solver == "cholmod" and not definite:
+    if solver == "cholmod" and not is_definite:
         pytest.skip("CHOLMOD takes definite matrices only")
     matrix = sp.csr_matrix(np.array([[1.0, -1.0], [-1.0, 1.0]]))
     with pytest.raises(SolverError):
-        checked_solve(matrix, factorized(matrix, solver, definite=definite), np.array([[1.0], [1.0]]))
+        checked_solve(matrix, factorized(matrix, solver, definite=is_definite), np.array([[1.0], [1.0]]))
 
 
-@pytest.mark.parametrize("solver", HALVES)
-def test_an_indefinite_matrix_is_refused_as_definite(mixed, solver):
+def test_an_indefinite_matrix_is_refused_as_definite(mixed, halving):
     with pytest.raises(SolverError, match=r"not positive definite.*definite=False"):
-        factorized(mixed[0], solver, definite=True)
+        factorized(mixed[0], halving.solver, definite=True)
 
 
-@pytest.mark.parametrize("solver", DEFINITE)
+@pytest.mark.parametrize("poisson", [0.3, 0.4999])
 @pytest.mark.parametrize("shape", [(3, 3), (3, 1)], ids=["square", "oblong"])
-def test_a_matrix_in_blocks_is_the_same_matrix(elastic, solver, shape):
+def test_a_matrix_in_blocks_is_the_same_matrix(solver, poisson, shape):
     """Square blocks reach PARDISO as they are, all else as entries; whole and half solves alike."""
-    matrix, exact = elastic
+    matrix, exact = elastic_system((3, 3, 2), poisson)
     factor = factorized(matrix.tobsr(shape), solver, definite=True)
     x, residual = checked_solve(factor.matrix, factor, matrix @ exact)
     assert residual < 1e-12
@@ -323,16 +299,6 @@ def test_mkl_is_found_in_its_package_or_left_to_pypardiso(monkeypatch):
     assert address == ctypes.cast(searched["pardiso"], ctypes.c_void_p).value
 
 
-@pytest.mark.parametrize("solver", DEFINITE)
-def test_right_hand_sides_of_another_length_are_refused(definite, solver):
-    """The libraries are told an address and a length; a wrong length must not reach them."""
-    matrix, exact = definite
-    factor = factorized(matrix, solver, definite=True)
-    for rhs in (exact[:-1], exact[:, 0]):
-        with pytest.raises(ValueError, match=r"right-hand sides have shape .*, expected \(\d+, k\)"):
-            factor(rhs)
-
-
 def test_what_a_solver_cannot_do_is_said(definite):
     matrix, _ = definite
     with pytest.raises(ValueError, match="no solver 'cholesky': choose pardiso"):
@@ -341,7 +307,6 @@ def test_what_a_solver_cannot_do_is_said(definite):
         factorized(matrix, "cholmod")
 
 
-@pytest.mark.parametrize("solver", DEFINITE)
 def test_a_factor_that_does_not_fit_is_refused(definite, solver):
     with pytest.raises(FactorMemoryError, match=r"GB of 1e-05 GB available: take a coarser mesh"):
         factorized(definite[0], solver, definite=True, memory_gb=1e-5)
@@ -364,13 +329,6 @@ def test_the_law_of_memory_holds_for_a_cube():
     factor = PardisoFactor(matrix, definite=True)
     law_gb = FACTOR_BYTES["pardiso"] * matrix.shape[0] ** (4 / 3) / 1e9
     assert law_gb == pytest.approx(factor.memory_gb, rel=0.33)
-
-
-def test_a_factor_is_a_function(definite):
-    matrix, exact = definite
-    factor = factorized(matrix, definite=True)
-    assert isinstance(factor, Factor)
-    assert np.array_equal(factor(exact), factor.solve(exact))
 
 
 @pytest.mark.skipif(not find_spec("kvxopt"), reason="kvxopt is optional")
