@@ -61,7 +61,8 @@ class Part:
         first, *others = (self.points_mm[self.cells[:, k]] for k in SPANNED_BY[self.cell_type])
         sides = np.stack([corner - first for corner in others], axis=1)
         size = np.sqrt(np.abs(np.linalg.det(sides @ sides.swapaxes(1, 2))))
-        return np.bincount(self.cells.ravel(), np.repeat(size, self.cells.shape[1]), len(self.points_mm))
+        sums = np.bincount(self.cells.ravel(), np.repeat(size, self.cells.shape[1]), len(self.points_mm))
+        return sums.astype(np.float64, copy=False)  # they are already; numpy's type stubs do not know
 
     @property
     def strength_mpa(self) -> FloatArray:
