@@ -168,9 +168,9 @@ def test_a_file_may_say_that_the_paper_gives_the_rest():
 
 @pytest.mark.parametrize("text", [".".join("a" * 20_000) + " = 1", "[" + ". ".join(["'q'"] * 20_000) + "]"])
 def test_a_key_of_thousands_of_parts_is_refused_before_it_takes_memory(text):
-    begin = time.perf_counter()
+    begin = time.process_time()
     assert "a key has more than 16 parts" in refusal(text)
-    assert time.perf_counter() - begin < 1  # the parser takes 1.7 GB and minutes
+    assert time.process_time() - begin < 1  # the parser takes 1.7 GB and minutes
 
 
 def test_a_huge_file_is_refused(tmp_path):

@@ -42,6 +42,7 @@ TRIES = 4  #: workers that a design may end before it counts as failed
 KILLS = 20  #: the same with workers that were killed, which is rarely the design's fault
 LOOK_S = 0.5  #: between two looks at the memory and the time of a worker
 STOP_S = 0.4  #: for workers to remove half-written files and end, before they are killed
+REAPED_S = 30.0  #: for the exit code of a worker that has ended, on a busy machine
 CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
 
 
@@ -218,7 +219,7 @@ class LocalWorkers:
             result: Row | OSError = worker.pipe.recv()
             return result
         except (EOFError, ConnectionError, psutil.NoSuchProcess):
-            worker.process.join(1.0)
+            worker.process.join(REAPED_S)
             code = worker.process.exitcode or 0
             number = -code if code < 0 else code - 128
             by_signal = number in signal.valid_signals()

@@ -1,10 +1,10 @@
 """`tripillar sweep` and `optimize`: killed and resumed as real processes, searched, failed."""
 
 import json
+import shutil
 import signal
 import subprocess
 import time
-from contextlib import contextmanager
 
 import psutil
 import pytest
@@ -43,28 +43,37 @@ def house(tmp_path):
     return made
 
 
-@contextmanager
-def begun(house, n_rows):
-    """A sweep that has made so many rows, and its workers."""
+def ended_by(number, house, n_rows):
+    """Send a sweep a signal once it has made so many rows; its exit code, its last words, and the rows that it left.
+
+    It is stopped while it is looked at, lest it ends meanwhile; where it was quicker, it begins anew.
+    """
     command = house.command("sweep", "pads.toml", "--workers", "1", "-q")
     rows = house.folder / "out" / "pads-rows"
-    with subprocess.Popen(
-        command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it
-    ) as process:  # fmt: skip
-        until = time.monotonic() + 120
-        while len(list(rows.glob("[!.]*.json"))) < n_rows and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.02)
-        yield process, psutil.Process(process.pid).children(recursive=True)
+    for _ in range(5):
+        with subprocess.Popen(
+            command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE, text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it
+        ) as process:  # fmt: skip
+            while len(kept := sorted(rows.glob("[!.]*.json"))) < n_rows and process.poll() is None:
+                time.sleep(0.02)
+            process.send_signal(signal.SIGSTOP)
+            workers = psutil.Process(process.pid).children(recursive=True)
+            is_at_work = n_rows <= len(kept := sorted(rows.glob("[!.]*.json"))) < 6
+            process.send_signal(number if is_at_work else signal.SIGKILL)
+            process.send_signal(signal.SIGCONT)
+            said = process.communicate(timeout=60)[1]
+        assert not psutil.wait_procs(workers, timeout=60)[1]
+        if is_at_work:
+            return process.returncode, said, kept
+        shutil.rmtree(house.folder / "cache")
+        shutil.rmtree(house.folder / "out")
+    raise AssertionError("the sweep is never seen at work")
 
 
 def test_a_killed_sweep_goes_on_and_computes_only_what_is_missing(house):
     """Killed without warning after two rows; then one of them is torn as no kill can tear it."""
-    with begun(house, n_rows=3) as (process, workers):
-        process.send_signal(signal.SIGKILL)
-    assert not psutil.wait_procs(workers, timeout=20)[1]
-    kept = sorted((house.folder / "out" / "pads-rows").glob("[!.]*.json"))
-    assert 3 <= len(kept) < 6
+    _, _, kept = ended_by(signal.SIGKILL, house, n_rows=3)
     kept[0].write_text(kept[0].read_text()[:50])
     done = house.result("sweep", "pads.toml", "--workers", "1", "-q")
     assert done["judged_now"] == 6 - len(kept) + 1
@@ -127,10 +136,7 @@ def test_two_searches_at_once_share_their_trials(house):
 
 
 def test_ctrl_c_keeps_the_rows_and_leaves_no_worker(house):
-    with begun(house, n_rows=1) as (process, workers):
-        process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
+    code, said, _ = ended_by(signal.SIGINT, house, n_rows=1)
+    assert code == 130
     words = "tripillar: stopped; the rows in out/pads-rows are kept: give the same command again to go on."
     assert said.splitlines() == [words]
-    assert not psutil.wait_procs(workers, timeout=20)[1]

@@ -128,7 +128,7 @@ def running(house, *words):
             yield json.loads(line)
         finally:
             process.send_signal(signal.SIGINT)
-            printed, said = process.communicate(timeout=20)
+            printed, said = process.communicate(timeout=60)
     assert process.returncode == 0, said
     assert (printed, said) == ("", "")  # one object is all there is on stdout
 
@@ -181,8 +181,17 @@ def picture_source(page):
     return page.get_attribute("#picture", "src")
 
 
-def still_picture(page):
-    """The picture once no other has come for a while: its colours, 96 × 72 × 3."""
+def still_picture(page, unlike=None, colours=0):
+    """The picture once no other has come for a while: its colours, 96 × 72 × 3; more of them new than so many."""
+    shown = colours_of_still(page)
+    if unlike is not None:
+        waited_for(page, lambda: changed(unlike, shown) > colours or changed(unlike, colours_of_still(page)) > colours)
+        shown = colours_of_still(page)
+        assert changed(unlike, shown) > colours
+    return shown
+
+
+def colours_of_still(page):
     before = None
     while (source := picture_source(page)) != before:
         before = source
@@ -211,8 +220,7 @@ def test_a_slider_and_the_mouse_change_numbers_and_picture(served, browser):
         assert "the response's inverse" in page.inner_text("#decoupler")
         before = still_picture(page)
         press(page, 40)
-        pressed = still_picture(page)
-        assert changed(before, pressed) > 50  # of 20,736 colours: one pad is pressed in
+        pressed = still_picture(page, before, 50)  # of 20,736 colours: one pad is pressed in
         forces = [cell.inner_text() for cell in page.query_selector_all("#unit-forces tr:nth-child(3) td")]
         assert forces[:2] == ["Fz", "288.0"]  # 2 MPa on 144 mm²
         assert float(forces[2].replace("−", "-")) == pytest.approx(288.0, abs=3.0)  # the inverse's own error
@@ -226,7 +234,7 @@ def test_a_slider_and_the_mouse_change_numbers_and_picture(served, browser):
         page.mouse.down()
         page.mouse.move(x + 150, y, steps=10)
         page.mouse.up()
-        assert changed(pressed, still_picture(page)) > 500
+        still_picture(page, pressed, 500)
         page.click("#by-indenter")
         api.expect(page.locator("#pad-1")).not_to_have_text("", timeout=PATIENT_MS)
         page.click("#reset")
@@ -350,9 +358,12 @@ def test_another_site_in_the_same_browser_gets_nothing(served, browser):
 
 def test_a_lost_connection_goes_on_where_it_was(served, browser):
     with browser.new_context() as context:
-        page, sockets = context.new_page(), []
+        page, sockets, is_down = context.new_page(), [], False
 
         def through(socket):
+            if is_down:
+                socket.close()
+                return
             socket.connect_to_server()
             sockets.append(socket)
 
@@ -361,8 +372,10 @@ def test_a_lost_connection_goes_on_where_it_was(served, browser):
         page.click("#pad-0")
         page.fill("#pressure input", "2")
         shows(page, "#pad-0", "2.0")
+        is_down = True
         sockets[0].close()
         shows(page, "#trouble", "no connection: has tripillar ended?")
+        is_down = False
         shows(page, "#trouble", "")
         shows(page, "#pad-0", "2.0")
         assert len(sockets) == 2

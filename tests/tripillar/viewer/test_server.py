@@ -340,9 +340,16 @@ async def test_one_browser_more_than_there_are_places_is_told_so(visitor):
         await first.heard("show")
         async with visitor.browser() as refused:
             assert await refused.ended() == aiohttp.WSCloseCode.TRY_AGAIN_LATER
-    await asyncio.sleep(0.5)
-    async with visitor.browser() as next_one:
-        await next_one.heard("show")
+    async with asyncio.timeout(PATIENT_S):
+        while not await is_shown_something(visitor):  # until the server has seen that the first one left
+            await asyncio.sleep(0.1)
+
+
+async def is_shown_something(visitor):
+    async with visitor.browser() as browser:
+        with suppress(ConnectionResetError):
+            await browser.heard("show")
+        return bool(browser.shown)
 
 
 def memory_mb() -> float:
@@ -450,9 +457,9 @@ async def test_a_browser_that_gives_no_sign_of_life_leaves_its_place(visitor):
     async with asyncio.timeout(PATIENT_S):
         while await reader.read(2**16):
             pass
-    writer.close()
-    async with visitor.browser() as browser:
-        await browser.heard("show")
+        writer.close()
+        while not await is_shown_something(visitor):
+            await asyncio.sleep(0.1)
 
 
 @on_page(MAX_CONNECTIONS=8, PATIENCE_S=1.0)
@@ -494,6 +501,7 @@ async def test_browsers_that_leave_give_everything_back(visitor):
                     await browser.say(turn=[1, 0])
                     message = await browser.socket.receive()
                     browser.pictures += message.type is aiohttp.WSMsgType.BINARY
-    await asyncio.sleep(0.5)
+    async with asyncio.timeout(PATIENT_S):
+        while len(os.listdir("/proc/self/fd")) > before[1] + 3:
+            await asyncio.sleep(0.1)
     assert memory_mb() - before[0] < 100  # 10 scenes that stayed took 200
-    assert len(os.listdir("/proc/self/fd")) <= before[1] + 3

@@ -128,7 +128,7 @@ def test_a_page_shows_the_array_in_a_browser_without_a_network(page_file, tmp_pa
         asked = []
         page.on("request", lambda request: asked.append(request.url))
         page.goto(page_file.as_uri())
-        page.wait_for_selector("canvas", timeout=20_000)
+        page.wait_for_selector("canvas", timeout=60_000)
         assert page.title() == "TriPillar: 1 MPa on every pad, 3 MPa on every pad"
         assert page.get_by_text("3 MPa on every pad", exact=True).is_visible()
         assert page.get_by_text("vertical displacement of the pillars [mm]").is_visible()
@@ -137,7 +137,7 @@ def test_a_page_shows_the_array_in_a_browser_without_a_network(page_file, tmp_pa
         boxes = [one.bounding_box() for one in page.query_selector_all("main .labels span, main .content")]
         assert all(box["x"] >= 0 and box["x"] + box["width"] <= size[0] for box in boxes)
         drawn = tmp_path / "page.png"
-        for _ in range(40):  # the picture comes some time after its canvas
+        for _ in range(200):  # the picture comes some time after its canvas
             page.wait_for_timeout(250)
             page.query_selector("main .content").screenshot(path=drawn)
             if coloured(drawn, axis=1 if size[0] > size[1] else 0):
