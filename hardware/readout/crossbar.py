@@ -1,7 +1,8 @@
 """The crossbar and its crosstalk: unselected wires form sneak paths around the pillar that is read.
 
 `Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `Corrector` inverts
-it. Wires and the order of crossings are those of `geometry.wiring`.
+it; `CrossbarReadout` passes simulated resistances through both. Wires and the order of crossings are those of
+`geometry.wiring`.
 """
 
 import math
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.imperfections import OPEN_OHM
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars
@@ -394,3 +396,38 @@ def _stepped(u: FloatArray, step: FloatArray) -> FloatArray:
     step = np.clip(step, -MAX_STEP, MAX_STEP)  # each by itself: one on its way to open holds up no other
     stepped: FloatArray = np.clip(u + step, np.log(MIN_SIEMENS), np.log(MAX_SIEMENS))
     return stepped
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossbarReadout:
+    """Reads the resistances of a dataset as the host of a crossbar does; a `dataset.measurement.Readout`."""
+
+    crossbar: Crossbar
+    corrected: bool = True  #: False leaves the crosstalk in
+
+    @property
+    def bits(self) -> int | None:
+        return self.crossbar.bits
+
+    def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
+
+        Raises
+        ------
+        DesignError
+            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
+        """
+        crossbar = self.crossbar
+        if crossbar.bits is None:
+            x = crossbar.readings(resistance_ohm)
+            x = x + crossbar.noise * generator.standard_normal(x.shape)
+        else:
+            x, is_bound = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
+            is_lost = crossbar.as_pillars(is_bound) & (resistance_ohm < OPEN_OHM)
+            if is_lost.any():
+                raise DesignError(
+                    f"the converter behind sense_ohm={crossbar.sense_ohm:g} cannot tell "
+                    f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
+                    "that pillars stay inside its range."
+                )
+        return Corrector(crossbar).correct(x) if self.corrected else crossbar.uncorrected(x)

@@ -64,6 +64,7 @@ class Listener:
 @contextmanager
 def listening(board):
     port = open_port(board.port, timeout_s=0.05)
+    port.write_timeout = None  # a busy machine may leave a board no time to read
     try:
         yield Listener(port)
     finally:

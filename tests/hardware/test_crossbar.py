@@ -9,8 +9,7 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
 from hardware.link.frames import ScanMode
-from hardware.readout.crossbar import Corrector, Crossbar
-from hardware.readout.dataset_readout import CrossbarReadout
+from hardware.readout.crossbar import Corrector, Crossbar, CrossbarReadout
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 MODES = list(ScanMode)

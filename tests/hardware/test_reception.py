@@ -57,18 +57,12 @@ def test_a_reset_after_any_uptime_is_a_restart(reception, uptime_min, boot_s):
 
 
 @pytest.mark.parametrize("uptime_min", UPTIMES_MIN)
-def test_a_reset_while_the_board_was_unplugged_is_a_restart(reception, uptime_min):
-    feed(reception, wires(FAR, SCANS, uptime_s=60 * uptime_min), arrivals(NOW_S, SCANS))
-    reception.connected()
-    feed(reception, wires(0, SCANS), arrivals(NOW_S + 20, SCANS))
-    assert (reception.statistics.restarts, reception.statistics.lost) == (1, 0)
-
-
-def test_a_reset_during_a_stall_is_a_restart(reception):
+@pytest.mark.parametrize("note", [Reception.connected, Reception.doubt], ids=["unplugged", "stalled"])
+def test_a_reset_in_a_pause_is_a_restart(reception, uptime_min, note):
     """The fit is forgotten by then, what the last frame's time was is not."""
-    feed(reception, wires(FAR, SCANS, uptime_s=3600), arrivals(NOW_S, SCANS))
-    reception.doubt()
-    feed(reception, wires(0, SCANS), arrivals(NOW_S + 15, SCANS))
+    feed(reception, wires(FAR, SCANS, uptime_s=60 * uptime_min), arrivals(NOW_S, SCANS))
+    note(reception)
+    feed(reception, wires(0, SCANS), arrivals(NOW_S + 20, SCANS))
     assert (reception.statistics.restarts, reception.statistics.lost) == (1, 0)
 
 
@@ -198,14 +192,14 @@ def test_before_the_drift_is_known_it_is_all_the_error():
     assert np.abs(error_s[RATE_HZ:]).max() < 4 * 50e-6 + BOUND_S
 
 
-def test_bursts_of_delay_say_nothing():
-    """For 1.5 s in 7 s all frames are up to half a second late; their time is not."""
-    error_s = errors(DeviceClock(), *late_arrivals(100, bursts=True))
-    assert np.abs(error_s[5 * RATE_HZ :]).max() < BOUND_S
-
-
-def test_time_runs_through_the_rollover():
-    error_s = errors(DeviceClock(), *late_arrivals(20, first_us=2**32 - 10_000_000))
+@pytest.mark.parametrize(
+    "options",
+    [{"seconds": 100, "bursts": True}, {"seconds": 20, "first_us": 2**32 - 10_000_000}],
+    ids=["bursts", "wrap"],
+)
+def test_bursts_of_delay_and_the_rollover_leave_no_more(options):
+    """In bursts, for 1.5 s in 7 s, all frames are up to half a second late; their time is not."""
+    error_s = errors(DeviceClock(), *late_arrivals(**options))
     assert np.abs(error_s[5 * RATE_HZ :]).max() < BOUND_S
 
 

@@ -130,8 +130,7 @@ def dataset(
     if crossbar is None and (given or not correct):
         raise DesignError("--sense-ohm, --switch-ohm, --line-ohm and --no-correct belong to --crossbar: give it, too.")
     if crossbar is not None:
-        from hardware.readout.crossbar import Crossbar, scan_mode_named
-        from hardware.readout.dataset_readout import CrossbarReadout
+        from hardware.readout.crossbar import Crossbar, CrossbarReadout, scan_mode_named
 
         wired = Crossbar.suited(
             scan_mode_named(crossbar),
