@@ -1,15 +1,14 @@
-"""Colours of all charts of the studies, and the writing of a picture."""
+"""The look of all charts of the studies, and the writing of a picture."""
 
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 # Okabe and Ito's colours, told apart by colour-blind readers too
 BLUE, ORANGE, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
@@ -18,21 +17,38 @@ FAMILIES = {  #: of programs in benchmarks; ours stand out
     "TriPillar": "#c1272d", "contrast": "#e59a6f", "closed form": "#7a7a7a", "scikit-fem": "#0081a7",
     "NGSolve": "#3a5a40", "CalculiX": "#6a4c93",
 }  # fmt: skip
+MAX_BYTES = 300_000  #: of a picture in all its colours; a larger one gets 256
 
 
-STEP = 5  #: of 255 levels of a colour: nobody sees it, and a PNG is half as large
+def new_figure(width: float, height: float, dpi: int = 120, layout: Any = "constrained") -> "Figure":
+    """An empty figure, its size in inches. Loads Matplotlib."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=dpi, layout=layout)
 
 
-def save_small(image: NDArray[np.uint8], path: Path) -> None:
-    """Write a picture (rows, cols, 3) as a small PNG, whole or not at all."""
-    from PIL import Image
-
-    levels = np.clip(np.rint(image / STEP) * STEP, 0, 255).astype(np.uint8)
-    with replacing(path) as temporary:
-        Image.fromarray(levels).save(temporary, "PNG", optimize=True)
+def finish(figure: "Figure", path: Path) -> None:
+    """Rule every plot of a figure with a pale grid, and write a PNG."""
+    for axes in figure.axes:
+        axes.grid(visible=True, which="both", alpha=0.2)
+    save(figure, path)
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a PNG, whole or not at all."""
+    """Write a figure as a small PNG."""
+    from PIL import Image
+
+    with BytesIO() as drawn:
+        figure.savefig(drawn, format="png")
+        save_small(Image.open(drawn), path)
+
+
+def save_small(image: "Image", path: Path) -> None:
+    """Write a picture as a PNG, whole or not at all; a large one with 256 colours."""
+    from PIL.Image import Dither, Quantize
+
+    whole = image.convert("RGB")
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+        whole.save(temporary, "PNG", optimize=True)
+        if temporary.stat().st_size > MAX_BYTES:
+            whole.quantize(256, method=Quantize.FASTOCTREE, dither=Dither.NONE).save(temporary, "PNG", optimize=True)

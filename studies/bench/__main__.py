@@ -8,20 +8,19 @@ from typing import Annotated
 
 import typer
 
-from geometry.storage.files import write_json
 from studies.bench.harness import (
     Record,
     Settings,
-    as_plain,
     draw_records,
+    measured_on,
     ratio_table,
     record_table,
     run_contenders,
+    write_records,
 )
-from studies.bench.reference import has_reference
+from studies.bench.reference import stored_references
 from studies.bench.scenes import all_scenes, hard_scenes
 from studies.bench.solving import CONTENDERS, LOADED, WORST
-from studies.surroundings import measured_on
 from tripillar.terminal.console import say, wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
@@ -58,11 +57,11 @@ def bench(
     for name in scene or SCENES:
         if name not in scenes:
             raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
-        if not has_reference(name):
+        if name not in stored_references():
             say(f"{name}: skipped, no reference yet: run python -m studies.bench.reference {name}")
             continue
         able = [one for one in chosen if one.covers(scenes[name])]
-        found = run_contenders("studies.bench.solving", name, name, able, settings, say)
+        found = run_contenders("studies.bench.solving", name, name, able, settings)
         everything += found
         pictures.append(out / f"{name}.png")
         draw_records(name, found, (LOADED, WORST), pictures[-1])
@@ -70,7 +69,7 @@ def bench(
         for judged in (LOADED, WORST) if len(scenes[name].probes) > 1 else (LOADED,):
             columns = {f"{goal:.1%}": partial(Record.seconds_to, judged=judged, error=goal) for goal in GOALS}
             show(ratio_table(f"{name}: fastest at or below an {judged}", found, columns, OURS))
-    write_json(as_plain(everything, measured_on(PACKAGES) | asdict(settings)), out / "bench.json")
+    write_records(everything, measured_on(PACKAGES) | asdict(settings), out / "bench.json")
     wrote([*pictures, out / "bench.json"])
 
 

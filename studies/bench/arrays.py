@@ -4,7 +4,6 @@ Every response is computed in a process of its own, without cache. Where `refere
 response, the error against them is given for the loaded unit and its first neighbours.
 """
 
-import json
 from functools import partial
 from operator import eq
 from pathlib import Path
@@ -24,47 +23,43 @@ from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
-from geometry.storage.files import write_json
-from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
-from studies.bench.reference import REFERENCES
-from studies.surroundings import measured_on
-from tripillar.terminal.console import say, wrote
+from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
+from studies.bench.reference import stored_references
+from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
-REFERRED = {(6, SAME): "response", (2, SOFT): "oblique"}  #: units and modulus → how its reference's scenes begin
+REFERRED = (6, SAME)  #: units a side and modulus of the response that has references
 
 
 def measure(contender: Contender, case: float, setting: int) -> Found:
     """The response of so many units a side in a matrix of some modulus, held to its reference if there is one."""
     design = SensorDesign(array=Array(rows=setting, cols=setting), matrix_material=Material(young_mpa=case))
     response = contender.solve(design)
-    referred = REFERRED.get((setting, case))
     estimate = None if np.isnan(response.error_estimate) else response.error_estimate
     return Found(
-        errors=column_errors(response.influence_mm_per_n, referred) if referred else {},
+        errors=column_errors(response.influence_mm_per_n) if (setting, case) == REFERRED else {},
         size=response.unknowns,
-        seconds=response.seconds,
+        steps=response.seconds,
         notes={"estimate": estimate, "residual": response.residual},
     )
 
 
-def column_errors(influence: FloatArray, name: str = "response") -> dict[str, float]:
+def column_errors(influence: FloatArray) -> dict[str, float]:
     """Error of a response against its stored columns: of the loaded unit and of its first neighbours, relative."""
-    scenes = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
+    scenes = stored_references()
     rows, cols = influence.shape[:2]
     found: dict[str, float] = {}
     for place, (row, col) in {"inner": (rows // 2, cols // 2), "edge": (0, cols // 2), "corner": (0, 0)}.items():
         for axis, letter in enumerate("xyz"):
-            probes = scenes.get(f"{name}-{place}-{letter}", {}).get("probes", {})
-            for key, near in {"self": 0, "first": 1}.items():
-                for i, j in np.ndindex(rows, cols):
-                    if abs(i - row) + abs(j - col) != near or f"{i * cols + j}-U1" not in probes:
-                        continue
+            probes = scenes.get(f"response-{place}-{letter}", {}).get("probes", {})
+            for i, j in np.ndindex(rows, cols):
+                apart = abs(i - row) + abs(j - col)
+                if probes and apart < 2:
                     exact = np.array([probes[f"{i * cols + j}-U{k}"] for k in (1, 2)])
                     misfit = np.linalg.norm(influence[i, j, :, :, row, col, axis] - exact) / np.linalg.norm(exact)
-                    label = f"{place} {key}"
+                    label = f"{place} {('self', 'first')[apart]}"
                     found[label] = max(found.get(label, 0.0), float(misfit))
     return found
 
@@ -134,9 +129,9 @@ def bench(
     records, settings = [], Settings(runs=1, patience_s=3600.0)
     for case in (SAME, SOFT):
         chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
-        records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings, say)
+        records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings)
     show(record_table("Array responses by units a side, everything included, nothing cached", records))
-    write_json(as_plain(records, measured_on(("numpy", "scipy", "scikit-fem"))), out)
+    write_records(records, measured_on(("numpy", "scipy", "scikit-fem")), out)
     wrote([out])
 
 

@@ -5,6 +5,7 @@ slid over by a round indenter.
 """
 
 import time
+from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,20 +44,22 @@ TITLES = {
 }
 
 
+def _us(compute: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    """What a function gives, and how long it takes [µs]."""
+    start = time.perf_counter()
+    found = compute(*arguments)
+    return found, 1e6 * (time.perf_counter() - start)
+
+
 def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> dict[str, Any]:
     """Errors of one read-out in percent, and times of a scan, many together and alone, over a motion."""
     rows, cols = motion.resistance_ohm.shape[1:3]
     crossbar = Crossbar.suited(mode, rows=rows, cols=cols, switch_ohm=switch_ohm, bits=bits)
     exact = motion.resistance_ohm
     readings, _ = crossbar.fractions(crossbar.counts(exact))
-    start = time.perf_counter()
-    found = Corrector(crossbar).correct(readings)
-    batch_s = (time.perf_counter() - start) / len(readings)
-    corrector, alone_s = Corrector(crossbar), []
-    for k in range(len(readings)):
-        start = time.perf_counter()
-        corrector.correct(readings[k : k + 1])
-        alone_s.append(time.perf_counter() - start)
+    corrector = Corrector(crossbar)
+    alone_us = [_us(corrector.correct, one)[1] for one in readings[:, None]]
+    found, batch_us = _us(Corrector(crossbar).correct, readings)
     error = 100.0 * (found / exact - 1.0)
     return {
         "mode": mode.name,
@@ -65,8 +68,8 @@ def crosstalk(motion: Motion, mode: ScanMode, switch_ohm: float, bits: int) -> d
         "uncorrected_mean_pct": float(100.0 * np.abs(crossbar.uncorrected(readings) / exact - 1.0).mean()),
         "rms_pct": float(np.sqrt((error**2).mean())),
         "worst_pct": float(np.abs(error).max()),
-        "batch_us": 1e6 * batch_s,
-        "single_us": 1e6 * float(np.median(alone_s)),
+        "batch_us": batch_us / len(readings),
+        "single_us": float(np.median(alone_us)),
     }
 
 
@@ -97,16 +100,12 @@ def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float
     info = board_info(mode)
     stream = recording_from_resistances(np.tile(motion.resistance_ohm, (PERIODS, 1, 1, 1)), info)
     n = PERIODS * len(motion.resistance_ohm)
-    start = time.perf_counter()
-    frames = FrameDecoder().feed(stream)
+    frames, decode_us = _us(FrameDecoder().feed, stream)
     counts = np.stack([frame.counts for frame in frames if isinstance(frame, Frame)])
-    decoded = time.perf_counter()
-    resistance_ohm, _ = ForceReader(info, model).measured(counts)
-    corrected = time.perf_counter()
-    model.forces(resistance_ohm)
-    done = time.perf_counter()
-    parts = {"decode_us": decoded - start, "correct_us": corrected - decoded, "infer_us": done - corrected}
-    return {name: 1e6 * seconds / n for name, seconds in parts.items()} | {"frames_per_s": n / (done - start)}
+    (resistance_ohm, _), correct_us = _us(ForceReader(info, model).measured, counts)
+    _, infer_us = _us(model.forces, resistance_ohm)
+    parts = {"decode_us": decode_us / n, "correct_us": correct_us / n, "infer_us": infer_us / n}
+    return parts | {"frames_per_s": 1e6 / sum(parts.values())}
 
 
 def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float) -> dict[str, Any]:

@@ -6,38 +6,31 @@ gives a `Found`. ``python -m studies.bench.harness MODULE JSON`` does that in th
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from studies.charts import FAMILIES, SERIES, save
+from geometry.storage.files import write_json
+from studies.charts import FAMILIES, SERIES, finish, new_figure
 from tripillar.sweep.memory import peak_mib
+from tripillar.terminal.console import say
 
 MARKERS = "osD^vP*X<>"
 NOT_REACHED = "–"
-
-
-def anything(case: Any) -> bool:
-    """True: for contenders that take every case."""
-    return True
-
-
-def nothing_missing() -> str:
-    """Nothing that the environment lacks."""
-    return ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +41,8 @@ class Contender:
     family: str  #: ours, contrast or the peer's program: contenders of a family share a colour
     solve: Callable[..., Any]  #: called by the benchmark's own `measure`
     settings: tuple[Any, ...] = (None,)  #: coarse to fine: elements along half a patch, an order, a tolerance
-    covers: Callable[[Any], bool] = anything  #: whether it takes a case
-    missing: Callable[[], str] = nothing_missing  #: what the environment lacks to run this, in a word
+    covers: Callable[[Any], bool] = lambda case: True  #: whether it takes a case
+    missing: Callable[[], str] = str  #: what the environment lacks to run this, in a word
     imports: tuple[str, ...] = ()  #: modules loaded before processor time is taken
 
 
@@ -57,30 +50,27 @@ class Contender:
 class Found:
     """The outcome of one measurement."""
 
-    errors: dict[str, float]  #: by what is judged
-    size: int  #: unknowns or weights
-    seconds: dict[str, float]  #: by step, without imports; their sum is the run time
+    errors: dict[str, float] = field(default_factory=dict)  #: by what is judged
+    size: int = 0  #: unknowns or weights
+    steps: dict[str, float] = field(
+        default_factory=dict
+    )  #: seconds of each, imports left out; their sum is the run time
     notes: dict[str, Any] = field(default_factory=dict)  #: further columns of the table
     trace: list[tuple[float, float]] = field(default_factory=list)  #: seconds and error on the way, where it has one
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
-    """One contender at one setting on one case; a failure has no numbers."""
+class Record(Found):
+    """One contender at one setting on one case, the median of its runs; a failure has no numbers."""
 
     case: str
     contender: str
     family: str
     setting: Any
     failure: str = ""
-    seconds: float = float("nan")  #: median run time, or processor time if that was asked for; imports left out
-    steps: dict[str, float] = field(default_factory=dict)  #: seconds by step of the median run
+    seconds: float = float("nan")  #: run time, or processor time if that was asked for; imports left out
     spread: float = 1.0  #: slowest over fastest run
-    errors: dict[str, float] = field(default_factory=dict)
-    size: int = 0
     peak_mib: float = float("nan")  #: resident memory, of the largest run
-    notes: dict[str, Any] = field(default_factory=dict)
-    trace: list[tuple[float, float]] = field(default_factory=list)
 
     def seconds_to(self, judged: str, error: float) -> float | None:
         """Time to an error; None if it was not reached. The trace, if there is one, is that of the error judged."""
@@ -103,12 +93,7 @@ class Settings:
 
 
 def run_contenders(
-    module: str,
-    name: str,
-    case: Any,
-    contenders: Iterable[Contender],
-    settings: Settings,
-    report: Callable[[str], None] = lambda line: None,
+    module: str, name: str, case: Any, contenders: Iterable[Contender], settings: Settings
 ) -> list[Record]:
     """Measure every contender that is installed, coarse to fine until it is accurate enough or too slow.
 
@@ -117,12 +102,12 @@ def run_contenders(
     found = []
     for one in contenders:
         if one.missing():
-            report(f"{one.name}: skipped, {one.missing()}")
+            say(f"{one.name}: skipped, {one.missing()}")
             continue
         for setting in one.settings:
             record = _measured(module, name, case, one, setting, settings)
             found.append(record)
-            report(described(record))
+            say(described(record))
             if record.failure or max(record.errors.values(), default=np.inf) < settings.enough:
                 break
     return found
@@ -137,28 +122,26 @@ def _measured(module: str, name: str, case: Any, one: Contender, setting: Any, s
         if "failure" in run:
             return Record(**labels, failure=run["failure"])
         runs.append(run)
-        if sum(run["seconds"].values()) > settings.slow_s:
+        if sum(run["steps"].values()) > settings.slow_s:
             break
-    times = [run["cpu_seconds"] if settings.by_processor else sum(run["seconds"].values()) for run in runs]
+    times = [run["cpu_seconds"] if settings.by_processor else sum(run["steps"].values()) for run in runs]
     middle = runs[int(np.argsort(times)[(len(times) - 1) // 2])]
     return Record(
         **labels,
         seconds=median(times),
-        steps=middle["seconds"],
         spread=max(times) / max(min(times), 1e-9),
         peak_mib=max(run["peak_mib"] for run in runs),
-        **{key: middle[key] for key in ("errors", "size", "notes", "trace")},
+        **{one.name: middle[one.name] for one in fields(Found)},
     )
 
 
 def _run(module: str, asked: list[Any], settings: Settings) -> dict[str, Any]:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), str(settings.threads))
+    command = [sys.executable, "-m", "studies.bench.harness", module, json.dumps(asked)]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with tempfile.TemporaryDirectory() if settings.own_cache else nullcontext() as cache:
-        done = subprocess.Popen(
-            [sys.executable, "-m", "studies.bench.harness", module, json.dumps(asked)],
-            env=os.environ | threads | ({"TRIPILLAR_CACHE": cache} if cache else {}),
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
+        environment = os.environ | threads | ({"TRIPILLAR_CACHE": cache} if cache else {})
+        done = subprocess.Popen(command, env=environment, start_new_session=True, **pipes)
         try:
             said, complained = done.communicate(timeout=settings.patience_s)
         except BaseException as stopped:
@@ -182,15 +165,28 @@ def described(record: Record) -> str:
     return f"{head}: {record.seconds:.3g} s, error {worst:.1e}, {record.peak_mib:.0f} MiB"
 
 
-def as_plain(records: Iterable[Record], about: Mapping[str, Any]) -> dict[str, Any]:
-    """Every record with what it was made on, for JSON; None stands for what is no number."""
-    rows = [asdict(record) for record in records]
-    return {
-        "about": about,
-        "measurements": [
-            {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in row.items()} for row in rows
-        ],
+def write_records(records: Iterable[Record], about: Mapping[str, Any], path: Path) -> None:
+    """Write every record with what it was made on as JSON; null stands for what is no number."""
+    rows = [
+        {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in asdict(record).items()}
+        for record in records
+    ]
+    write_json({"about": about, "measurements": rows}, path)
+
+
+def measured_on(packages: Iterable[str]) -> dict[str, object]:
+    """Machine and versions, without which times mean little."""
+    found: dict[str, object] = {
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
     }
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
 
 
 def record_table(title: str, records: Sequence[Record], caption: str = "") -> Table:
@@ -225,18 +221,16 @@ def ratio_table(
     """Seconds of the fastest of each family in every column, and how many times those of the families in `against`."""
     table = Table(title=title)
     table.add_column("family")
-    for header in columns:
+    families: dict[str, list[str]] = {one.family: [] for one in records}
+    for header, seconds in columns.items():
         table.add_column(header, justify="right")
-    fastest = {header: fastest_by_family(records, seconds) for header, seconds in columns.items()}
-    for family in dict.fromkeys(one.family for one in records):
-        cells = []
-        for best in fastest.values():
-            if family not in best:
-                cells.append(NOT_REACHED)
-                continue
+        fastest = fastest_by_family(records, seconds)
+        for family, cells in families.items():
             others = [other for other in against if len(against) > 1 or other != family]
-            ratios = [_ratio(best[family], best[other]) if other in best else NOT_REACHED for other in others]
-            cells.append(", ".join([f"{best[family]:.3g} s", *([" / ".join(ratios)] if ratios else [])]))
+            ratios = [_ratio(fastest.get(family), fastest.get(other)) for other in others]
+            told = [f"{fastest[family]:.3g} s", *([" / ".join(ratios)] if ratios else [])] if family in fastest else []
+            cells.append(", ".join(told) or NOT_REACHED)
+    for family, cells in families.items():
         table.add_row(family, *cells)
     return table
 
@@ -251,15 +245,15 @@ def fastest_by_family(records: Iterable[Record], seconds: Callable[[Record], flo
     return best
 
 
-def _ratio(value: float, unit: float) -> str:
+def _ratio(value: float | None, unit: float | None) -> str:
+    if value is None or unit is None:
+        return NOT_REACHED
     return f"{value / unit:,.0f}×" if value >= 10 * unit else f"{value / unit:.2g}×"
 
 
 def draw_records(title: str, records: Sequence[Record], errors: Sequence[str], path: Path) -> None:
     """Write a PNG: run time against every error, and peak memory against the last; better answers to the right."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5 * len(errors) + 7, 6), dpi=120, layout="constrained")
+    figure = new_figure(5 * len(errors) + 7, 6)
     *panels, memory = figure.subplots(1, len(errors) + 1)
     number: dict[str, int] = {}
     for name in dict.fromkeys(one.contender for one in records):
@@ -284,12 +278,12 @@ def draw_records(title: str, records: Sequence[Record], errors: Sequence[str], p
         memory.plot([one.errors[errors[-1]] for one in mine], [one.peak_mib for one in mine], **style)
     for axes, error in zip((*panels, memory), (*errors, errors[-1]), strict=True):
         axes.set(xscale="log", yscale="log", xlabel=error, ylabel="run time [s]")
-        axes.grid(visible=True, which="both", alpha=0.2)
         axes.invert_xaxis()
-    memory.set(ylabel="peak memory of the process [MiB]")
+    peaks = [one.peak_mib for one in records if not one.failure]
+    memory.set(ylabel="peak memory of the process [MiB]", yscale="log" if max(peaks) > 3 * min(peaks) else "linear")
     figure.suptitle(f"{title}: run time without imports; further right and lower is better")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-    save(figure, path)
+    finish(figure, path)
 
 
 def named(contenders: Iterable[Contender], name: str) -> Contender:
@@ -300,33 +294,15 @@ def named(contenders: Iterable[Contender], name: str) -> Contender:
     return by_name[name]
 
 
-class Stopwatch:
-    """Seconds by step: call it at the end of each, with its name."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._start = perf_counter()
-
-    def __call__(self, step: str) -> None:
-        now = perf_counter()
-        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._start
-        self._start = now
-
-
-def processor_seconds() -> float:
-    """Of this process and of those that it waited for, on all their threads."""
-    return sum(os.times()[:4])
-
-
 def measure_here(module: str, name: str, case: Any, setting: Any) -> dict[str, Any]:
     """One measurement in this process."""
     bench = import_module(module)
     chosen = named(bench.CONTENDERS, name)
     for needed in chosen.imports:
         import_module(needed)
-    start = processor_seconds()
+    start = sum(os.times()[:4])  # of this process and of those that it waited for, on all their threads
     found = bench.measure(chosen, case, setting)
-    return asdict(found) | {"cpu_seconds": processor_seconds() - start, "peak_mib": peak_mib()}
+    return asdict(found) | {"cpu_seconds": sum(os.times()[:4]) - start, "peak_mib": peak_mib()}
 
 
 if __name__ == "__main__":

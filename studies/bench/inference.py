@@ -15,10 +15,8 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.files import write_json
-from studies.bench.harness import Contender, Found, Settings, as_plain, record_table, run_contenders
-from studies.surroundings import measured_on
-from tripillar.terminal.console import say, wrote
+from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
+from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 
@@ -55,7 +53,7 @@ def trained_and_timed(
     return Found(
         errors={f"{name} [% of full scale]": error for name, error in errors.items() if error is not None},
         size=model.hidden_weights.size + model.output_weights.size,
-        seconds={"a scan": median_seconds(model, scans[:1])},
+        steps={"a scan": median_seconds(model, scans[:1])},
         notes={f"{MANY:,} scans [s]": median_seconds(model, many), "training [s]": training_s},
     )
 
@@ -82,11 +80,11 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
     """Train and time every net on every kind of loads; one scan runs on one thread, a batch on all cores."""
     array_response(SensorDesign())  # into the cache
     settings = Settings(runs=1, patience_s=600.0, own_cache=False)
-    found = run_contenders("studies.bench.inference", "nets", None, CONTENDERS, settings, say)
+    found = run_contenders("studies.bench.inference", "nets", None, CONTENDERS, settings)
     show(
         record_table(f"Skip nets trained on {SAMPLES['train'][0]} exact samples; seconds are those of one scan", found)
     )
-    write_json(as_plain(found, measured_on(("numpy", "torch"))), out)
+    write_records(found, measured_on(("numpy", "torch")), out)
     wrote([out])
 
 

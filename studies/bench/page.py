@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from geometry.storage.files import replacing
-from studies.pictures.browser import page_in_chromium
+from studies.pictures.page import page_in_chromium
 from tripillar.terminal.entry import run_alone
 
 WARM_UP, STEPS = 4, 30

@@ -10,7 +10,7 @@ import json
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -21,7 +21,7 @@ from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
-from studies.bench.peers.ngsolve_peer import Grading, NgsolveSolution, solve_references
+from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.scenes import all_scenes
 
 REFERENCES = Path(__file__).with_name("references.json")
@@ -37,51 +37,23 @@ GRADINGS: dict[tuple[str, ...], Grading] = {  #: how names of scenes begin → t
     ("pillar-oblique", "leaning-56", "sheared-pillar"): Grading(
         order=6, levels=3, ratio=0.2, largest_mm=1.5, edge_mm=1.5, edges=("base",)
     ),
-    ("stiff",): Grading(order=5, levels=2, ratio=0.15, largest_mm=8.0, edge_mm=4.0, edges=("base", "regions")),
     ("slab-12", "response"): Grading(order=6, levels=1, ratio=0.15, largest_mm=10.0, edge_mm=4.0),
     ("slab-4",): Grading(order=6, levels=1, ratio=0.15, largest_mm=10.0, edge_mm=2.0),
-    ("plain",): Grading(order=5, levels=1, ratio=0.15, largest_mm=10.0, edge_mm=6.0),
-    # pillars that share an electrode meet in corners that hp-refinement does not know
-    ("oblique",): Grading(order=4, levels=0, ratio=1.0, largest_mm=5.0, edge_mm=2.0),
     ("plate",): Grading(order=5, levels=2, ratio=0.15, largest_mm=2.0, edge_mm=1.0),
     ("void", "side-inclusion"): Grading(order=6, levels=1, ratio=0.15, largest_mm=6.0, edge_mm=4.0),
     ("two-inclusions",): Grading(order=5, levels=1, ratio=0.15, largest_mm=8.0, edge_mm=4.0),
 }
 
 
-@dataclass(frozen=True)
-class Reference:
-    """A converged answer."""
-
-    probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
-    energy_mj: float
-    uncertainties: dict[str, float]  #: relative error of each probe; see `fem.scene.solution.relative_errors`
-
-    @property
-    def uncertainty(self) -> float:
-        """Of the least certain probe."""
-        return max(self.uncertainties.values())
+def stored_references() -> dict[str, Any]:
+    """Every stored entry by scene: probes [mm], energy_mj, uncertainties (relative) and runs."""
+    stored: dict[str, Any] = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
+    return stored
 
 
-def read_reference(name: str) -> Reference:
-    """The stored reference of a scene.
-
-    Raises
-    ------
-    KeyError
-        If there is none: run ``python -m studies.bench.reference NAME``.
-    """
-    stored = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
-    if name not in stored:
-        raise KeyError(f"no reference for '{name}': run python -m studies.bench.reference {name}")
-    entry = stored[name]
-    probes = {probe: np.array(u) for probe, u in entry["probes"].items()}
-    return Reference(probes, entry["energy_mj"], entry["uncertainties"])
-
-
-def has_reference(name: str) -> bool:
-    """True if a scene's reference is stored."""
-    return name in json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
+def reference_probes(name: str) -> dict[str, FloatArray]:
+    """Displacement of each probe of a scene that has a reference, shape (3,) [mm]."""
+    return {probe: np.array(u) for probe, u in stored_references()[name]["probes"].items()}
 
 
 def make_references(scenes: dict[str, Scene], finest: Grading) -> dict[str, dict[str, Any]]:
@@ -98,7 +70,10 @@ def make_references(scenes: dict[str, Scene], finest: Grading) -> dict[str, dict
             "probes": {probe: [float(f"{x:.9g}") for x in u] for probe, u in best.probes.items()},
             "energy_mj": float(f"{best.energy_mj:.9g}"),
             "uncertainties": {probe: max(distance[probe] for distance in apart) for probe in best.probes},
-            "runs": [run | _record(answer) for run, answer in zip(runs, (*others, best), strict=True)],
+            "runs": [
+                run | {"unknowns": one.unknowns, "elements": one.elements, "energy_mj": float(f"{one.energy_mj:.9g}")}
+                for run, one in zip(runs, (*others, best), strict=True)
+            ],
         }
     return entries
 
@@ -114,14 +89,6 @@ def distances(probes: dict[str, FloatArray], reference: dict[str, FloatArray]) -
     """Relative distance of each probe from its reference, to two digits."""
     errors = relative_errors({name: probes[name] - u for name, u in reference.items()}, reference)
     return {name: float(f"{error:.2g}") for name, error in errors.items()}
-
-
-def _record(answer: NgsolveSolution) -> dict[str, Any]:
-    return {
-        "unknowns": answer.unknowns,
-        "elements": answer.elements,
-        "energy_mj": float(f"{answer.energy_mj:.9g}"),
-    }
 
 
 def solved_together(names: Iterable[str]) -> Iterator[tuple[dict[str, Scene], Grading]]:
@@ -140,7 +107,7 @@ def main(names: list[str]) -> None:
     """Solve the named scenes, or all, and store each as soon as it is known."""
     for group, finest in solved_together(names or all_scenes()):
         entries = make_references(group, finest)
-        stored = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"] | entries
+        stored = stored_references() | entries
         with replacing(REFERENCES) as temporary:
             temporary.write_text(_laid_out({"method": METHOD, "scenes": stored}), encoding="utf-8")
         for name, entry in entries.items():

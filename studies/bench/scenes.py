@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Sensor, Triple
-from geometry.design import Array, Material, SensorDesign
-from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares
+from geometry.design import Material, SensorDesign
+from geometry.layout import AXES, electrode_squares, pad_squares
 
 TRACTIONS: dict[str, Triple] = {"normal": (0.0, 0.0, -1.0), "tangential": (0.2, 0.0, 0.0)}  #: [MPa]
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
@@ -67,19 +67,6 @@ def slab_scenes() -> dict[str, Scene]:
     }  # fmt: skip
 
 
-def inclusion_scenes() -> dict[str, Scene]:
-    """A stiff upright pillar, from base to top, in a soft block."""
-    middle, block = (7.5, 7.5), Block(size_mm=(15.0, 15.0, 10.0))
-    return {
-        f"stiff-pillar-{name}": loaded(
-            block, Material(young_mpa=0.61, poisson=0.49), middle, (12.0, 12.0), push,
-            upright(7.5, 7.5, (0.0, 10.0), (2.0, 2.0), 61.0, 0.49),
-            probes={"patch": (middle, (12.0, 12.0)), "pillar": (middle, (2.0, 2.0))},
-        )
-        for name, push in {"normal": (0.0, 0.0, -0.1), "tangential": (0.02, 0.0, 0.0)}.items()
-    }  # fmt: skip
-
-
 def upright(x: float, y: float, z: Pair, section_mm: Pair, young_mpa: float, poisson: float) -> Inclusion:
     """An upright prism of another rubber between two heights."""
     material = Material(young_mpa=young_mpa, poisson=poisson)
@@ -112,13 +99,13 @@ def hard_scenes() -> dict[str, Scene]:
     }  # fmt: skip
 
 
-def response_scenes(design: SensorDesign | None = None, name: str = "response") -> dict[str, Scene]:
+def response_scenes(design: SensorDesign | None = None) -> dict[str, Scene]:
     """Columns of an array's response: 1 N along each axis on an inner, an edge and a corner pad.
 
     The probes are all electrodes, named by unit and electrode: their displacement [mm] is the influence [mm/N].
     """
     design = design or SensorDesign()
-    cols = design.array.cols
+    cols, squares = design.array.cols, pad_squares(design)
     units = {"inner": design.array.rows // 2 * cols + cols // 2, "edge": cols // 2, "corner": 0}
     electrodes = tuple(
         Probe(
@@ -127,50 +114,17 @@ def response_scenes(design: SensorDesign | None = None, name: str = "response") 
         )
         for number, (x0, y0, x1, y1) in enumerate(electrode_squares(design).tolist())
     )  # fmt: skip
-    return {
-        f"{name}-{place}-{axis}": _sensor(design, {unit: traction}, electrodes)
-        for place, unit in units.items()
-        for axis, traction in zip(AXES, np.eye(3) / design.pad.size_mm**2, strict=True)
-    }
-
-
-def field_scene(design: SensorDesign) -> Scene:
-    """A small array under a random load on every pad, its displacement wanted at five random points of every unit."""
-    rng = np.random.default_rng(0)
-    units, (pitch, height) = design.n_units, (design.array.pitch_mm, design.unit.height_mm)
-    tractions_mpa = rng.uniform((-0.3, -0.3, -1.0), (0.3, 0.3, -0.2), (units, 3))
-    points = rng.uniform((-0.45, -0.45, 0.1), (0.45, 0.45, 0.9), (units, 5, 3)) * (pitch, pitch, height)
-    points[:, :, :2] += (pad_squares(design)[:, None, :2] + pad_squares(design)[:, None, 2:]) / 2
-    probes = tuple(
-        Probe(name=f"{unit}-{number}", kind="point", position_mm=tuple(points[unit, number].tolist()))
-        for unit, number in np.ndindex(units, 5)
-    )
-    return _sensor(design, dict(enumerate(tractions_mpa)), probes)
-
-
-def small_array_scenes() -> dict[str, Scene]:
-    """2 × 2 units: columns and points inside where pillars are six times as stiff as the matrix; points where alike."""
-    plain = SensorDesign(array=Array(rows=2, cols=2))
-    oblique = replace(plain, matrix_material=Material(young_mpa=1.0))
-    fields = {"oblique-field": field_scene(oblique), "plain-field": field_scene(plain)}
-    return response_scenes(oblique, "oblique") | fields
-
-
-def _sensor(design: SensorDesign, tractions_mpa: Mapping[int, FloatArray], probes: tuple[Probe, ...]) -> Scene:
-    """An array with tractions on some of its pads."""
-    squares = pad_squares(design)
-    middles, sizes = (squares[:, :2] + squares[:, 2:]) / 2, squares[:, 2:] - squares[:, :2]
-    loads = tuple(
-        Load(
-            center_mm=tuple(middles[unit].tolist()), size_mm=tuple(sizes[unit].tolist()),
-            traction_mpa=tuple(traction.tolist()),
-        )
-        for unit, traction in tractions_mpa.items()
-    )  # fmt: skip
-    return Scene(body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes)
+    found = {}
+    for place, unit in units.items():
+        (x, y), side = ((squares[unit, :2] + squares[unit, 2:]) / 2).tolist(), design.pad.size_mm
+        for axis, traction in zip(AXES, (np.eye(3) / side**2).tolist(), strict=True):
+            load = Load(center_mm=(x, y), size_mm=(side, side), traction_mpa=tuple(traction))
+            found[f"response-{place}-{axis}"] = Scene(
+                body=Sensor(design=design), material=design.matrix_material, loads=(load,), probes=electrodes
+            )
+    return found
 
 
 def all_scenes() -> dict[str, Scene]:
-    """Every scene that has a reference."""
-    arrays = response_scenes() | small_array_scenes()
-    return patch_scenes() | pillar_scenes() | inclusion_scenes() | slab_scenes() | arrays | hard_scenes()
+    """Every scene that is given a reference."""
+    return patch_scenes() | pillar_scenes() | slab_scenes() | response_scenes() | hard_scenes()

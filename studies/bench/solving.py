@@ -13,8 +13,8 @@ from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender, Found
 from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
-from studies.bench.peers.solved import Solved, is_homogeneous_block
-from studies.bench.reference import read_reference
+from studies.bench.peers.grids import Solved, is_homogeneous_block
+from studies.bench.reference import reference_probes
 from studies.bench.scenes import all_scenes
 
 LOADED, WORST = "error of the loaded probe", "error of the worst probe"
@@ -24,10 +24,10 @@ TOLERANCES = (5e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 def measure(contender: Contender, case: str, setting: float) -> Found:
     """Solve a scene once and hold its probes to the reference."""
     solved: Solved = contender.solve(all_scenes()[case], setting)
-    reference = read_reference(case).probes
+    reference = reference_probes(case)
     errors = relative_errors({name: solved.probes[name] - u for name, u in reference.items()}, reference)
     judged = {LOADED: errors[next(iter(errors))], WORST: max(errors.values())}
-    return Found(errors=judged, size=solved.unknowns, seconds=solved.seconds)
+    return Found(errors=judged, size=solved.unknowns, steps=solved.seconds)
 
 
 def solve_to_tolerance(scene: Scene, tolerance: float, no_skip: Iterable[str] = ()) -> Solved:

@@ -14,16 +14,15 @@ from fem.array.substructured import PADS, condensed_cell, lone_unit
 from fem.discretization.elasticity import taylor_hood
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Triple
+from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, mesh_quality
-from studies.bench.scenes import response_scenes
+from studies.bench.scenes import RUBBER, loaded, response_scenes, upright
 from studies.edge_cases.trials import Judged, NotTriedError, Trial
 
-YOUNG_MPA = 6.1
-RUBBER = Material(young_mpa=YOUNG_MPA, poisson=0.49)
+YOUNG_MPA = RUBBER.young_mpa
 TOLERANCE = 5e-3  #: of trials whose difficulty is not accuracy
 ARRAY_TOLERANCE = 1e-3
 TIGHTER = 2.0  #: by which a reference is asked to be better than estimated: enough for the next level, not for minutes
@@ -65,46 +64,22 @@ def require_other(unknowns: int, of_reference: int) -> None:
 
 
 def block(
-    material: Material,
-    size_mm: Triple = (10.0, 10.0, 5.0),
-    patch_mm: Pair = (4.0, 4.0),
-    traction_mpa: Triple = (0.0, 0.0, -1.0),
-    inclusions: tuple[Inclusion, ...] = (),
-    tolerance: float = TOLERANCE,
-) -> Scene:
+    material: Material, size_mm: Triple = (10.0, 10.0, 5.0), patch_mm: Pair = (4.0, 4.0),
+    push: Triple = (0.0, 0.0, -1.0), *inclusions: Inclusion, tolerance: float = TOLERANCE,
+) -> Scene:  # fmt: skip
     """A block under a patch in the middle of its top, whose mean displacement is asked for."""
     middle = (size_mm[0] / 2, size_mm[1] / 2)
-    return Scene(
-        body=Block(size_mm=size_mm),
-        material=material,
-        inclusions=inclusions,
-        loads=(Load(center_mm=middle, size_mm=patch_mm, traction_mpa=traction_mpa),),
-        probes=(Probe(name="patch", kind="mean", center_mm=middle, size_mm=patch_mm),),
-        tolerance=tolerance,
-    )
+    scene = loaded(Block(size_mm=size_mm), material, middle, patch_mm, push, *inclusions)
+    return replace(scene, tolerance=tolerance)
 
 
-def leaning_inclusion(tolerance: float) -> Scene:
+def leaning_inclusion(tolerance: float = 3e-2) -> Scene:
     """A small block with an oblique inclusion ten times as stiff: it needs the mesher."""
     stiff = Inclusion(
-        base_mm=(3.0, 3.0, 0.0),
-        top_mm=(5.0, 5.0, 4.0),
-        section_mm=(2.0, 2.0),
-        material=Material(young_mpa=10 * YOUNG_MPA, poisson=0.49),
-    )
-    return block(RUBBER, (8.0, 8.0, 4.0), (5.0, 5.0), inclusions=(stiff,), tolerance=tolerance)
-
-
-def pillar(width_mm: float, height_mm: float, traction_mpa: Triple) -> Scene:
-    """A free upright pillar loaded on all its top."""
-    section = (width_mm, width_mm)
-    return Scene(
-        body=Pillar(section_mm=section, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, height_mm)),
-        material=Material(young_mpa=YOUNG_MPA, poisson=0.3),
-        loads=(Load(center_mm=(0.0, 0.0), size_mm=section, traction_mpa=traction_mpa),),
-        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=section),),
-        tolerance=TOLERANCE,
-    )
+        base_mm=(3.0, 3.0, 0.0), top_mm=(5.0, 5.0, 4.0), section_mm=(2.0, 2.0),
+        material=replace(RUBBER, young_mpa=10 * YOUNG_MPA),
+    )  # fmt: skip
+    return block(RUBBER, (8.0, 8.0, 4.0), (5.0, 5.0), (0.0, 0.0, -1.0), stiff, tolerance=tolerance)
 
 
 # trials
@@ -112,12 +87,12 @@ def pillar(width_mm: float, height_mm: float, traction_mpa: Triple) -> Scene:
 
 def poisson(nu: float) -> Judged:
     """A patch on a block at any Poisson's ratio, against a tighter solve."""
-    return compared_with_tighter(block(Material(young_mpa=YOUNG_MPA, poisson=nu)))
+    return compared_with_tighter(block(replace(RUBBER, poisson=nu)))
 
 
 def poisson_on_tetrahedra(nu: float, tolerance: float) -> Judged:
     """The same scene by Taylor-Hood tetrahedra and by boxes."""
-    scene = block(Material(young_mpa=YOUNG_MPA, poisson=nu), tolerance=tolerance)
+    scene = block(replace(RUBBER, poisson=nu), tolerance=tolerance)
     found, _ = solve_scene(scene, no_skip=["hexahedra"])
     reference, plan = solve_scene(replace(scene, tolerance=TOLERANCE))
     return compared(scene, found, reference.probes, reference.error_estimate, f"TH beside {plan.element}")
@@ -125,53 +100,50 @@ def poisson_on_tetrahedra(nu: float, tolerance: float) -> Judged:
 
 def hooke() -> Judged:
     """At ν = 0 the clamped base holds nothing back: the top sinks by p h / E."""
-    scene = block(Material(young_mpa=YOUNG_MPA, poisson=0.0), patch_mm=(10.0, 10.0))
+    scene = block(replace(RUBBER, poisson=0.0), patch_mm=(10.0, 10.0))
     exact = {"patch": np.array([0.0, 0.0, -5.0 / YOUNG_MPA])}
     return replace(compared(scene, solve_scene(scene)[0], exact, 0.0, "−p h/E"), allowed=ROUNDED)
 
 
 def confined(nu: float) -> Judged:
     """Far from its sides a flat block under pressure sinks by p h / (λ + 2μ)."""
-    material = Material(young_mpa=YOUNG_MPA, poisson=nu)
-    whole = block(material, (200.0, 200.0, 4.0), (200.0, 200.0))
-    middle = Probe(name="patch", kind="mean", center_mm=(100.0, 100.0), size_mm=(4.0, 4.0))
-    lame, mu = material.lame_mpa
+    whole = block(replace(RUBBER, poisson=nu), (200.0, 200.0, 4.0), (200.0, 200.0))
+    scene = replace(whole, probes=(replace(whole.probes[0], size_mm=(4.0, 4.0)),))
+    lame, mu = scene.material.lame_mpa
     exact = {"patch": np.array([0.0, 0.0, -4.0 / (lame + 2 * mu)])}
-    scene = replace(whole, probes=(middle,))
     return compared(scene, solve_scene(scene)[0], exact, 0.0, "confined: −p h/(λ + 2μ)")
 
 
 def modulus_ratio(ratio: float) -> Judged:
     """An upright pillar in a block `ratio` times as stiff."""
-    inside = Material(young_mpa=YOUNG_MPA / ratio, poisson=0.49)
-    upright = Inclusion(base_mm=(5.0, 5.0, 0.0), top_mm=(5.0, 5.0, 5.0), section_mm=(2.0, 2.0), material=inside)
-    return compared_with_tighter(block(RUBBER, inclusions=(upright,), tolerance=2e-2))
+    inside = upright(5.0, 5.0, (0.0, 5.0), (2.0, 2.0), YOUNG_MPA / ratio, RUBBER.poisson)
+    scene = block(RUBBER)
+    return compared_with_tighter(replace(scene, inclusions=(inside,), tolerance=2e-2))
 
 
 def slender(width_mm: float, height_mm: float, tangential: bool) -> Judged:
     """A pillar pressed or dragged, against rod and beam; its clamped end makes it a little stiffer."""
-    p = 1e-3
-    G = YOUNG_MPA / 2.6
-    area = width_mm**2
-    second_moment = width_mm**4 / 12
+    p, G, kappa = 1e-3, YOUNG_MPA / 2.6, 5 / 6
+    section = (width_mm, width_mm)
     if tangential:
-        force, kappa = p * area, 5 / 6
-        bent = force * height_mm**3 / (3 * YOUNG_MPA * second_moment) + force * height_mm / (kappa * G * area)
+        second_moment_over_area = width_mm**2 / 12
+        bent = p * height_mm**3 / (3 * YOUNG_MPA * second_moment_over_area) + p * height_mm / (kappa * G)
         exact, traction, against = np.array([bent, 0.0, 0.0]), (p, 0.0, 0.0), "Timoshenko's beam"
     else:
         exact, traction, against = np.array([0.0, 0.0, -p * height_mm / YOUNG_MPA]), (0.0, 0.0, -p), "−p L/E"
-    scene = pillar(width_mm, height_mm, traction)
+    body = Pillar(section_mm=section, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, height_mm))
+    material = Material(young_mpa=YOUNG_MPA, poisson=0.3)
+    scene = replace(loaded(body, material, (0.0, 0.0), section, traction), tolerance=TOLERANCE)
     slack = END * width_mm / height_mm
-    return compared(scene, solve_scene(scene)[0], {"top": exact}, slack, f"{against}, to {END:g} w/L")
+    return compared(scene, solve_scene(scene)[0], {"patch": exact}, slack, f"{against}, to {END:g} w/L")
 
 
 def small_patch(ratio: float, traction_mpa: Triple) -> Judged:
     """A patch so small that its block is a half-space to it, but for a/h."""
     size, a = 30.0, 30.0 / ratio
-    material = Material(young_mpa=YOUNG_MPA, poisson=0.3)
-    scene = block(material, (size, size, size), (a, a), traction_mpa)
+    scene = block(replace(RUBBER, poisson=0.3), (size, size, size), (a, a), traction_mpa)
     rectangle = np.array([-a / 2, -a / 2, a / 2, a / 2])
-    exact = mean_compliance(rectangle, rectangle, material) @ np.array(traction_mpa) * a**2
+    exact = mean_compliance(rectangle, rectangle, scene.material) @ np.array(traction_mpa) * a**2
     return compared(scene, solve_scene(scene)[0], {"patch": exact}, a / size, "half-space, to a/h")
 
 
@@ -236,33 +208,33 @@ def meshed_again(times: int, tolerance: float) -> Judged:
     return Judged(residual=residual, error=spread, allowed=SPREAD, against=f"spread of {times} meshes")
 
 
+def pressed(mpa: float, tetrahedra: bool) -> Scene:
+    """A block of boxes, or of tetrahedra, under a pressure."""
+    scene = leaning_inclusion() if tetrahedra else block(RUBBER)
+    return replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, 0.0, -mpa)),))
+
+
 def scaled_load(scale: float, tetrahedra: bool) -> Judged:
     """`scale` times the load bends `scale` times as far."""
-    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
-    push = (0.0, 0.0, -scale)
-    one, _ = solve_scene(scene)
-    many, _ = solve_scene(replace(scene, loads=(replace(scene.loads[0], traction_mpa=push),)))
-    scaled = {name: u / scale for name, u in many.probes.items()}
-    error = largest_error(scaled, one.probes)
+    one, _ = solve_scene(pressed(1.0, tetrahedra))
+    many, _ = solve_scene(pressed(scale, tetrahedra))
+    error = largest_error({name: u / scale for name, u in many.probes.items()}, one.probes)
     return Judged(residual=many.residual, error=error, allowed=EXACT, against="load 1, scaled")
 
 
 def zero_load(skipped: bool, tetrahedra: bool) -> Judged:
     """Nothing moves where nothing loads, computed or not."""
-    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
-    unloaded = replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, 0.0, 0.0)),))
-    found, _ = solve_scene(unloaded, no_skip=() if skipped else ["zero-load"])
+    found, _ = solve_scene(pressed(0.0, tetrahedra), no_skip=() if skipped else ["zero-load"])
     moved = max(float(np.abs(u).max()) for u in found.probes.values())
     return Judged(residual=found.residual, error=moved, allowed=0.0, against="0 exactly")
 
 
 def threads(tetrahedra: bool) -> Judged:
     """The same answer by one thread as by two."""
-    scene = leaning_inclusion(3e-2) if tetrahedra else block(RUBBER)
     solutions = []
     for count in (1, 2):
         with threadpool_limits(count):
-            solutions.append(solve_scene(scene)[0])
+            solutions.append(solve_scene(pressed(1.0, tetrahedra))[0])
     one, two = solutions
     error = largest_error(two.probes, one.probes)
     return Judged(residual=two.residual, error=error, allowed=EXACT, against="1 thread")
@@ -271,9 +243,7 @@ def threads(tetrahedra: bool) -> Judged:
 def small_array(pitch_mm: float, height_mm: float) -> SensorDesign:
     """2 × 2 units of one rubber, small enough for a pitch of 12 mm; not too flat for oblique pillars of 1 mm."""
     unit = Unit(span_mm=6.0, height_mm=height_mm, pillar_width_mm=1.0)
-    return SensorDesign(
-        array=Array(rows=2, cols=2, pitch_mm=pitch_mm), unit=unit, pad=Pad(size_mm=10.0), pillar_material=RUBBER
-    )
+    return SensorDesign(array=Array(rows=2, cols=2, pitch_mm=pitch_mm), unit=unit, pad=Pad(size_mm=10.0))
 
 
 def array_of(pitch_mm: float, height_mm: float) -> Judged:

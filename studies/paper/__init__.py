@@ -2,5 +2,5 @@
 
 In: an array's response. Out: one page with all of it, the same as Markdown, pictures, and every number as JSON. Open
 `report.md` first, the report as it is written by hand; `report.py` fills in its numbers. `experiments.py` trains the
-networks, `spacing.py` and `deformation.py` do the mechanics, the `..._charts.py` and `..._pictures.py` draw.
+networks, `spacing.py` and `deformation.py` do the mechanics, `pictures.py` draws.
 """

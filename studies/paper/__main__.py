@@ -1,28 +1,24 @@
 """``python -m studies.paper``: the paper's figures 6 to 11, tables 1 and 2 and its claim on spacing, from our data."""
 
 import shutil
-from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-import fem.pictures
 from geometry.design import SensorDesign
-from geometry.storage.files import digest, replacing, write_text
-from studies.paper.decoupling_charts import draw_figure_9, draw_figure_10, draw_figure_11
+from geometry.storage.files import replacing, write_text
+from studies.paper import pictures
 from studies.paper.deformation import study_deformation
-from studies.paper.deformation_pictures import draw_figure_6, draw_figure_7, draw_figure_8
-from studies.paper.drawing import drawn
 from studies.paper.experiments import Experiments, cache_key_of, run_experiments
 from studies.paper.report import Computed, as_html, as_markdown
-from studies.paper.results import Results
+from studies.paper.results import Results, kept
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
-from studies.paper.spacing_chart import draw_spacing
-from studies.paper.storage import kept
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
 from tripillar.terminal.entry import run_alone
@@ -45,22 +41,22 @@ def write_report(
     with progress_bars(verbosity) as bars:
         _, response = respond(SensorDesign(), bars)
         design, asked, experiments = response.design, Asked(), Experiments()
-        advance = bars.begin("spacing", total=2 * len(asked.pitches_mm) + len(asked.wider_mm))
+        steps = 2 * len(asked.pitches_mm) + len(asked.wider_mm)
+        advance = bars.begin("spacing", total=steps)
         spacing, new = kept(
             out / SPACING, spacing_cache_key(design, asked), Spacing,
             lambda: study_spacing(design, asked, lambda step: advance(1, step)),
         )  # fmt: skip
         if not new:
-            advance(2 * len(asked.pitches_mm) + len(asked.wider_mm), AGAIN)
+            advance(steps, AGAIN)
         results, new = kept(
             out / RESULTS, cache_key_of(response, experiments), Results,
             lambda: run_experiments(response, experiments, bars),
         )  # fmt: skip
         if not new:
             bars.begin("trainings", total=1)(1, AGAIN)
-        computed = Computed(
-            response=response, deformation=study_deformation(response), spacing=spacing, results=results
-        )
+        deformation = study_deformation(response)
+        computed = Computed(response=response, deformation=deformation, spacing=spacing, results=results)
         draw_pictures(computed, out, bars)
     text = as_markdown(computed)
     write_text(text, out / MARKDOWN)
@@ -80,23 +76,21 @@ def write_report(
 
 
 def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
-    """Draw every picture of the report whose data or code changed."""
-    response, sample, results = computed.response, computed.deformation.sample, computed.results
-    design = response.design
-    pen = Path(str(fem.pictures.__file__)).with_name("deformation.py").read_bytes()  # it draws figure 7
-    layer = (design.unit.height_mm, design.matrix_material)
-    wanted: tuple[tuple[str, Callable[..., None], tuple[Any, ...]], ...] = (
-        (digest(design), draw_figure_6, (response,)),
-        (digest(design, pen), draw_figure_7, (design,)),
-        (digest(response.content_hash, sample), draw_figure_8, (response, sample)),
-        (digest(results), draw_figure_9, (results,)),
-        (digest(results), draw_figure_10, (results,)),
-        (digest(results), draw_figure_11, (results,)),
-        (digest(computed.spacing), draw_spacing, (computed.spacing, *layer)),
+    """Draw every picture of the report."""
+    response, results = computed.response, computed.results
+    advance = bars.begin("pictures", total=len(PICTURES))
+    drawings = (
+        partial(pictures.draw_electrode_grid, response, None),
+        partial(pictures.draw_figure_7, response.design),
+        partial(pictures.draw_electrode_grid, response, np.array(computed.deformation.sample.traction_mpa)),
+        partial(pictures.draw_figure_9, results),
+        partial(pictures.draw_figure_10, results),
+        partial(pictures.draw_figure_11, results),
+        partial(pictures.draw_spacing, computed.spacing, response.design),
     )
-    advance = bars.begin("pictures", total=len(wanted))
-    for name, (data_hash, draw, arguments) in zip(PICTURES, wanted, strict=True):
-        advance(1, name if drawn(out / name, data_hash, draw, *arguments) else AGAIN)
+    for name, draw in zip(PICTURES, drawings, strict=True):
+        draw(out / name)
+        advance(1, name)
 
 
 if __name__ == "__main__":

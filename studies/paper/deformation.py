@@ -74,9 +74,10 @@ def study_deformation(response: ArrayResponse) -> Deformation:
     design = response.design
     pillar = design.unit.pillar_width_mm**2 * design.pillar_material.young_mpa
     light_mpa = LARGEST_FORCE_N / design.pad.size_mm**2
+    per_mpa = {loaded: displacements(response, load(design, 1.0)[None]) for loaded, load in LOADED.items()}
     return Deformation(
         pressed=[pressed(response, loaded, p) for loaded in LOADED for p in PRESSURES_MPA],
-        cap_mpa={loaded: pressure_at_cap(response, loaded) for loaded in LOADED},
+        cap_mpa={loaded: float(largest_factors(u, design.unit, CAP)[0]) for loaded, u in per_mpa.items()},
         light=pressed(response, "one pad", light_mpa),
         alone_strain=LARGEST_FORCE_N / pillar,
         alone_n=CAP * pillar,
@@ -102,12 +103,6 @@ def pressed(response: ArrayResponse, loaded: str, pressure_mpa: float) -> Presse
         strain={name: float(strain) for name, strain in zip(PILLARS, middle, strict=True)},
         largest_strain=float(pillar_strains(moved, lengths, design.unit).max()),
     )
-
-
-def pressure_at_cap(response: ArrayResponse, loaded: str) -> float:
-    """Pressure at which some pillar's strain reaches `CAP` [MPa]."""
-    moved = displacements(response, LOADED[loaded](response.design, 1.0)[None])
-    return float(largest_factors(moved, response.design.unit, CAP)[0])
 
 
 def sample(response: ArrayResponse) -> PressedSample:

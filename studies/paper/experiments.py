@@ -78,38 +78,28 @@ def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> 
     planned = [*plan_figure_9(response, asked, kinds), *plan_table_2(response, asked, kinds)]
     planned.sort(key=lambda pair: not _is_papers_own(pair[0]))
     shown = list(plan_figure_11(response, asked, kinds))
-    waiting = {number for number, (trial, _) in enumerate(planned) if _is_papers_own(trial)}
-    own_trainings, own_seconds = len(waiting), 0.0
+    own = sum(_is_papers_own(trial) for trial, _ in planned)
     advance = bars.begin("trainings", total=len(planned) + len(shown))
+    ended_s = {}
 
     def ended(number: int) -> None:
-        nonlocal own_seconds
-        advance(1, "the paper's own" if waiting else "ours, and independent loads")
-        if number in waiting:
-            waiting.remove(number)
-            own_seconds = perf_counter() - started
+        advance(1, "the paper's own" if number < own else "ours, and independent loads")
+        ended_s[number] = perf_counter() - started
 
-    outcomes = in_parallel([job for _, job in planned] + [job for _, job in shown], ended)
+    outcomes = in_parallel([*(job for _, job in planned), *(job for _, job in shown)], ended)
     trained, forces = outcomes[: len(planned)], outcomes[len(planned) :]
+    results = [
+        _result(trial, one.errors[trial.component], one) for (trial, _), one in zip(planned, trained, strict=True)
+    ]
     return Results(
-        own_trainings=own_trainings,
-        own_seconds=own_seconds,
+        own_trainings=own,
+        own_seconds=max(ended_s[number] for number in range(own)),
         all_trainings=len(outcomes),
         all_seconds=perf_counter() - started,
         cores=os.cpu_count() or 1,
         data_sets=data_sets,
-        results=[
-            *(
-                _result(trial, one.errors[trial.component], one)
-                for (trial, _), one in zip(planned, trained, strict=True)
-            ),
-            *floors(asked, kinds),
-            *marks(asked, kinds),
-        ],
-        shown=[
-            replace(one, decoupled_n=decoupled.ravel().tolist())
-            for (one, _), decoupled in zip(shown, forces, strict=True)
-        ],
+        results=[*results, *floors(asked, kinds), *marks(asked, kinds)],
+        shown=[replace(one, decoupled_n=n.ravel().tolist()) for (one, _), n in zip(shown, forces, strict=True)],
     )
 
 
@@ -126,14 +116,10 @@ def simulate_all(response: ArrayResponse, asked: Experiments) -> tuple[Kinds, li
         widest = pca_floor(data.force_n[: asked.training_samples], component_named(component), max(asked.widths))
         described.append(
             DataSet(
-                loads=loads,
-                component=component,
-                cap=cap,
-                content_hash=data.content_hash,
-                largest_strain=float(strain),
+                loads=loads, component=component, cap=cap, content_hash=data.content_hash, largest_strain=float(strain),
                 least_mse=widest.scaled_mse,
             )
-        )
+        )  # fmt: skip
     return kinds, described
 
 
@@ -182,14 +168,9 @@ def plan_figure_11(response: ArrayResponse, asked: Experiments, kinds: Kinds) ->
 
 
 def decoupled_forces(
-    data: Samples,
-    component: str,
-    network: NetworkConfig,
-    training: TrainingConfig,
-    response: ArrayResponse,
-    trained_on: np.ndarray,
-    shown: np.ndarray,
-) -> FloatArray:
+    data: Samples, component: str, network: NetworkConfig, training: TrainingConfig, response: ArrayResponse,
+    trained_on: np.ndarray, shown: np.ndarray,
+) -> FloatArray:  # fmt: skip
     """Train on some samples and give the forces of others [N]; for another process, like `crossval.fold`."""
     from decoupler import train  # loads torch: in the processes that train, and only there
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from decoupler.data.columns import component_named
@@ -35,7 +34,7 @@ from geometry.layout import (
 from geometry.storage.files import digest
 
 VERSION = 1  #: raise when the same settings give other numbers
-LOADS = {"normal": "z", "tangential": "x"}  #: with the axis of the load; y is x mirrored
+LOADS = {"normal": 2, "tangential": 0}  #: with the axis of the load; y is x mirrored
 RINGS = (1, 2, 3)  #: pitches between a loaded unit and a neighbour
 PLACES = 8  #: along x and y in one pitch, where a touch is tried
 PRESSED_N = 100.0  #: 1 MPa, the least of the paper's pressures, on its 1 cm²
@@ -157,28 +156,22 @@ def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
     by_unit = readings.reshape(rows, cols, 3, rows, cols, 3)
     moved = np.linalg.norm(response.influence_mm_per_n, axis=3)  # of electrodes, whatever the direction
     row, col = (rows - 1) // 2, (cols - 1) // 2
-    axes = {load: AXES.index(axis) for load, axis in LOADS.items()}
+    rim = ~np.pad(np.ones((rows - 2, cols - 2), dtype=bool), 1)
     centre = unit_centres(design)[row * cols + col]
     places = (electrode_squares(design).reshape(-1, 2, 2).mean(axis=1) - centre).reshape(-1, 2)
-    share = moved[..., row, col, axes["normal"]] / moved[row, col, :, row, col, axes["normal"]].max()
+    share = moved[..., row, col, LOADS["normal"]] / moved[row, col, :, row, col, LOADS["normal"]].max()
     return Spaced(
         pitch_mm=design.array.pitch_mm,
         span_mm=design.unit.span_mm,
         pad_mm=design.pad.size_mm,
-        electrode_share={load: _ring_shares(moved[..., row, col, axis], row, col) for load, axis in axes.items()},
-        reading_share={load: _ring_shares(np.abs(by_unit[..., row, col, a]), row, col) for load, a in axes.items()},
+        electrode_share={load: _ring_shares(moved[..., row, col, axis], row, col) for load, axis in LOADS.items()},
+        reading_share={load: _ring_shares(np.abs(by_unit[..., row, col, a]), row, col) for load, a in LOADS.items()},
         condition=float(np.linalg.cond(readings)),
         noise_n={f"f{axis}": float(np.sqrt((unbiased_n[:, i] ** 2).mean())) for i, axis in enumerate(AXES)},
         distance_mm=np.linalg.norm(places, axis=1).tolist(),
         moved=share.ravel().tolist(),
-        on_rim=np.repeat(_on_rim(rows, cols), len(ELECTRODES)).tolist(),
+        on_rim=np.repeat(rim, len(ELECTRODES)).tolist(),
     )
-
-
-def _on_rim(rows: int, cols: int) -> NDArray[np.bool_]:
-    rim = np.ones((rows, cols), dtype=bool)
-    rim[1:-1, 1:-1] = False
-    return rim
 
 
 def _ring_shares(sizes: FloatArray, row: int, col: int) -> list[float]:
@@ -214,12 +207,11 @@ def lightest_touch(design: SensorDesign, asked: Asked) -> Touch:
     steps = (np.arange(PLACES) / PLACES - 0.5) * pitch_mm
     middles = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     felt = strongest_reading(design, middles, asked.touch_mm)
-    axes = {load: AXES.index(axis) for load, axis in LOADS.items()}
     wanted = asked.sure * asked.noise
     return Touch(
         pitch_mm=pitch_mm,
-        worst_n={load: float(wanted / felt[:, axis].min()) for load, axis in axes.items()},
-        best_n={load: float(wanted / felt[:, axis].max()) for load, axis in axes.items()},
+        worst_n={load: float(wanted / felt[:, axis].min()) for load, axis in LOADS.items()},
+        best_n={load: float(wanted / felt[:, axis].max()) for load, axis in LOADS.items()},
     )
 
 

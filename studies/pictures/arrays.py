@@ -33,7 +33,7 @@ def draw(folder: Path) -> None:
         ("tutorial-array.png", of_nine, (1.0, 3.0, 5.0)),
     ):
         picture = DeformedPicture(panels_of(design, pressures, "indenter", stress=False))
-        save_small(picture.plotter.screenshot(return_img=True), folder / name)
+        save_small(Image.fromarray(picture.plotter.screenshot(return_img=True)), folder / name)
         picture.plotter.close()
     draw_moving(SensorDesign(), folder / "deforming-array.webp")
 

@@ -5,20 +5,16 @@
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from dataset.protocols import NORMAL_MPA, PROTOCOLS, TANGENTIAL_MPA
 from geometry.design import SensorDesign, Unit
-from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_sections
-from geometry.storage.files import replacing
+from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_sections, unit_centres
 from geometry.wiring import crossings, pillar_of_crossing
-from studies.pictures.protocols import draw_protocols
+from studies.charts import new_figure, save
 from tripillar.terminal.entry import run_alone
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
@@ -33,13 +29,10 @@ def draw(folder: Path) -> None:
 
 def draw_build(design: SensorDesign, path: Path) -> None:
     """Draw one unit of a design and the wiring of a 2 × 2 array, and write a PNG."""
-    figure = plt.figure(figsize=(11, 4.6))
+    figure = new_figure(11, 4.6, dpi=130, layout="tight")
     _unit(figure.add_subplot(1, 2, 1, projection="3d"), design.unit)
     _wiring(figure.add_subplot(1, 2, 2), rows=2, cols=2)
-    figure.tight_layout()
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=130)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _unit(axes: Axes3D, unit: Unit) -> None:
@@ -84,6 +77,30 @@ def _wiring(axes: Axes, rows: int, cols: int) -> None:
     axes.set(xlim=(-0.6, 2 * cols - 0.4), ylim=(-0.6, 2 * rows - 0.4), aspect="equal")
     axes.axis("off")
     axes.set_title(f"wiring of a {rows} × {cols} array", fontsize=10)
+
+
+def draw_protocols(design: SensorDesign, path: Path, seed: int = 1) -> None:
+    """Draw the first loads of each of the first six protocols: pressure in colour, shear as arrows; write a PNG."""
+    figure = new_figure(10, 6.6, dpi=110)
+    panels = figure.subplots(2, 3)
+    x, y = unit_centres(design).T
+    extent = np.array([-1, 1, -1, 1]) / 2 * np.repeat(design.slab_mm[:2], 2)
+    for axes, (name, protocol) in zip(panels.flat, PROTOCOLS.items(), strict=False):  # light ones would not be seen
+        shear_x, shear_y, push = protocol.draw(np.random.default_rng(seed), 1, design)[0].T
+        pressure = -push.reshape(design.array.rows, design.array.cols)
+        image = axes.imshow(
+            pressure, origin="lower", extent=extent, cmap="Reds", vmin=0, vmax=NORMAL_MPA[1], interpolation="nearest"
+        )
+        longest = design.array.pitch_mm / TANGENTIAL_MPA[1]  # arrows end where the next pad's begin
+        axes.quiver(x, y, shear_x * longest, shear_y * longest, angles="xy", scale_units="xy", scale=1, pivot="mid")
+        axes.set_title(name)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("y [mm]")
+    for axes in panels[-1]:
+        axes.set_xlabel("x [mm]")
+    figure.colorbar(image, ax=panels, label="pressure [MPa]", shrink=0.7)
+    figure.suptitle(f"one sample of each protocol; an arrow of a pitch is {TANGENTIAL_MPA[1]:g} MPa of shear")
+    save(figure, path)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.charts import BLUE, GREEN, ORANGE, save
+from studies.charts import BLUE, GREEN, ORANGE, finish, new_figure, save
 from studies.robustness.study import ROSE, ErrorRow, Named
 
 if TYPE_CHECKING:
@@ -21,30 +21,23 @@ NONE = 0.5  #: where "no pairs" is on a logarithmic axis
 
 def draw_readings(rows: list[ErrorRow], path: Path) -> None:
     """Write a PNG: error and limit of every force against the noise, and against the converter's bits."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 5.5), dpi=120, layout="constrained")
+    figure = new_figure(13, 5.5)
     panels = figure.subplots(1, 2, sharey=True)
     labels = ("noise of a reading [%]", "bits of the converter, no other noise")
     for axes, part, label in zip(panels, ("noise", "converter"), labels, strict=True):
         chosen = [row for row in rows if row.part == part]
         _lines(axes, chosen)
-        axes.set(yscale="log", xlabel=label)
-        if part == "noise":
-            axes.set_xscale("log")
+        axes.set(xscale="log" if part == "noise" else "linear", yscale="log", xlabel=label)
         _ticks(axes, chosen)
-        axes.grid(visible=True, which="both", alpha=0.2)
     panels[0].set_ylabel("error [% of full scale]")
     figure.suptitle("Three-axis nets against the limit of their readings; lower is better")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=9)
-    save(figure, path)
+    finish(figure, path)
 
 
 def draw_pairs(rows: list[ErrorRow], path: Path) -> None:
     """Write a PNG: error on a specimen against the number of pairs a model was fine-tuned on."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 6), dpi=120, layout="constrained")
+    figure = new_figure(10, 6)
     axes = figure.subplots()
     chosen = [row for row in rows if row.error_range_pct is not None]
     _lines(axes, chosen)
@@ -53,20 +46,17 @@ def draw_pairs(rows: list[ErrorRow], path: Path) -> None:
         axes.plot([_number(row)] * 2, row.error_range_pct, color=COLOURS[row.force], linewidth=1)
     axes.set(xscale="log", yscale="log", xlabel="measured pairs", ylabel="error [% of full scale]")
     _ticks(axes, chosen)
-    axes.grid(visible=True, which="both", alpha=0.2)
-    axes.set_title(
-        "gains ± 20 %, offsets of 200 Ω, noise 0.1 %: what measured pairs buy\nmean and range over draws of pairs"
-    )
+    title = "gains ± 20 %, offsets of 200 Ω, noise 0.1 %: what measured pairs buy"
+    axes.set_title(f"{title}\nmean and range over draws of pairs")
     axes.legend(fontsize=9, ncols=3, loc="upper right")
-    save(figure, path)
+    finish(figure, path)
 
 
 def draw_dead(named: Sequence[Named], path: Path) -> None:
     """Write a PNG: how many times the error of every output rose, a map of the array a fault and force."""
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(2.5 * len(named) + 1, 8), dpi=120, layout="constrained")
+    figure = new_figure(2.5 * len(named) + 1, 8)
     panels = figure.subplots(3, len(named), squeeze=False)
     highest = max(10.0, *(float(one.rise.max()) for one in named))
     for column, one in zip(panels.T, named, strict=True):
@@ -77,7 +67,7 @@ def draw_dead(named: Sequence[Named], path: Path) -> None:
                 colour = "white" if times**2 < highest else "black"  # on the dark half of the shades
                 axes.text(col, row, f"{times:.0f}", color=colour, ha="center", va="center", fontsize=8)
             for row, col in np.argwhere(one.named[..., axis]):
-                axes.plot(col, row, marker="s", markersize=19, fillstyle="none", color="#d55e00", markeredgewidth=2)
+                axes.plot(col, row, marker="s", markersize=19, fillstyle="none", color=ORANGE, markeredgewidth=2)
             axes.set(xticks=[], yticks=[])
             axes.set_title(one.case if not axis else "", fontsize=10)
             if one is named[0]:
@@ -90,26 +80,13 @@ def draw_dead(named: Sequence[Named], path: Path) -> None:
 def _lines(axes: "Axes", rows: list[ErrorRow]) -> None:
     """Errors of every net and force against the number in their case, and the limits."""
     for force, colour in COLOURS.items():
+        style: dict[str, Any] = {"color": colour, "marker": MARKERS[force]}
         for net, (line, fill, label) in NETS.items():
-            mine = [row for row in rows if (row.net, row.force) == (net, force)]
-            axes.plot(
-                [_number(row) for row in mine],
-                [row.error_pct for row in mine],
-                color=colour,
-                linestyle=line,
-                marker=MARKERS[force],
-                fillstyle=fill,
-                label=f"{force}, {label}",
-            )
+            mine = {_number(row): row.error_pct for row in rows if (row.net, row.force) == (net, force)}
+            axes.plot(*zip(*mine.items(), strict=True), line, fillstyle=fill, label=f"{force}, {label}", **style)
         chosen = [row for row in rows if (row.net, row.force) == ("inverse", force)]
         limits = [(_number(row), row.limit_pct) for row in chosen if row.limit_pct is not None]
-        axes.plot(
-            *zip(*limits, strict=True),
-            color=colour,
-            linestyle=":",
-            linewidth=2.5,
-            label=f"{force}, limit",
-        )
+        axes.plot(*zip(*limits, strict=True), ":", color=colour, linewidth=2.5, label=f"{force}, limit")
 
 
 def _number(row: ErrorRow) -> float:

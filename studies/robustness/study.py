@@ -129,11 +129,6 @@ def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> LoadedSensor:
     return LoadedSensor(response=response, loads=loads)
 
 
-def noise_case(noise: float) -> str:
-    """Name the case of a noise, relative."""
-    return f"noise {noise:.1%}"
-
-
 def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
     """One dead pillar of each kind, one dead row wire and one dead column wire, in the middle of the array."""
     row, col, noise = rows // 2, cols // 2, NOISES[0]
@@ -147,15 +142,20 @@ def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
 def study_sensors(sensor: LoadedSensor, sizes: Sizes, progress: Callable[[str], None] = lambda case: None) -> Findings:
     """Train every net on every sensor, fine-tune, and assess. `progress` is called with each trained case."""
     array = sensor.response.design.array
-    noises = {noise_case(noise): Imperfections(noise=noise) for noise in NOISES}
+    noises = {f"noise {noise:.1%}": Imperfections(noise=noise) for noise in NOISES}
     converters = {f"{bits} bits": Imperfections(bits=bits) for bits in BITS}
     dead = dead_cases(array.rows, array.cols)
     models = trained(sensor, noises | converters | dead, progress)
-    rows, named = [], []
-    for part, cases in (("noise", noises), ("converter", converters)):
-        for case in cases:
-            rows += [row for net in NETS for row in _rows(part, case, net, models[case, net])]
-    healthy = {net: models[noise_case(NOISES[0]), net] for net in NETS}
+    parts = {"noise": noises, "converter": converters}
+    rows = [
+        row
+        for part, cases in parts.items()
+        for case in cases
+        for net in NETS
+        for row in _rows(part, case, net, models[case, net])
+    ]
+    named = []
+    healthy = {net: models[next(iter(noises)), net] for net in NETS}
     for net in NETS:
         rows += fine_tuned(sensor, sizes, net, healthy[net])
     for case, faults in dead.items():
@@ -196,16 +196,11 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[ErrorRow]:
         unbiased = one.limits.cramer_rao_n
         rows.append(
             ErrorRow(
-                part=part,
-                case=case,
-                net=net,
-                force=force,
-                error_pct=one.errors.full_scale_pct,
+                part=part, case=case, net=net, force=force, error_pct=one.errors.full_scale_pct,
                 limit_pct=None if unbiased is None else unbiased * pct_per_n,
-                bayes_pct=_rms(found.bayes_n[..., axis]) * pct_per_n,
-                coverage=one.coverage,
+                bayes_pct=_rms(found.bayes_n[..., axis]) * pct_per_n, coverage=one.coverage,
             )
-        )
+        )  # fmt: skip
     return rows
 
 

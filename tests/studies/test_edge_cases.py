@@ -37,18 +37,15 @@ def refuse() -> Judged:
     raise SolverError("the moduli differ too widely")
 
 
-@pytest.mark.parametrize(
-    ("run", "verdict"),
-    [
-        (lambda: judged(1e-3), "right"),
-        (lambda: judged(1.01e-3), "WRONG"),
-        (lambda: judged(np.nan), "WRONG"),
-        (refuse, "refused: the moduli differ too widely"),
-        (lambda: judged(1 / 0), "WRONG: ZeroDivisionError: division by zero"),
-    ],
-)
-def test_errors_beyond_what_is_allowed_are_wrong_and_refusals_are_not(run, verdict):
-    assert tried(Trial(name="trial", value="1", run=run)).verdict == verdict
+def test_errors_beyond_what_is_allowed_are_wrong_and_refusals_are_not():
+    cases = {
+        "right": lambda: judged(1e-3),
+        "WRONG": lambda: judged(1.01e-3),
+        "WRONG: ZeroDivisionError: division by zero": lambda: judged(1 / 0),
+        "refused: the moduli differ too widely": refuse,
+    }
+    for verdict, run in (*cases.items(), ("WRONG", lambda: judged(np.nan))):
+        assert tried(Trial(name="trial", value="1", run=run)).verdict == verdict
 
 
 def test_nodes_are_pushed_until_cells_are_nearly_flat_but_not_inside_out():

@@ -11,10 +11,8 @@ from decoupler.model.settings import NetworkConfig
 from decoupler.training.trainer import LIGHT
 from studies.bench.harness import named
 from studies.bench.training import peers
-from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, MSE, VARPRO, Race, measure
-from studies.bench.training.dense import dense_jacobian, step_difference
-from studies.bench.training.problem import Problem, Scaled
-from studies.bench.training.trace import Ended, Trace
+from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, MSE, VARPRO, Race, measure, step_difference
+from studies.bench.training.problem import Ended, Problem, Scaled, Trace
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 2)
@@ -59,10 +57,12 @@ def test_the_dense_jacobian_is_automatic_and_its_step_the_structured_one(problem
     weights = {name: weight.detach() for name, weight in scaled.model.named_parameters()}
     blocks = jacrev(lambda given: functional_call(scaled.model, given, scaled.x))(weights)
     exact = torch.cat([blocks[name].reshape(scaled.t.numel(), -1) for name in weights], dim=1)
-    assert dense_jacobian(scaled.model, scaled.x.numpy()) == pytest.approx(exact.numpy(), abs=1e-13)
+    assert peers.dense_jacobian(scaled.model, scaled.x.numpy()) == pytest.approx(exact.numpy(), abs=1e-13)
 
 
-def test_trace_ends_a_training():
+def test_trace_ends_a_training_and_what_is_not_installed_is_said(monkeypatch):
+    monkeypatch.setattr(peers, "find_spec", lambda name: None if name == "torchmetrics" else name)
+    assert peers.torch_lm_missing().startswith("torchmetrics not installed")
     trace = Trace(1e-3, 60.0)
     trace.record(0, 1.0)
     trace.record(2, 1e-2)
@@ -71,11 +71,6 @@ def test_trace_ends_a_training():
     assert [point[0] for point in trace.points] == [0, 2, 3]
     with pytest.raises(Ended, match="time"):
         Trace(1e-3, 0.0).record(0, 1.0)
-
-
-def test_what_is_not_installed_is_said(monkeypatch):
-    monkeypatch.setattr(peers, "find_spec", lambda name: None if name == "torchmetrics" else name)
-    assert peers.torch_lm_missing().startswith("torchmetrics not installed")
 
 
 def test_a_race_says_what_a_training_took(monkeypatch, tmp_path):

@@ -13,8 +13,7 @@ from fem.array.response import read_response, write_response
 from geometry import Array, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
-from studies.paper.results import Results
-from studies.paper.storage import read_results, write_results
+from studies.paper.results import Results, read_results, write_results
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tripillar.sweep.rows import Row, read_row, write_row

@@ -13,98 +13,75 @@ import tempfile
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem import MeshHex, MeshTet
+from skfem.mesh import Mesh
 
 from fem.scene.scene import Rectangle, Scene
+from fem.scene.solution import Stopwatch
 from geometry.layout import FloatArray
-from studies.bench.harness import Contender, Stopwatch
-from studies.bench.peers.grids import inclusion_box, lean, scene_lines
-from studies.bench.peers.solved import Solved, fits_boxes
+from studies.bench.harness import Contender
+from studies.bench.peers.grids import Solved, fits_boxes, inclusion_box, lean, scene_lines
 
-IntArray = NDArray[np.int64]
-
-# corners anticlockwise from below, then mid-edges below, above and upright, as half-steps of the grid (CalculiX manual)
-HEXAHEDRON = np.array(
-    [
-        (0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2),
-        (1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2),
-        (0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1),
-    ]
+#: corners in CalculiX's order, of scikit-fem's local vertices, and the ends of its mid-edges among these corners
+HEXAHEDRON = (0, 2, 4, 1, 3, 6, 7, 5), (
+    (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)
 )  # fmt: skip
-TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-
-
-def _tetrahedra() -> NDArray[np.int64]:
-    """Kuhn's six tetrahedra of a hexahedron with their mid-edges, as half-steps, shape (6, 10, 3)."""
-    found = []
-    for order in permutations(range(3)):
-        corners = np.zeros((4, 3), dtype=np.int64)
-        for step, axis in enumerate(order):
-            corners[step + 1 :, axis] = 2
-        if np.linalg.det(corners[1:] - corners[0]) < 0:
-            corners[[1, 2]] = corners[[2, 1]]
-        middles = [(corners[a] + corners[b]) // 2 for a, b in TETRAHEDRON_EDGES]
-        found.append(np.vstack([corners, middles]))
-    return np.array(found)
+TETRAHEDRON = (0, 1, 2, 3), ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  #: nodes of a tetrahedron turned inside out
 
 
 @dataclass(frozen=True)
 class QuadraticGrid:
-    """Quadratic elements on the half-step lattice of a structured grid."""
+    """Quadratic elements on a structured grid; the mid-edge nodes come after the vertices."""
 
     points_mm: FloatArray  #: shape (n, 3)
-    cells: IntArray  #: shape (m, 20) or (m, 10), into points
+    cells: NDArray[np.int64]  #: shape (m, 20) or (m, 10), into points
     element: str  #: CalculiX's name
-    lattice: IntArray  #: point at each half-step or -1, shape (2nx + 1, 2ny + 1, 2nz + 1)
-    lines: tuple[FloatArray, FloatArray, FloatArray]  #: in the coordinates of the top face
+    upright: Mesh  #: the mesh of scikit-fem, before it is sheared
 
     def weights(self, rectangle: Rectangle) -> FloatArray:
-        """∫ of every function over a rectangle of the top that the lines conform to, shape (n,).
+        """∫ of every function over a rectangle of the top that the mesh conforms to, shape (n,).
 
         On a face, mid-edge functions of the serendipity square integrate to a third of its area and corner functions
         to minus a twelfth; on a triangle to a third and 0.
         """
-        w = np.zeros(len(self.points_mm))
-        x, y, _ = self.lines
-        slack = 1e-9 * (x[-1] - x[0])
-        top = self.lattice[:, :, -1]
-        for i in np.flatnonzero((x[:-1] > rectangle[0] - slack) & (x[1:] < rectangle[2] + slack)):
-            for j in np.flatnonzero((y[:-1] > rectangle[1] - slack) & (y[1:] < rectangle[3] + slack)):
-                area = (x[i + 1] - x[i]) * (y[j + 1] - y[j])
-                square = top[2 * i : 2 * i + 3, 2 * j : 2 * j + 3]
-                if self.element == "C3D10":  # two triangles across the diagonal; its middle belongs to both
-                    w[square[[0, 1, 1, 2], [1, 0, 2, 1]]] += area / 6
-                    w[square[1, 1]] += area / 3
-                else:
-                    w[square[[0, 1, 1, 2], [1, 0, 2, 1]]] += area / 3
-                    w[square[[0, 0, 2, 2], [0, 2, 0, 2]]] -= area / 12
+        mesh, w = self.upright, np.zeros(len(self.points_mm))
+        x0, y0, x1, y1 = rectangle
+        top = mesh.p[2].max()
+        faces = mesh.facets_satisfying(
+            lambda x: (x[2] == top) & (x[0] > x0) & (x[0] < x1) & (x[1] > y0) & (x[1] < y1), boundaries_only=True
+        )
+        sides = np.ptp(mesh.p[:2][:, mesh.facets[:, faces]], axis=1)
+        triangles = isinstance(mesh, MeshTet)
+        area = sides.prod(axis=0) / (2 if triangles else 1)
+        for middles in mesh.nvertices + mesh.f2e[:, faces]:
+            np.add.at(w, middles, area / 3)
+        for corners in () if triangles else mesh.facets[:, faces]:
+            np.add.at(w, corners, -area / 12)
         return w
 
 
 def make_grid(scene: Scene, n: float, element: str, graded: bool) -> QuadraticGrid:
     """A grid of C3D20R (or C3D20) hexahedra, or of C3D10 tetrahedra, six to a hexahedron."""
-    lines = scene_lines(scene, n, graded)
-    counts = [len(line) - 1 for line in lines]
-    halves = [np.insert(line, range(1, len(line)), (line[1:] + line[:-1]) / 2) for line in lines]
-    patterns = _tetrahedra() if element == "C3D10" else HEXAHEDRON[None]
-    start = 2 * np.stack(np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1).reshape(-1, 3)
-    steps = (start[:, None, None, :] + patterns).reshape(-1, patterns.shape[1], 3)
-    shape = tuple(2 * count + 1 for count in counts)
-    numbers = np.ravel_multi_index(tuple(np.moveaxis(steps, -1, 0)), shape)
-    used, cells = np.unique(numbers, return_inverse=True)
-    lattice = np.full(int(np.prod(shape)), -1)
-    lattice[used] = np.arange(len(used))
-    index = np.unravel_index(used, shape)
-    points = np.stack([half[i] for half, i in zip(halves, index, strict=True)], axis=1)
+    kind, (corners, ends) = (MeshTet, TETRAHEDRON) if element == "C3D10" else (MeshHex, HEXAHEDRON)
+    mesh = kind.init_tensor(*scene_lines(scene, n, graded))
+    number = {frozenset(pair): k for k, pair in enumerate(mesh.elem.refdom.edges)}
+    edges = [number[frozenset((corners[a], corners[b]))] for a, b in ends]
+    cells = np.vstack([mesh.t[list(corners)], mesh.nvertices + mesh.t2e[edges]]).T
+    points = np.hstack([mesh.p, mesh.p[:, mesh.edges].mean(axis=1)]).T
+    if element == "C3D10":
+        sides = points[cells[:, 1:4]] - points[cells[:, :1]]
+        inside_out = np.linalg.det(sides) < 0
+        cells[inside_out] = cells[inside_out][:, MIRRORED]
     points[:, :2] += lean(scene, points[:, 2])
-    return QuadraticGrid(points, cells.reshape(numbers.shape), element, lattice.reshape(shape), lines)
+    return QuadraticGrid(points, cells, element, mesh)
 
 
-def deck(scene: Scene, grid: QuadraticGrid, solver: str) -> str:
+def deck(scene: Scene, grid: QuadraticGrid) -> str:
     """The input file: one linear static step that prints the displacement of the top."""
     out = StringIO()
     out.write("*NODE, NSET=ALL\n")
@@ -131,7 +108,7 @@ def deck(scene: Scene, grid: QuadraticGrid, solver: str) -> str:
         np.savetxt(out, np.flatnonzero(region == number) + 1, "%d,")
         out.write(f"*MATERIAL, NAME=RUBBER{number}\n*ELASTIC\n{material.young_mpa:.12g}, {material.poisson:.12g}\n")
         out.write(f"*SOLID SECTION, ELSET=PART{number}, MATERIAL=RUBBER{number}\n")
-    out.write(f"*BOUNDARY\nBASE, 1, 3\n*STEP\n*STATIC, SOLVER={solver}\n*CLOAD\n")
+    out.write("*BOUNDARY\nBASE, 1, 3\n*STEP\n*STATIC, SOLVER=SPOOLES\n*CLOAD\n")
     forces = np.zeros((len(grid.points_mm), 3))
     for load in scene.loads:
         forces += np.outer(grid.weights(load.rectangle), load.traction_mpa)
@@ -150,28 +127,25 @@ def read_displacements(text: str, n_points: int) -> FloatArray:
     return u
 
 
-def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool, solver: str = "SPOOLES") -> Solved:
+def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool) -> Solved:
     """Write a deck, run `ccx` on it, read what it printed."""
-    done = Stopwatch()
+    watch = Stopwatch()
     grid = make_grid(scene, n, element, graded)
-    done("mesh")
+    watch.spent("mesh")
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "scene.inp").write_text(deck(scene, grid, solver), encoding="ascii")
+        Path(folder, "scene.inp").write_text(deck(scene, grid), encoding="ascii")
         threads = os.environ.get("OMP_NUM_THREADS", "2")
         environment = os.environ | {"OMP_NUM_THREADS": threads, "CCX_NPROC_EQUATION_SOLVER": threads}
-        done("write")
+        watch.spent("assemble")
         run = subprocess.run(["ccx", "scene"], cwd=folder, env=environment, capture_output=True, text=True, check=False)
-        done("solve")
         printed = Path(folder, "scene.dat")
         if run.returncode or not printed.exists() or not printed.stat().st_size:
             raise RuntimeError(f"ccx failed: {run.stdout[-500:]}{run.stderr[-500:]}")
         u = read_displacements(printed.read_text(encoding="ascii"), len(grid.points_mm))
-    probes = {}
-    for probe in scene.mean_probes:
-        w = grid.weights(probe.rectangle)
-        probes[probe.name] = w @ u / w.sum()
-    done("read")
-    return Solved(probes, 3 * len(grid.points_mm), done.seconds)
+    weights = {probe.name: grid.weights(probe.rectangle) for probe in scene.mean_probes}
+    probes = {name: w @ u / w.sum() for name, w in weights.items()}
+    watch.spent("solve")
+    return Solved(probes, 3 * len(grid.points_mm), watch.seconds)
 
 
 def missing() -> str:

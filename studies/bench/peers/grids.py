@@ -1,16 +1,48 @@
-"""Structured grids for programs that take a mesh: lines through the outlines of loads, probes and inclusions."""
+"""The parts that the peers share: which scenes they can take, the answer they give back, and structured grids.
+
+The lines of a grid go through the outlines of loads, probes and inclusions.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from fem.discretization.grid import geometric_line
-from fem.scene.scene import Inclusion, Pillar, Scene
+from fem.scene.scene import Inclusion, Pillar, Scene, Sensor
 from geometry.layout import FloatArray
 
+Lines = tuple[FloatArray, FloatArray, FloatArray]  #: of a grid along x, y and z [mm]
 
-def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+
+@dataclass(frozen=True)
+class Solved:
+    """A scene's probes, and what they took."""
+
+    probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+    unknowns: int
+    seconds: dict[str, float]  #: by step, without imports; their sum is the run time
+
+
+def fits_boxes(scene: Scene) -> bool:
+    """True for what hexahedra between lines can follow: one material in any body, upright inclusions in a box."""
+    if isinstance(scene.body, Sensor):
+        return scene.body.design.is_homogeneous
+    return all(inclusion.is_upright for inclusion in scene.inclusions)
+
+
+def is_homogeneous(scene: Scene) -> bool:
+    """True for one material in any body."""
+    return fits_boxes(scene) and not scene.inclusions
+
+
+def is_homogeneous_block(scene: Scene) -> bool:
+    """True for an upright box of one material: the scenes that every peer can be handed."""
+    return is_homogeneous(scene) and scene.outline.is_upright
+
+
+def scene_lines(scene: Scene, n: float, graded: bool) -> Lines:
     """Grid lines along x, y and z, in the coordinates of the top face: of a body that leans, shift them by `lean`.
 
     Parameters
@@ -28,7 +60,7 @@ def scene_lines(scene: Scene, n: float, graded: bool) -> tuple[FloatArray, Float
     return _each_axis(scene, lambda stops, edges: _line(sorted(stops), sorted(edges), size_mm, n, graded))
 
 
-def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> tuple[FloatArray, FloatArray, FloatArray]:
+def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> Lines:
     """Few lines, geometrically closer toward load outlines, the top and inclusions: for elements of high order."""
     widest_mm = max(scene.height_mm, min(min(load.size_mm) for load in scene.loads) / 2)
 
@@ -51,9 +83,7 @@ def lean(scene: Scene, z_mm: FloatArray | float) -> FloatArray:
     return np.multiply.outer(np.asarray(z_mm) - outline.height_mm, slope)
 
 
-def _each_axis(
-    scene: Scene, line: Callable[[set[float], set[float]], FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _each_axis(scene: Scene, line: Callable[[set[float], set[float]], FloatArray]) -> Lines:
     """Lines by where each axis must have one, and where the stress is singular: a free pillar's ends among them."""
     corners = [inclusion_box(inclusion) for inclusion in scene.inclusions]
     lines = []

@@ -7,7 +7,7 @@ condensation and sparse Cholesky factors are NGSolve's, none of it is what `fem`
 """
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -17,11 +17,11 @@ from typing import Any, Literal
 import numpy as np
 
 from fem.scene.scene import Pillar, Prism, Scene
+from fem.scene.solution import Stopwatch
 from geometry.design import Material
 from geometry.layout import FloatArray
-from studies.bench.harness import Contender, Stopwatch
-from studies.bench.peers.grids import geometric_lines, lean, scene_lines
-from studies.bench.peers.solved import Solved, fits_boxes, is_homogeneous
+from studies.bench.harness import Contender
+from studies.bench.peers.grids import Lines, Solved, fits_boxes, geometric_lines, is_homogeneous, lean, scene_lines
 
 Form = Literal["displacement", "reduced", "mixed"]
 RESIDUAL = 1e-8  #: largest relative residual of a reference after refinement
@@ -56,7 +56,7 @@ class NgsolveSolution:
 
 def glued_mesh(
     scene: Scene,
-    rectangles: dict[tuple[float, ...], float | None],
+    rectangles: Mapping[Any, float | None],
     prisms: Sequence[tuple[Prism, float]],
     base_mm: float | None,
     largest_mm: float,
@@ -112,49 +112,33 @@ def glued_mesh(
 
 def reference_mesh(scenes: Sequence[Scene], grading: Grading) -> Any:
     """A mesh that conforms to the loads of all scenes and to prisms of other rubber."""
-    rectangles: dict[tuple[float, ...], float | None] = {
-        load.rectangle: grading.edge_mm for one in scenes for load in one.loads
-    }
+    rectangles = {load.rectangle: grading.edge_mm for one in scenes for load in one.loads}
     prisms = [(region, grading.edge_mm) for region, _ in _other_rubber(scenes[0])]
     hp = (grading.levels, grading.ratio, grading.edges)
     return glued_mesh(scenes[0], rectangles, prisms, None, grading.largest_mm, 0.5, hp)
 
 
-def tetrahedra(scene: Scene, largest_mm: float, fineness: float, hp: int) -> Any:
-    """A mesh whose edges along loads and inclusions are half as long as those are wide, over the fineness."""
+def tetrahedra(scene: Scene, n: float, hp: int = 0) -> Any:
+    """A mesh by netgen that shrinks toward the outlines of loads and inclusions, or is hp-refined toward them.
+
+    Edges along loads and inclusions are half as long as those are wide, over a fineness.
+    """
+    largest_mm, fineness = scene.height_mm / (n if hp else max(1.0, n / 2)), n if hp else n**1.5
     smallest_mm = min(min(load.size_mm) for load in scene.loads)
-    loaded = [tuple(r) for r in scene.load_rectangles_mm.tolist()]
-    probed = [tuple(r) for r in scene.probe_rectangles_mm.tolist()]
+    loaded, probed = (
+        [tuple(row) for row in rows.tolist()] for rows in (scene.load_rectangles_mm, scene.probe_rectangles_mm)
+    )
     rectangles = {r: smallest_mm / 2 / fineness if r in loaded else None for r in (*loaded, *probed)}
     prisms = [(inclusion, min(inclusion.section_mm) / 2 / fineness) for inclusion in scene.inclusions]
     # the clamped end of a free pillar is as singular as what is near its load
     free = isinstance(scene.body, Pillar)
-    singular = ("base", "loads", "regions") if free else ("loads", "regions")
+    singular = ("base", "loads", "regions")[0 if free else 1 :]
     base_mm = smallest_mm / 2 / fineness if free else None
     return glued_mesh(scene, rectangles, prisms, base_mm, largest_mm, 0.4, (hp, 0.15, singular))
 
 
-def local_size_mesh(scene: Scene, n: float) -> Any:
-    """Tetrahedra by netgen, shrinking toward the outlines of loads and toward inclusions."""
-    return tetrahedra(scene, largest_mm=scene.height_mm / max(1.0, n / 2), fineness=n**1.5, hp=0)
-
-
-def hp_mesh(scene: Scene, n: float) -> Any:
-    """Tetrahedra and their kin by netgen, refined geometrically twice toward the outlines of loads and inclusions."""
-    return tetrahedra(scene, largest_mm=scene.height_mm / n, fineness=n, hp=2)
-
-
-def hexahedra_mesh(scene: Scene, n: float) -> Any:
-    """Graded hexahedra on the lines of `grids.scene_lines`."""
-    return _structured_mesh(scene, scene_lines(scene, n, graded=True))
-
-
-def geometric_mesh(scene: Scene, _: float) -> Any:
-    """Few hexahedra on the lines of `grids.geometric_lines`, two layers toward each edge."""
-    return _structured_mesh(scene, geometric_lines(scene, 2))
-
-
-def _structured_mesh(scene: Scene, lines: tuple[FloatArray, FloatArray, FloatArray]) -> Any:
+def structured(scene: Scene, lines: Lines) -> Any:
+    """Hexahedra on the lines of a grid, sheared where the body leans."""
     from ngsolve.meshes import MakeStructured3DMesh
 
     counts = [len(line) - 1 for line in lines]
@@ -259,19 +243,19 @@ def solve_by_ngsolve(
 
     threads = int(os.environ.get("OMP_NUM_THREADS", "2"))
     ng.SetNumThreads(threads)
-    done = Stopwatch()
+    watch = Stopwatch()
     mesh = make_mesh(scene, n)
-    done("mesh")
+    watch.spent("mesh")
     with ng.TaskManager() if threads > 1 else nullcontext():  # a task manager of one thread would only cost
         system = System(scene, mesh, order or int(n), form)
         f = system.load(scene)
-        done("assemble")
+        watch.spent("assemble")
         inverse = system.factor()
-        done("factor")
+        watch.spent("factor")
         u = system.displacement(system.solve(inverse, f))
         probes = {probe.name: _mean_over(u, probe.rectangle) for probe in scene.mean_probes}
-        done("solve")
-    return Solved(probes, system.space.ndof, done.seconds)
+        watch.spent("solve")
+    return Solved(probes, system.space.ndof, watch.seconds)
 
 
 def solve_references(scenes: Sequence[Scene], grading: Grading) -> list[NgsolveSolution]:
@@ -287,9 +271,7 @@ def solve_references(scenes: Sequence[Scene], grading: Grading) -> list[NgsolveS
     import ngsolve as ng
 
     first = scenes[0]
-    if any(
-        (one.body, one.material, one.inclusions) != (first.body, first.material, first.inclusions) for one in scenes
-    ):
+    if len({(one.body, one.material, one.inclusions) for one in scenes}) > 1:
         raise ValueError("scenes of one solve must have the same body and materials.")
     mesh = reference_mesh(scenes, grading)
     system = System(first, mesh, grading.order, "displacement")
@@ -378,12 +360,20 @@ def missing() -> str:
 
 
 VARIANTS: tuple[tuple[str, Callable[[Scene, float], Any], Form, int | None, tuple[float, ...]], ...] = (
-    ("P3 tetrahedra, local sizes", local_size_mesh, "displacement", 3, (1, 1.5, 2, 3, 4)),
-    ("Taylor-Hood P2-P1 tetrahedra, local sizes", local_size_mesh, "mixed", 2, (1, 2, 3, 4, 5)),
-    ("P4, hp-refined", hp_mesh, "displacement", 4, (1, 1.5, 2)),
-    ("Q3 hexahedra, reduced, graded", hexahedra_mesh, "reduced", 3, (1, 1.5, 2, 3, 4)),
-    ("hexahedra of rising order, reduced, geometric", geometric_mesh, "reduced", None, (2, 3, 4, 5)),
-)  #: name, mesh, form, order (None: the setting), settings
+    ("P3 tetrahedra, local sizes", tetrahedra, "displacement", 3, (1, 1.5, 2, 3, 4)),
+    ("Taylor-Hood P2-P1 tetrahedra, local sizes", tetrahedra, "mixed", 2, (1, 2, 3, 4, 5)),
+    ("P4, hp-refined", partial(tetrahedra, hp=2), "displacement", 4, (1, 1.5, 2)),
+    (
+        "Q3 hexahedra, reduced, graded",
+        lambda scene, n: structured(scene, scene_lines(scene, n, graded=True)),
+        "reduced", 3, (1, 1.5, 2, 3, 4),
+    ),
+    (
+        "hexahedra of rising order, reduced, geometric",
+        lambda scene, n: structured(scene, geometric_lines(scene, 2)),
+        "reduced", None, (2, 3, 4, 5),
+    ),
+)  #: name, mesh, form, order (None: the setting), settings  # fmt: skip
 CONTENDERS = [
     Contender(
         name=f"NGSolve {name}",

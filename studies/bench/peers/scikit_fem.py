@@ -22,20 +22,20 @@ from skfem.element import Element
 from skfem.models.elasticity import linear_elasticity
 
 from fem.scene.scene import Rectangle, Scene
-from studies.bench.harness import Contender, Stopwatch
-from studies.bench.peers.grids import scene_lines
-from studies.bench.peers.solved import Solved, is_homogeneous_block
+from fem.scene.solution import Stopwatch
+from studies.bench.harness import Contender
+from studies.bench.peers.grids import Solved, is_homogeneous_block, scene_lines
 
 
 def solve_stock(scene: Scene, n: float, element: type[Element]) -> Solved:
     """A uniform grid of tetrahedra or hexahedra, solved as in the documentation."""
-    done = Stopwatch()
+    watch = Stopwatch()
     lines = scene_lines(scene, n, graded=False)
     mesh = (MeshTet if element is ElementTetP2 else MeshHex).init_tensor(*lines)
     height = scene.height_mm
     mesh = mesh.with_boundaries({"base": lambda x: x[2] == 0.0})
     basis = Basis(mesh, ElementVector(element()))
-    done("mesh")
+    watch.spent("mesh")
 
     def on(rectangle: Rectangle, axis: int) -> np.ndarray:
         """∫ of every function's component over a rectangle of the top."""
@@ -47,17 +47,17 @@ def solve_stock(scene: Scene, n: float, element: type[Element]) -> Solved:
 
     K = linear_elasticity(*scene.material.lame_mpa).assemble(basis)
     f = sum(t * on(load.rectangle, a) for load in scene.loads for a, t in enumerate(load.traction_mpa) if t)
-    done("assemble")
+    watch.spent("assemble")
     system = condense(K, f, D=basis.get_dofs("base"))
     u = solve(*system)
-    done("factor")
+    watch.spent("factor")
     probes = {}
     for probe in scene.mean_probes:
         assert probe.size_mm is not None
         area = probe.size_mm[0] * probe.size_mm[1]
         probes[probe.name] = np.array([on(probe.rectangle, a) @ u / area for a in range(3)])
-    done("solve")
-    return Solved(probes, int(basis.N), done.seconds)
+    watch.spent("solve")
+    return Solved(probes, int(basis.N), watch.seconds)
 
 
 CONTENDERS = [

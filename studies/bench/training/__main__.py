@@ -8,26 +8,32 @@ from typing import Annotated, get_args
 import typer
 
 from decoupler.model.settings import Net
-from geometry.storage.files import write_json
-from studies.bench.harness import Record, Settings, as_plain, draw_records, ratio_table, record_table, run_contenders
-from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race
-from studies.bench.training.dense import step_difference
-from studies.surroundings import measured_on
-from tripillar.terminal.console import say, wrote
+from studies.bench.harness import (
+    Record,
+    Settings,
+    draw_records,
+    measured_on,
+    ratio_table,
+    record_table,
+    run_contenders,
+    write_records,
+)
+from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race, step_difference
+from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
 PACKAGES = ("numpy", "scipy", "torch", "torch-levenberg-marquardt")
 GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
-SPARE_S = 60.0  #: beyond thrice its patience, for imports and a step that cannot be interrupted
+SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that cannot be interrupted, a busy machine
 
 
 def bench(
     out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/bench"),
     hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
     samples: Annotated[int, typer.Option(help="Training samples.")] = 2000,
-    patience: Annotated[float, typer.Option(help="Seconds after which a training is stopped.")] = 30.0,
+    patience: Annotated[float, typer.Option(help="Processor seconds after which a training is stopped.")] = 30.0,
     protocol: Annotated[list[str] | None, typer.Option(help="Protocol to run; may be given again.")] = None,
     net: Annotated[list[str] | None, typer.Option(help="Net to run, plain or skip; may be given again.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
@@ -40,7 +46,7 @@ def bench(
     if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:
         raise typer.BadParameter(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
     chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
-    settings = Settings(runs=1, threads=1, patience_s=3 * patience + SPARE_S, own_cache=False)
+    settings = Settings(runs=1, threads=1, patience_s=10 * patience + SPARE_S, own_cache=False)
     columns = {"a step": lambda record: record.notes["a step [s]"]}
     columns |= {f"to {goal:.0e}": partial(Record.seconds_to, judged=MSE, error=goal) for goal in GOALS}
     everything: list[Record] = []
@@ -51,7 +57,7 @@ def bench(
         for one in nets
     ]:
         differences[race.name] = step_difference(race.data()[0])  # which puts the response into the cache, too
-        found = run_contenders("studies.bench.training.contenders", race.name, asdict(race), chosen, settings, say)
+        found = run_contenders("studies.bench.training.contenders", race.name, asdict(race), chosen, settings)
         everything += found
         pictures.append(out / f"training-{race.name}.png")
         draw_records(race.name, found, (MSE,), pictures[-1])
@@ -59,7 +65,7 @@ def bench(
         show(record_table(f"{race.name}: training time against error", found, caption))
         show(ratio_table(f"{race.name}: seconds, and times those of {LM} / {VARPRO}", found, columns, LM, VARPRO))
     about = measured_on(PACKAGES) | {"threads": 1, "hidden": hidden, "samples": samples, "patience_s": patience}
-    write_json(as_plain(everything, about | {"step_difference": differences}), out / "training.json")
+    write_records(everything, about | {"step_difference": differences}, out / "training.json")
     wrote([*pictures, out / "training.json"])
 
 

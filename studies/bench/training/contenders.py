@@ -3,15 +3,20 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import torch
+from torch.nn.utils import parameters_to_vector
+
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
+from decoupler.training.damping import FIRST_DAMPING
+from decoupler.training.levenberg_marquardt import GaussNewton
+from decoupler.training.network import TrainingSet
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
 from studies.bench.harness import Contender, Found
 from studies.bench.training import peers
-from studies.bench.training.problem import Problem, Scaled
-from studies.bench.training.trace import Ended, Trace
+from studies.bench.training.problem import Ended, Problem, Scaled, Trace
 from tripillar.sweep.memory import peak_mib
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
@@ -56,32 +61,26 @@ def measure(contender: Contender, case: dict, _: None) -> Found:
     """Train after a warm-up, and judge the network on the test samples."""
     race = Race(**case)
     problem, tested_on = race.data()
-    warm_up(contender, problem)
+    for _warm in range(2):  # what the first warm-up loads as it goes, the second finds there
+        contender.solve(problem.first(WARM_UP), Trace(0.0, 0.1))
     before = peak_mib()
     trace = Trace(race.goal_mse, race.patience_s)
     decoupler, reason = contender.solve(problem, trace)
-    peak = peak_mib()
+    grown_mib = peak_mib() - before
     (errors,) = evaluate(decoupler, tested_on).values()
     iterations, seconds, mse = trace.points[-1]
-    weights = decoupler.hidden_weights.size + decoupler.output_weights.size
     return Found(
         errors={MSE: mse} | ({} if errors.rel_err is None else {"eq. 17, test samples": errors.rel_err}),
-        size=weights,
-        seconds={"training": seconds},
+        size=decoupler.hidden_weights.size + decoupler.output_weights.size,
+        steps={"training": seconds},
         notes={
             "steps": iterations,
             "a step [s]": trace.seconds_per_iteration(),
-            "MiB of training": peak - before,
+            "MiB of training": grown_mib,
             "stopped by": reason,
         },
         trace=[(seconds, mse) for _, seconds, mse in trace.thinned()],
     )
-
-
-def warm_up(contender: Contender, problem: Problem) -> None:
-    """Train twice for a moment: what the first loads as it goes, the second finds there."""
-    for _ in range(2):
-        contender.solve(problem.first(WARM_UP), Trace(0.0, 0.1))
 
 
 def by_ours(trainer: Trainer, known: bool = False) -> Train:
@@ -101,6 +100,23 @@ def by_ours(trainer: Trainer, known: bool = False) -> Train:
             return train(*asked, again, response=response), str(end)
 
     return run
+
+
+def step_difference(problem: Problem, samples: int = 50) -> float:
+    """Relative distance of the structured step from that of the dense JᵀJ, at the start and its first damping."""
+    scaled = Scaled(problem.first(samples))
+    model, x, t = scaled.model, scaled.x, scaled.t
+    J = torch.from_numpy(peers.dense_jacobian(model, x.numpy()))
+    with torch.no_grad():
+        structured = GaussNewton(TrainingSet(x, t, model.skip), model.hidden.detach(), model.output.detach())
+        damping = FIRST_DAMPING * structured.largest_diagonal()
+        step = structured.step(damping)
+        assert step is not None  # the damping keeps the matrix from being singular
+        ours = parameters_to_vector(step)
+        matrix = J.T @ J
+        matrix.diagonal().add_(damping)
+        dense = torch.linalg.solve(matrix, -J.T @ (model(x) - t).reshape(-1))
+        return (torch.linalg.norm(ours - dense) / torch.linalg.norm(dense)).item()
 
 
 def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:

@@ -7,10 +7,9 @@ import numpy as np
 import torch
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from decoupler.training.network import Network
 from geometry.layout import FloatArray
-from studies.bench.training.dense import dense_jacobian
-from studies.bench.training.problem import Scaled
-from studies.bench.training.trace import Trace
+from studies.bench.training.problem import Scaled, Trace
 
 ADAM_RATE = 1e-2  #: the best of 1e-3, 3e-3, 1e-2 and 3e-2 in 20 s, over both protocols with the skip net of 17
 LBFGS_ROUND = 10  #: iterations between two looks at the error
@@ -34,13 +33,9 @@ def adam(scaled: Scaled, trace: Trace) -> str:
 def lbfgs(scaled: Scaled, trace: Trace) -> str:
     """`torch.optim.LBFGS` with a line search to the strong Wolfe conditions and 10 pairs."""
     optimizer = torch.optim.LBFGS(
-        scaled.model.parameters(),
-        max_iter=LBFGS_ROUND,
-        history_size=10,
-        tolerance_grad=0.0,
-        tolerance_change=0.0,
+        scaled.model.parameters(), max_iter=LBFGS_ROUND, history_size=10, tolerance_grad=0.0, tolerance_change=0.0,
         line_search_fn="strong_wolfe",
-    )
+    )  # fmt: skip
     state = optimizer.state[scaled.model.hidden]
 
     def closure() -> float:
@@ -59,9 +54,8 @@ def lbfgs(scaled: Scaled, trace: Trace) -> str:
 
 def torch_lm_missing() -> str:
     """Packages of torch-levenberg-marquardt that are not installed."""
-    absent = [
-        name for name in ("torch_levenberg_marquardt", "pytorch_lightning", "torchmetrics") if not find_spec(name)
-    ]
+    needed = ("torch_levenberg_marquardt", "pytorch_lightning", "torchmetrics")
+    absent = [name for name in needed if not find_spec(name)]
     return f"{', '.join(absent)} not installed (pip install 'tripillar[bench]')" if absent else ""
 
 
@@ -100,3 +94,28 @@ def scipy_trf(scaled: Scaled, trace: Trace) -> str:
     end = least_squares(residuals, np.array(start), jacobian, method="trf")
     vector_to_parameters(torch.from_numpy(end.x), scaled.model.parameters())
     return "its tolerance"
+
+
+def dense_jacobian(model: Network, inputs: FloatArray) -> FloatArray:
+    """Derivatives of all outputs by all weights, hidden ones first, in closed form.
+
+    Parameters
+    ----------
+    model : Network
+    inputs : array, shape (n_samples, n_in)
+
+    Returns
+    -------
+    array, shape (n_samples·n_out, n_weights)
+    """
+    W1, W2 = model.hidden.detach().numpy(), model.output.detach().numpy()
+    (h, p), (n_out, q) = W1.shape, W2.shape
+    X = np.hstack([inputs, np.ones((len(inputs), 1))])
+    tanh = np.tanh(X @ W1.T)
+    A = np.hstack([tanh, X if model.skip else X[:, -1:]])
+    Z = ((1.0 - tanh**2)[:, :, None] * X[:, None, :]).reshape(len(X), h * p)
+    J = np.zeros((len(X), n_out, h * p + n_out * q))
+    np.multiply(Z[:, None, :], np.repeat(W2[:, :h], p, axis=1), out=J[:, :, : h * p])
+    for k in range(n_out):
+        J[:, k, h * p + k * q : h * p + (k + 1) * q] = A
+    return J.reshape(len(X) * n_out, -1)
