@@ -14,6 +14,7 @@ from dataset.measurement import reading_deviation
 from dataset.protocols import MAX_TOUCHED
 from dataset.samples import SampleError
 from decoupler.data.columns import (
+    MIN_CALIBRATED_OHM,
     Calibration,
     Component,
     Resting,
@@ -29,8 +30,9 @@ from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model.uncertainty import leverage
 from decoupler.training.damping import Progress
-from decoupler.training.error_bars import best_ridge, fitted_uncertainty
+from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 LIGHT = 0.1  #: number of light samples that training adds where the response is known, over that of the samples
-MAX_UNEXPLAINED = 3e-3  #: share of the readings' variance that response and calibration may leave
+MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 TOUCH = 0.05  #: force of a light touch, over the largest force
 
 
@@ -199,27 +201,45 @@ def _light_samples_too(
     """Training columns (n, n_in) [Ω] and (n, n_out) [N] with light samples added at the end, and how many.
 
     A quarter of the light samples is at rest; in each, none to `MAX_TOUCHED` forces are up to `TOUCH` of the largest in
-    training. Their resistances are what response and calibration give. None are added where these leave more than noise
-    and `MAX_UNEXPLAINED` of the readings' variance unexplained: what another sensor's response says of rest would be
-    learnt as if it were measured.
+    training. None are added where their resistances leave more than noise and `MAX_UNEXPLAINED` of the variance of the
+    readings' roots unexplained.
+
+    Notes
+    -----
+    √R is what response and calibration give, and what these leave of it that is linear in the forces, by a ridge. With
+    the sensor's own response only noise is left, and the ridge takes it for nothing. With another's, gains and offsets
+    fitted under load make up for it there and not at rest; the linear part puts rest right.
     """
-    inverse, calibration = untrained.inverse, untrained.calibration
-    assert inverse is not None
-    assert calibration is not None
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
-    left = columns_ohm - calibration.shown(inverse.forward.resistances(force_n))
-    by_noise = reading_deviation(columns_ohm, data.noise, data.bits) ** 2
-    excess = (left**2 - by_noise)[:, readable].mean(axis=0)
-    if excess.mean() > MAX_UNEXPLAINED * columns_ohm[:, readable].var(axis=0).mean():
+    A, root = _with_one(untrained.output_scaling.scale(force_n)), np.sqrt(columns_ohm)
+    left = np.where(readable, root - _modelled_root(untrained, force_n), 0.0)
+    G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1]))
+    linear = G @ (A.T @ left)
+    left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
+    by_noise = (0.5 * reading_deviation(columns_ohm, data.noise, data.bits) / root) ** 2
+    excess = (left_out**2 - by_noise)[:, readable].mean(axis=0)
+    if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
         return columns_ohm, force_n, 0
     generator = np.random.default_rng(0)
     n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
     touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
     low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
     light_n = touched * TOUCH * generator.uniform(low, high, (n, n_forces))
-    light_ohm = calibration.shown(inverse.forward.resistances(light_n))
-    light_ohm = measured(light_ohm, data.noise, data.bits, generator)
+    light_root = _modelled_root(untrained, light_n) + _with_one(untrained.output_scaling.scale(light_n)) @ linear
+    light_ohm = measured(light_root**2, data.noise, data.bits, generator)
     return np.concatenate([columns_ohm, light_ohm]), np.concatenate([force_n, light_n]), n
+
+
+def _modelled_root(untrained: Decoupler, force_n: FloatArray) -> FloatArray:
+    """√R that response and calibration give for forces (n, n_out) [N], shape (n, n_in) [√Ω]."""
+    assert untrained.inverse is not None
+    assert untrained.calibration is not None
+    modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(force_n))
+    return np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM))
+
+
+def _with_one(values: FloatArray) -> FloatArray:
+    return np.hstack([values, np.ones((len(values), 1))])
 
 
 @contextmanager

@@ -24,6 +24,7 @@ CHEAP = {
     "training, 10 samples": ["varpro skip, stated"],
     "training, dead column wire": ["joint, from the response"],
     "training, one pair": ["gains ± 20 %"],
+    "training, other response": ["pad 10 mm"],
 }
 #: trials that must be refused; the response of another sensor before it does harm
 REFUSED = {"training, no resistance": ["nan Ω", "inf Ω", "0 Ω", "-1 Ω"], "training, other response": ["pad 8 mm"]}
