@@ -157,7 +157,7 @@ def disturbance(data: Samples, component: Component, forward: ForwardModel | Non
         )
     return (
         f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
-        f"{component.name}; use --component all"
+        f"{component.name}; use the component 'all'"
     )
 
 

@@ -59,7 +59,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     condition makes the feature `inverse` lose more; past 1e-4 float is refused.
     """
     if path.suffix not in USUAL:
-        raise DesignError(f"--out {path} must end in {' or '.join(USUAL)}.")
+        raise DesignError(f"{path} must end in {' or '.join(USUAL)}.")
     precision = USUAL[path.suffix] if precision is None else precision
     if precision not in get_args(Precision):
         raise DesignError(f"precision={precision!r} is unknown; choose one of {', '.join(get_args(Precision))}.")
@@ -89,7 +89,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
         if not deviation <= MAX_DEVIATION[precision]:
             raise ExportError(
                 f"{path} is not written: its forces deviate from the model's by {deviation:.1e} of full scale, "
-                f"more than {MAX_DEVIATION[precision]:g}: use --precision double, or report it."
+                f"more than {MAX_DEVIATION[precision]:g}: use the precision double, or report it."
             )
     return Exported(precision=precision, deviation=deviation)
 

@@ -80,7 +80,7 @@ def _require_alive(pairs: Samples, decoupler: Decoupler, forward: ForwardModel) 
     for row, col, pillar in np.argwhere(found & ~known)[:1]:
         raise SampleError(
             f"pillar {row},{col},{PILLARS[pillar]} does not follow the loads of the pairs, and the model leans on it: "
-            f"mend it, or train a model on data with --dead-pillar {row},{col},{PILLARS[pillar]}."
+            f"mend it, or train a model on data that name {row},{col},{PILLARS[pillar]} among their dead_pillars."
         )
 
 

@@ -213,7 +213,7 @@ def _light_samples_too(
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
     A, root = _with_one(untrained.output_scaling.scale(force_n)), np.sqrt(columns_ohm)
     left = np.where(readable, root - _modelled_root(untrained, force_n), 0.0)
-    G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1]))
+    G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
     left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
     by_noise = (0.5 * reading_deviation(columns_ohm, data.noise, data.bits) / root) ** 2

@@ -218,18 +218,23 @@ def _shown(value: Any) -> str:
 def ratio_table(
     title: str, records: Sequence[Record], columns: Mapping[str, Callable[[Record], float | None]], *against: str
 ) -> Table:
-    """Seconds of the fastest of each family in every column, and how many times those of the families in `against`."""
+    """Seconds of the fastest of each family in every column, and how many times those of the families in `against`.
+
+    A training that does not get there took longer than its whole trace, and that is what is shown.
+    """
     table = Table(title=title)
     table.add_column("family")
     families: dict[str, list[str]] = {one.family: [] for one in records}
+    traced = {one.family: one.trace[-1][0] for one in records if one.trace}
     for header, seconds in columns.items():
         table.add_column(header, justify="right")
         fastest = fastest_by_family(records, seconds)
         for family, cells in families.items():
             others = [other for other in against if len(against) > 1 or other != family]
-            ratios = [_ratio(fastest.get(family), fastest.get(other)) for other in others]
-            told = [f"{fastest[family]:.3g} s", *([" / ".join(ratios)] if ratios else [])] if family in fastest else []
-            cells.append(", ".join(told) or NOT_REACHED)
+            spent, over = fastest.get(family, traced.get(family)), "" if family in fastest else "> "
+            ratios = [over + _ratio(spent, fastest[other]) if other in fastest else NOT_REACHED for other in others]
+            times = [" / ".join(ratios)] if ratios else []
+            cells.append(NOT_REACHED if spent is None else ", ".join([f"{over}{spent:.3g} s", *times]))
     for family, cells in families.items():
         table.add_row(family, *cells)
     return table
@@ -245,8 +250,8 @@ def fastest_by_family(records: Iterable[Record], seconds: Callable[[Record], flo
     return best
 
 
-def _ratio(value: float | None, unit: float | None) -> str:
-    if value is None or unit is None:
+def _ratio(value: float | None, unit: float) -> str:
+    if value is None:
         return NOT_REACHED
     return f"{value / unit:,.0f}×" if value >= 10 * unit else f"{value / unit:.2g}×"
 

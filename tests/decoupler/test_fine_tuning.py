@@ -90,7 +90,7 @@ def test_a_pillar_that_has_come_to_be_stuck_is_refused_by_name(n):
     model = train(TRAIN, "all", config, TrainingConfig(), response=RESPONSE)
     stuck = PAIRS[np.arange(n)]
     stuck.resistance_ohm[:, 1, 2, 0] = 9000.0
-    with pytest.raises(SampleError, match=r"pillar 1,2,z does not follow .* with --dead-pillar 1,2,z"):
+    with pytest.raises(SampleError, match=r"pillar 1,2,z does not follow .* name 1,2,z among their dead_pillars"):
         fine_tune(model, stuck, RESPONSE)
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True

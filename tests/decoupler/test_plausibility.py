@@ -100,7 +100,7 @@ def test_four_pairs_in_a_wrong_order_are_enough():
 def test_one_net_alone_is_warned_of_forces_that_it_leaves_out():
     fz = COMPONENTS["fz"]
     assert "forces along x and y act as well" in (disturbance(PAIRS, fz, JOINT) or "")
-    assert "use --component all" in (disturbance(PAIRS, fz, None) or "")
+    assert "use the component 'all'" in (disturbance(PAIRS, fz, None) or "")
     faint = replace(PAIRS, force_n=PAIRS.force_n * [1e-6, 1e-6, 1.0])
     pressed = lighter(faint, 1.0)
     assert disturbance(pressed, fz, JOINT) is None  # a scale's noise is no shear

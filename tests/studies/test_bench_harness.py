@@ -42,14 +42,17 @@ def test_tables_picture_and_json_hold_what_was_measured(tmp_path):
         Record(case="scene", contender="peer", family="peer", setting=2.0, failure="over 20 s"),
         made_up("traced", 8.0, 0.001, trace=[(0.5, 1.0), (1.0, 0.01), (8.0, 0.001)], notes={"stopped by": "goal"}),
     ]
-    columns = {f"{goal:.1%}": partial(Record.seconds_to, judged=WORST, error=goal) for goal in (0.01, 0.004, 1e-4)}
+    columns = {
+        f"{goal:.1%}": partial(Record.seconds_to, judged=WORST, error=goal) for goal in (0.01, 0.004, 7e-4, 1e-4)
+    }
     assert fastest_by_family(found, columns["1.0%"]) == {"TriPillar": 2.0, "peer": 9.0, "traced": 1.0}
     ratios = ratio_table("scene", found, columns, "TriPillar", "peer")
     assert [list(column.cells) for column in ratios.columns] == [
         ["TriPillar", "peer", "traced"],
         ["2 s, 1× / 0.22×", "9 s, 4.5× / 1×", "1 s, 0.5× / 0.11×"],
         ["2 s, 1× / 0.22×", "9 s, 4.5× / 1×", "8 s, 4× / 0.89×"],
-        ["–", "–", "–"],
+        ["–", "9 s, – / 1×", "> 8 s, – / > 0.89×"],
+        ["–", "–", "> 8 s, – / –"],
     ]
     (alone,) = (list(column.cells) for column in ratio_table("scene", found, columns, "TriPillar").columns[1:2])
     assert alone == ["2 s", "9 s, 4.5×", "1 s, 0.5×"]

@@ -63,6 +63,8 @@ def test_the_dense_jacobian_is_automatic_and_its_step_the_structured_one(problem
 def test_trace_ends_a_training_and_what_is_not_installed_is_said(monkeypatch):
     monkeypatch.setattr(peers, "find_spec", lambda name: None if name == "torchmetrics" else name)
     assert peers.torch_lm_missing().startswith("torchmetrics not installed")
+    monkeypatch.setattr(peers, "find_spec", lambda name: name)
+    assert peers.torch_lm_missing() == ""
     trace = Trace(1e-3, 60.0)
     trace.record(0, 1.0)
     trace.record(2, 1e-2)

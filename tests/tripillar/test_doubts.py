@@ -98,7 +98,7 @@ def test_force_writes_and_the_model_remembers(folder, command, tmp_path):
     assert warning.startswith(f"warning: {wrong}: the readings fit the forces far better in another order")
     assert "another order" in read_model(out).made_from["forced"]
     _, _, said = command("evaluate", "--model", out, "--data", "train.nc", "-q")
-    assert f"warning: {out} was written with --force: the readings fit" in said
+    assert f"warning: {out} was made by force of doubtful samples: the readings fit" in said
 
 
 def test_right_pairs_are_taken_without_a_word(command, tmp_path):
@@ -122,7 +122,7 @@ def test_a_component_that_others_disturb_is_named(command, words):
     code, _, said = command(*words, "--data", "train.nc", "--component", "fz", "--hidden", "2", "-q")
     assert code == 0
     assert "train.nc: forces along x and y act as well and move the same pillars" in said
-    assert "use --component all" in said
+    assert "use the component 'all'" in said
 
 
 def test_a_test_on_training_samples_is_named(command, tmp_path):

@@ -5,10 +5,12 @@ import importlib
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 import tripillar as tp
+from geometry.design import Pad
 from tests.docs.terminal import ROOT
 
 MAX_NAMES = 20
@@ -60,3 +62,27 @@ def test_what_is_no_part_of_it_cannot_be_written(tmp_path):
         tp.write({}, tmp_path / "x")
     with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
         tp.train({})
+
+
+def test_a_given_response_is_used_and_one_of_another_design_refused(monkeypatch):
+    """Whatever its tolerance or method, and none is solved."""
+    design = tp.SensorDesign()
+    design = replace(design, array=replace(design.array, rows=1, cols=2))
+    known, other = (tp.response(one, method="layer") for one in (design, replace(design, pad=Pad(size_mm=11.0))))
+    samples = tp.simulate(known, "contact-fz", 60, noise=1e-3)
+    monkeypatch.setattr("tripillar.pipeline.run.array_response", lambda *_: pytest.fail("solved"))
+    quick = {"hidden": 2, "max_iterations": 2}
+    assert tp.train(replace(samples, design=None), response=known, **quick).network.feature == "inverse"
+    model = tp.train(samples, response=known, **quick)
+    assert model.network.feature == "inverse"
+    assert tp.evaluate(model, samples[40:], response=known)["fz"].limits is not None
+    for call in (
+        lambda given: tp.train(samples, response=given, **quick),
+        lambda given: tp.train(samples, net="plain", response=given, **quick),
+        lambda given: tp.evaluate(model, samples[40:], response=given),
+        lambda given: tp.crossval(samples, response=given),
+    ):
+        with pytest.raises(tp.TriPillarError, match=r"^the response is of another design than samples: [^\n]*\.$"):
+            call(other)
+        with pytest.raises(tp.TriPillarError, match=r"^response is of type Samples, expected ArrayResponse"):
+            call(samples)

@@ -251,7 +251,7 @@ def crossval(
     samples = read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
         network, tested = folds_of(
-            samples, component, folds, training, net, hidden, feature, stated, force, caller(data, bars)
+            samples, component, folds, training, net, hidden, feature, stated, None, force, caller(data, bars)
         )
     answer(json_, {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
 

@@ -81,7 +81,7 @@ def warn_of_test(decoupler: Decoupler, data: Samples, response: ArrayResponse | 
         told = f"{caller.model} was trained on these samples: its errors on others are larger"
         caller.say(f"warning: {caller.samples}: {told}")
     if "forced" in story:
-        caller.say(f"warning: {caller.model} was written with --force: {story['forced']}")
+        caller.say(f"warning: {caller.model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
     own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
     doubted = doubt(data, component, own)

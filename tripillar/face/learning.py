@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from geometry.design import SensorDesign
-from tripillar.face.bodies import response
+from geometry.errors import DesignError, require_type
+from tripillar.face.bodies import response as response_of
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
@@ -69,7 +70,8 @@ def simulate(
     import dataset
 
     asked = dataset.DatasetSettings(protocol=protocol, samples=samples, seed=seed, noise=noise, bits=bits, **settings)
-    return dataset.simulate(response(sensor) if sensor is None or isinstance(sensor, SensorDesign) else sensor, asked)
+    given = response_of(sensor) if sensor is None or isinstance(sensor, SensorDesign) else sensor
+    return dataset.simulate(given, asked)
 
 
 def train(
@@ -82,6 +84,7 @@ def train(
     feature: Feature = "auto",
     seed: int = 0,
     design: SensorDesign | None = None,
+    response: "ArrayResponse | None" = None,
     force: bool = False,
     caller: "Caller | None" = None,
     **settings: Any,
@@ -106,7 +109,9 @@ def train(
     seed : int
         Seed of the random start.
     design : SensorDesign, optional
-        Of samples that state none; default: the paper's, if its array has their size.
+        Of samples that state none; default: the response's, or the paper's, if its array has their size.
+    response : ArrayResponse, optional
+        Of the sensor; default: solved with the default tolerance if need be.
     force : bool
         True trains although the samples look wrong; the model remembers why they did.
     caller : Caller, optional
@@ -122,6 +127,8 @@ def train(
 
     Raises
     ------
+    DesignError
+        If the response is of another design.
     SampleError
         If the samples look wrong or cannot train a network.
 
@@ -144,7 +151,7 @@ def train(
     from tripillar.face.checks import Caller
 
     training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
-    parts, network, solved, forced = _checked(samples, component, net, hidden, feature, design, force, caller)
+    parts, network, solved, forced = _checked(samples, component, net, hidden, feature, design, response, force, caller)
     from decoupler import train  # loads torch: only once the samples are found right
 
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
@@ -153,7 +160,12 @@ def train(
 
 
 def evaluate(
-    model: "Decoupler", samples: "Samples", *, limits: bool = True, caller: "Caller | None" = None
+    model: "Decoupler",
+    samples: "Samples",
+    *,
+    limits: bool = True,
+    response: "ArrayResponse | None" = None,
+    caller: "Caller | None" = None,
 ) -> "dict[str, Assessment]":
     """Errors of a model on samples that it has not seen, beside what the readings allow.
 
@@ -162,7 +174,9 @@ def evaluate(
     model : Decoupler
     samples : Samples
     limits : bool
-        False leaves the limits out, for which the response is solved if need be.
+        False leaves the limits out, for which the response is needed.
+    response : ArrayResponse, optional
+        As of `train`.
     caller : Caller, optional
         As of `train`.
 
@@ -173,6 +187,8 @@ def evaluate(
 
     Raises
     ------
+    DesignError
+        If the response is of another design.
     FileFormatError
         If the samples are of another sensor than the model's.
 
@@ -195,7 +211,7 @@ def evaluate(
     for name, design in ((caller.samples, samples.design), (caller.model, model.design)):
         if design is None:
             caller.say(f"{name} states no design that can be read: only the array's size was compared")
-    solved = _response(samples.design or model.design, caller) if limits else None
+    solved = _response(samples, samples.design or model.design, response, caller) if limits else None
     warn_of_test(model, samples, solved, caller)
     return assess(model, samples, solved)
 
@@ -211,6 +227,7 @@ def crossval(
     feature: Feature = "auto",
     seed: int = 0,
     design: SensorDesign | None = None,
+    response: "ArrayResponse | None" = None,
     force: bool = False,
     **settings: Any,
 ) -> "dict[str, ForceErrors]":
@@ -223,7 +240,7 @@ def crossval(
     samples : Samples
     folds : int
         Number of parts, each tested once.
-    component, net, hidden, trainer, feature, seed, design, force, **settings
+    component, net, hidden, trainer, feature, seed, design, response, force, **settings
         As of `train`.
 
     Returns
@@ -248,7 +265,7 @@ def crossval(
     from tripillar.face.checks import Caller
 
     training = TrainingConfig(trainer=trainer, seed=seed, **settings)
-    _, tested = folds_of(samples, component, folds, training, net, hidden, feature, design, force, Caller())
+    _, tested = folds_of(samples, component, folds, training, net, hidden, feature, design, response, force, Caller())
     return over_folds(tested, np.mean)
 
 
@@ -261,6 +278,7 @@ def folds_of(
     hidden: int,
     feature: Feature,
     design: SensorDesign | None,
+    response: "ArrayResponse | None",
     force: bool,
     caller: "Caller",
 ) -> "tuple[NetworkConfig, list[Fold]]":
@@ -269,7 +287,7 @@ def folds_of(
     from decoupler.evaluation.crossval import split_folds
 
     split_folds(len(samples), folds, training.seed)  # refuses too many before anything takes time
-    parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, force, caller)
+    parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, response, force, caller)
     advance = caller.bars.begin(f"{folds} folds", total=folds)
     return network, cross_validate(samples, parts, network, training, folds, solved, lambda _: advance(1, ""))
 
@@ -318,7 +336,7 @@ def fine_tune(
 
     caller = caller or Caller()
     require_same_sensor(model, pairs, Path(caller.model), Path(caller.samples))
-    solved = None if model.inverse is not None else _response(pairs.design or model.design, caller)
+    solved = None if model.inverse is not None else _response(pairs, pairs.design or model.design, None, caller)
     judge = joint_model(solved) if model.inverse is None else model.inverse.forward
     forced = heed(doubt(pairs, model.component, judge), force, caller)
     mention(pairs, model.component, joint_model(solved), caller)
@@ -334,6 +352,7 @@ def _checked(
     hidden: int,
     feature: Feature,
     design: SensorDesign | None,
+    response: "ArrayResponse | None",
     force: bool,
     caller: "Caller",
 ) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
@@ -348,22 +367,22 @@ def _checked(
     require_samples("samples", samples)
     automatic, named = feature == "auto", component or suited_component(samples)
     network, parts = NetworkConfig(hidden=hidden, net=net), component_named(named)
-    likely = samples.design or design or SensorDesign()
-    fits = samples.force_n.shape[1:3] == (likely.array.rows, likely.array.cols)
-    sensor = likely if fits else None
+    sensor = samples.design or design
+    if sensor is None and response is None and _fits(SensorDesign(), samples):
+        sensor = SensorDesign()
     forced = heed(nothing_to_learn(samples, parts), force, caller)
     note, solved = "", None
     if net == "skip" if automatic else feature == "inverse":
-        solved = _response(sensor, caller)
+        solved = _response(samples, sensor, response, caller)
     chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
     if automatic and chosen == "root" and solved is not None:
         note = "the response of the design does not explain these data: inputs are √R"
-    if automatic and chosen == "inverse" and samples.design is None:
+    if automatic and chosen == "inverse" and samples.design is None and response is None:
         which = "the paper's sensor" if design is None else "the given design"
         note = f"the data state no design, but the response of {which} explains them and is used"
     judging = solved
-    if samples.design is not None or design is not None:
-        judging = _response(sensor, caller) if solved is None else solved
+    if samples.design is not None or design is not None or response is not None:
+        judging = _response(samples, sensor, response, caller) if solved is None else solved
     elif chosen != "inverse":
         judging = None  # a guessed design that does not explain the samples cannot judge them
     judge = joint_model(judging)
@@ -373,7 +392,23 @@ def _checked(
     return named, replace(network, feature=chosen), solved, forced
 
 
-def _response(design: SensorDesign | None, caller: "Caller") -> "ArrayResponse | None":
+def _fits(design: SensorDesign, samples: "Samples") -> bool:
+    return samples.force_n.shape[1:3] == (design.array.rows, design.array.cols)
+
+
+def _response(
+    samples: "Samples", design: SensorDesign | None, given: "ArrayResponse | None", caller: "Caller"
+) -> "ArrayResponse | None":
+    """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
+    from fem.array.response import ArrayResponse
     from tripillar.pipeline.run import respond
 
-    return None if design is None else respond(design, caller.bars)[1]
+    if given is None:
+        return None if design is None or not _fits(design, samples) else respond(design, caller.bars)[1]
+    require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
+    if not _fits(given.design, samples) or (design is not None and given.design != design):
+        raise DesignError(
+            f"the response is of another design than {caller.samples}: solve one with tripillar.response of their "
+            "design, or give none."
+        )
+    return given
