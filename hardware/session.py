@@ -27,7 +27,7 @@ from hardware.recording import PlaybackPort, Recorder, read_recording
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
 
-BATCH_S = 0.1  #: longest wait for a scan, so that what else there is to do is done
+BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
 TOLD_S = 1.0  #: between two reports of a recording's progress
 taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
 RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the recorder up; 109 s at 150 Hz

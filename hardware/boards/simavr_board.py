@@ -106,7 +106,7 @@ class SimavrBoard:
     seconds : float, optional
         Stop after so much of the board's time [s].
     damage : int, optional
-        Every so manieth byte to the board arrives with a wrong stop bit.
+        One in so many bytes to the board arrives with a wrong stop bit.
     program : Path
         What ``make -C hardware/firmware simulator`` built.
 

@@ -27,10 +27,10 @@ _INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their
 _ERRORS = struct.Struct("<BBBB")  # likewise
 _CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
-MAX_OVERRUNS = _BYTE  #: that a board counts: this many or more
+MAX_OVERRUNS = _BYTE  #: largest number of overruns that a board counts; it stands for more, too
 _MAX_COUNT = _SHORT
-MAX_DRIFT = 0.01  #: of a board's clock, a ceramic resonator, with room to spare; quartz has 1e-4
-_MAX_EARLY_S = 1.0  # of a frame, by a host's clock that is set by frames which were themselves late
+MAX_DRIFT = 0.01  #: largest relative error of a board's clock; ceramic resonators stay below, quartz has 1e-4
+_MAX_EARLY_S = 1.0  # largest lead of the board's clock; frames that came late set the host's idea of it
 _MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
 
 
@@ -222,10 +222,10 @@ def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) 
 
     Notes
     -----
-    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn, and
-    the sequence does so in every second case. Without `host_s` such a restart cannot be told from lost frames: scans
-    that were skipped take no sequence number and the rate may change, so a pause can leave any number of frames out.
-    The host's clock tells: a frame may be late by anything, but never early by more than drift explains.
+    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn. In every
+    second case it moves the sequence forward, too. Without `host_s` such a restart looks like lost frames: skipped
+    scans take no sequence number and the rate may change, so any number of frames may be missing over a pause. The
+    host's clock tells a restart: a frame may be late by anything, but never early by more than the drift.
     """
     missing = (frame.sequence - previous.sequence - 1) % 2**16
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
@@ -245,7 +245,7 @@ class Statistics:
     lost: int = 0  #: data frames missing from the sequence, the damaged ones among them
     repeated: int = 0  #: data frames equal to the one before, byte for byte: left out
     restarts: int = 0  #: steps back of the sequence or the board's clock (`missing_between`); nothing is lost there
-    foreign: int = 0  #: frames of another board, left out; a decoder alone cannot tell them
+    foreign: int = 0  #: frames of another board, left out; only `Reception` can tell
     bad_cobs: int = 0  #: chunks between delimiters that are not COBS
     bad_crc: int = 0  #: chunks with a wrong CRC
     bad_form: int = 0  #: over-long chunks, and those whose type, length or values no frame has

@@ -18,14 +18,14 @@ _MIN_POINTS = 4  # for a drift: with fewer, one second without a quick frame wou
 class Scan:
     """A frame and its times.
 
-    `time_s` follows the fit of the board's clock, and may step back by what that is mended by, or after a restart. For
-    the time between two scans take the difference of their ``frame.device_us``, modulo 2³².
+    `time_s` follows the fitted clock of the board. It may step back when the fit improves, and after a restart. For the
+    time between two scans take the difference of their ``frame.device_us``, modulo 2³².
     """
 
     frame: Frame
     received_s: float  #: time.perf_counter() when its last byte was read [s]
     restarts: int  #: of the board, before it
-    run: int  #: counts up where the board restarted or was connected again; from one run to the next nothing is lost
+    run: int  #: counts up where the board restarted or was connected again; nothing counts as lost in between
     time_s: float  #: start of the scan on the host's Unix clock [s], late by the link's least delay
 
 
@@ -33,8 +33,8 @@ class Scan:
 class LinkStatistics(Statistics):
     """Counts of a link's events, over all connections.
 
-    `lost` are frames missing within a run; `restarts` has those between two connections among them; `foreign` are data
-    and INFO frames of another device, not delivered.
+    `lost` are frames missing within a run; `restarts` include those between two connections; `foreign` are data and
+    INFO frames of another device, which are not delivered.
     """
 
     overruns: int = 0  #: scans that the board skipped
@@ -44,7 +44,7 @@ class LinkStatistics(Statistics):
 
 
 _IDENTITY = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
-_OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # the rest takes the host's clock or the INFO
+_OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # the others need the host's clock or the INFO
 
 
 class Reception:
@@ -54,8 +54,8 @@ class Reception:
     another device was met.
 
     The board has restarted where its sequence or its clock steps back, or where its clock has gone on by more than
-    the host's: see `frames.missing_between`. A port that gives frames quicker than they were scanned (a recording's)
-    makes a restart of a pause above 1 s; a host whose clock stood still while it slept does so, too.
+    the host's: see `frames.missing_between`. A pause above 1 s counts as a restart where a recording is played faster
+    than in real time, and where the host's clock stood still while it slept.
     """
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class Reception:
         return scans
 
     def _decoded(self) -> Counter[str]:
-        """Counts of this connection's decoder, but for those that take a clock or another connection to tell."""
+        """Counts of this connection's decoder that need no clock and no other connection."""
         return Counter({name: getattr(self._decoder.statistics, name) for name in _OF_THE_DECODER})
 
     def _identify(self, info: Info) -> None:
@@ -146,7 +146,7 @@ class Reception:
                 self._counted["overruns"] += frame.overruns
                 self.doubt()
             else:
-                # one that waited in a buffer while this program did not read was scanned long before its arrival
+                # a frame that waited in a buffer was scanned long before it arrived
                 elapsed_s = 1e-6 * ((frame.device_us - self._previous.device_us) % 2**32)
                 scanned_s = min(received_s, self._scanned_s + (1 + MAX_DRIFT) * elapsed_s)
             if missing is None or not self._has_frames:  # what a board sends between two connections is not lost

@@ -219,7 +219,7 @@ class Scanner:
         low, high = _RATES_HZ
         if rate_hz != int(rate_hz) or not low <= rate_hz <= high:
             raise ScannerError(f"rate_hz={rate_hz} must be a whole number from {low} to {high}.")
-        wanted_hz, self._wanted_hz = self._wanted_hz, None  # lest the reading thread asks for the old one meanwhile
+        wanted_hz, self._wanted_hz = self._wanted_hz, None  # the reading thread must not ask for the old one
         try:
             self.request(b"R%d\n" % rate_hz)
             if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first

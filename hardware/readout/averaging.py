@@ -1,4 +1,4 @@
-"""Means over many scans: the resistances, their noise, and whether the sensor stood still meanwhile."""
+"""Means over many scans: resistances, their noise, and a test that the sensor stood still."""
 
 import math
 from typing import Any
@@ -11,16 +11,16 @@ from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from hardware.readout.crossbar import Corrector, Crossbar
 
-FALSE_ALARMS = 1e-3  #: fraction of averages of a sensor at rest that are taken for motion, at most
-MIN_DRIFT = 1e-3  #: relative change of a resistance; less is the rubber's creep, and no harm
+FALSE_ALARMS = 1e-3  #: largest fraction of averages at rest that are taken for motion
+MIN_DRIFT = 1e-3  #: smallest relative change of a resistance that counts as motion; creep of the rubber is less
 BIN_S = 0.01  #: scans this close together may share their noise
-MAX_GROUPS = 17  #: into which the time is divided; a prime, so that few motions repeat with it
-MIN_GROUPS, MIN_BINS = 4, 4  #: groups, and bins in each of them, that can tell motion from noise
-MAX_FOR_NOISE = 200  #: scans that tell how much a resistance varies
+MAX_GROUPS = 17  #: largest number of groups of scans; a prime, so that few periodic motions repeat with them
+MIN_GROUPS, MIN_BINS = 4, 4  #: smallest numbers of groups, and of bins in a group, that show motion above noise
+MAX_FOR_NOISE = 200  #: largest number of scans from which the noise is estimated
 
 
 def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:
-    """Mean resistances of counts (n, n_crossings), and how far to trust them.
+    """Mean resistances of counts (n, n_crossings), and their noise.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def min_scans(rate_hz: float) -> int:
 
 
 def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seconds: float) -> None:
-    """Refuse to average over motion, or over so little that motion would not show; arguments as of `movement`.
+    """Refuse to average over motion, or over too few scans to find it; arguments as of `movement`.
 
     Raises
     ------

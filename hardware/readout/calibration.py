@@ -23,7 +23,7 @@ from hardware.link.frames import Info
 from hardware.readout.crossbar import Crossbar
 
 KIND, VERSION = "tripillar calibration", 1
-BROKEN_TIMES = 20.0  #: as much as designed, and a pillar is broken: it has no state at rest
+BROKEN_TIMES = 20.0  #: a pillar with this many times its designed resistance is broken: it has no state at rest
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,15 +20,15 @@ from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillar
 from hardware.link.frames import ScanMode
 
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
-STEP_SHARE = 0.01  #: of the converter's step, to which apparent conductances are met, relative to full scale
-EXACT = 1e-9  #: the same where there is no converter
-CHORD_STEPS = 3  #: with a kept Jacobian before it is made anew, and again before each scan gets its own
+STEP_SHARE = 0.01  #: tolerance of apparent conductances, as a fraction of the converter's step
+EXACT = 1e-9  #: their relative tolerance where there is no converter
+CHORD_STEPS = 3  #: steps with a kept Jacobian, then as many with a new one, before each scan gets its own
 MAX_NEWTON_STEPS = 15  #: readings that no array gives, such as those of a loose wire, end here
 MAX_STEP = 2.0  #: in the logarithm of a conductance
 MIN_SIEMENS, MAX_SIEMENS = 1e-9, 1e3  #: conductances are kept within these
 JACOBIAN_CHUNK = 32  #: scans that share a Jacobian
-MAX_LOST = 0.999  #: of a wire's voltage, in a first guess from readings that no array gives
-NEUMANN = 4.0  #: bound of the first guess's error over ε_row ε_column; 0.8 to 2.4 were found
+MAX_LOST = 0.999  #: largest fraction of a wire's voltage that a first guess takes as lost
+NEUMANN = 4.0  #: bound of the first guess's error over ε_row ε_column; errors are 0.8 to 2.4 times that product
 SUITED_SENSE_OHM = {
     ScanMode.DIVIDER: 2_200.0,
     ScanMode.GROUNDED: 1_000.0,

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 COLUMNS = ("load", "row", "col", "fx_n", "fy_n", "fz_n")  #: of the table; `fx_n` and `fy_n` may be left out
 TIMES = ("from_s", "to_s")  #: optional: when the load was on, since the recording's first scan
 STANDARD_GRAVITY = 9.80665  # m/s²
-MAX_MISSED = 0.2  #: of a resistance, root mean square: beyond, loads and sensor have nothing to do with each other
-MAX_TIMES = 2.0  #: as large or as small as designed: sensors as made differ by less, units by more
-MAX_UNSURE = 0.2  #: standard deviation of a load, as the sensor tells it, relative: beyond, it cannot be judged
+MAX_MISSED = 0.2  #: largest relative misfit of resistances, root mean square; above, the loads were not on this sensor
+MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
+MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +134,7 @@ def _forces(pads: list[tuple[tuple[int, int], list[float]]], rows: int, cols: in
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredLoads:
-    """Known loads and what a sensor showed under them; n of them."""
+    """n known loads, and the resistances of a sensor under them."""
 
     names: list[str]
     force_n: FloatArray  #: (n, rows, cols, 3)
@@ -146,12 +146,12 @@ class MeasuredLoads:
 def calibrated(
     pairs: MeasuredLoads, response: "ArrayResponse", electronics: Electronics, noise: float | None, force: bool = False
 ) -> tuple[SensorCalibration, float]:
-    """The most probable calibration, and what it leaves: the relative root mean square of resistances it misses by.
+    """The most probable calibration, and the relative root mean square of its residuals.
 
     Raises
     ------
     FileFormatError
-        If the loads cannot have been on this sensor as they are told, or tell too little; not with `force`.
+        If the loads cannot have acted on this sensor as stated, or determine too little. `force` takes them anyway.
     """
     everything = component_named("all")
     forward = ForwardModel.of(response, everything)

@@ -1,4 +1,4 @@
-"""The content of a recording, as arrays: the same, whichever kind of file held it."""
+"""A recording as arrays, the same for every kind of file."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -17,7 +17,7 @@ MADE_FROM = ("model_recipe", "design_hash")  #: hashes of the model and the desi
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """States what holds for a whole recording; sessions with the same header may stand in one file."""
+    """Facts about a whole recording; one file may hold several sessions with the same header."""
 
     info: Info
     calibration: str = ""  #: JSON text
@@ -72,7 +72,7 @@ class Recording:
     counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     device_us: NDArray[np.uint32]  #: (n,), the board's clock as sent [µs], modulo 2³²
-    run: NDArray[np.int64]  #: (n,), counts up where board or recorder began anew; nothing is lost from one to the next
+    run: NDArray[np.int64]  #: (n,), counts up where board or recorder began anew; nothing counts as lost between
     time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone; between runs the host's
     flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode
     overrun_counts: NDArray[np.uint8]  #: (n,), the board's counter as sent

@@ -303,15 +303,6 @@ def test_another_device_without_unplugging(board, scanner):
     assert_resumes(scanner)
 
 
-def test_frames_that_the_info_does_not_fit():
-    other = replace(INFO, rows=2, cols=3)
-    with Scanner(ScriptedPort(encode(INFO), a_wire(0), a_wire(1, info=other), a_wire(2), finite=False)) as scanner:
-        wait_until(lambda: scanner.stats.foreign == 2)  # nor is the next believed before the board was asked
-        assert scanner.trouble.startswith("frames of 18 counts of 10 bits in mode DIVIDER came, but the board has 108")
-        assert scanner.get(0).frame.sequence == 0
-        assert scanner.get(0) is None
-
-
 def test_a_mute_board_after_reconnecting_is_trouble(board):
     """Frames without INFO may be anybody's."""
     first = ScriptedPort(encode(INFO), a_wire(0), PortError("gone"))

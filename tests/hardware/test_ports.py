@@ -60,10 +60,13 @@ def test_nothing_arrives_in_time():
         assert read_available(port) == b""
 
 
-def test_loop():
+def test_a_loop_and_once_closed_it_is_gone():
     with opened("loop://") as port:
         write(port, b"abc")
         assert read_all(port, 3) == b"abc"
+        port.close()
+        with pytest.raises(PortError, match="the port is gone"):
+            read_available(port)
 
 
 def refusal(url):
@@ -134,13 +137,6 @@ def test_a_pty_that_vanishes_is_one_error_whatever_is_done():
             close(port)
         finally:
             os.dup2(os.open(os.devnull, os.O_RDONLY), board_end)
-
-
-def test_a_closed_port_is_gone():
-    with opened("loop://") as port:
-        port.close()
-        with pytest.raises(PortError, match="the port is gone"):
-            read_available(port)
 
 
 @pytest.mark.parametrize(

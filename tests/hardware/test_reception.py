@@ -134,6 +134,8 @@ def test_frames_of_another_board_are_counted_and_spoil_no_other_number(reception
     feed(reception, wires(500, 10), arrivals(NOW_S, 10))
     other = a_wire(60_000, info=replace(INFO, rows=2))
     feed(reception, [other, other, *wires(510, 3, uptime_s=0.05)], arrivals(NOW_S + 0.1, 5))
+    assert reception.trouble.startswith("frames of 36 counts of 10 bits in mode DIVIDER came, but the board has 108")
+    assert reception.asks
     reception.take(encode(INFO), NOW_S + 0.2)
     scans = feed(reception, wires(513, 5, uptime_s=0.065), arrivals(NOW_S + 0.2, 5))
     assert [scan.frame.sequence for scan in scans] == list(range(513, 518))

@@ -11,7 +11,7 @@ import pytest
 import serial
 
 from hardware.boards.virtual_board import VirtualBoard
-from hardware.link.frames import FrameDecoder, ScanMode, encode
+from hardware.link.frames import ScanMode, encode
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError
 from tests.hardware.boards import COUNTS, INFO, PATIENT_S, ScriptedPort, a_wire, closes_within, wait_until
@@ -345,8 +345,3 @@ def test_a_port_that_one_joins_in_mid_stream():
     finally:
         os.close(board_end)
         os.close(host_end)
-
-
-def test_wires_of_the_tests_are_what_the_board_sends():
-    [frame] = FrameDecoder().feed(a_wire(7))
-    assert (frame.sequence, frame.device_us) == (7, 35_000)

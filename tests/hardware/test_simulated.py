@@ -27,16 +27,11 @@ def test_the_script_presses_slides_and_lifts():
     assert np.abs(traction).argmax() // 27 == 2
 
 
-def test_it_repeats():
-    design = SensorDesign(array=Array(rows=2, cols=2))
-    script = PressAndSlide(seconds=2.0)
+def test_it_repeats_and_at_a_pressure_of_0_the_sensor_rests():
+    design, script = SensorDesign(array=Array(rows=2, cols=2)), PressAndSlide(seconds=2.0)
     times = np.arange(0.0, 2.0, 0.1)
     assert script.tractions(times + 2.0, design) == pytest.approx(script.tractions(times, design))
-
-
-def test_at_a_pressure_of_0_the_sensor_rests():
-    script = PressAndSlide(peak_mpa=0.0)
-    assert not script.tractions(np.linspace(0.0, script.seconds, 50), SensorDesign()).any()
+    assert not PressAndSlide(peak_mpa=0.0, seconds=2.0).tractions(times, design).any()
 
 
 @pytest.mark.parametrize("settings", [{"peak_mpa": -1.0}, {"peak_mpa": np.nan}, {"friction": -1.0}, {"seconds": 0.0}])
