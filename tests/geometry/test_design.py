@@ -18,20 +18,14 @@ def test_defaults_are_the_papers_sensor():
     assert design.n_units == 36
     assert design.slab_mm == (90.0, 90.0, 10.0)
     assert design.is_homogeneous
-
-
-def test_oblique_section_is_w_times_root_two_at_45_degrees():
-    assert Unit().oblique_width_mm == pytest.approx(2 * 2**0.5, rel=1e-15)  # rounding
+    assert not SensorDesign(matrix_material=Material(young_mpa=1.0)).is_homogeneous
+    assert Unit().oblique_width_mm == pytest.approx(2 * 2**0.5, rel=1e-15)  # at 45°, but for rounding
     assert Unit().footprint_mm == pytest.approx(10 + 2 * 2**0.5, rel=1e-15)
 
 
 def test_slab_runs_cols_along_x_and_rows_along_y():
     design = SensorDesign(array=Array(rows=2, cols=3, pitch_mm=20.0))
     assert design.slab_mm == (60.0, 40.0, 10.0)
-
-
-def test_another_matrix_makes_the_body_inhomogeneous():
-    assert not SensorDesign(matrix_material=Material(young_mpa=1.0)).is_homogeneous
 
 
 def test_lame_constants_are_those_of_hooke():
@@ -91,29 +85,21 @@ def test_what_is_no_finite_number_is_refused(kind, name, value):
     assert refusal(kind, **{name: value}).startswith(f"{name}={value!r} must be a finite number; ")
 
 
-@pytest.mark.parametrize("value", [2.0, True, "2", NAN, None])
 @pytest.mark.parametrize("name", ["rows", "cols"])
-def test_counts_must_be_whole_numbers(name, value):
-    message = refusal(Array, **{name: value})
-    assert message.startswith(f"{name}={value!r} must be a whole number; units along ")
+def test_counts_must_be_whole_numbers_above_zero(name):
+    for value in (2.0, True, "2", NAN, None):
+        message = refusal(Array, **{name: value})
+        assert message.startswith(f"{name}={value!r} must be a whole number; units along ")
+    for value in (0, -1):
+        assert refusal(Array, **{name: value}).startswith(f"{name}={value} must be above 0")
 
 
-@pytest.mark.parametrize("value", [0, -1])
-@pytest.mark.parametrize("name", ["rows", "cols"])
-def test_counts_must_be_above_zero(name, value):
-    assert refusal(Array, **{name: value}).startswith(f"{name}={value} must be above 0")
-
-
-@pytest.mark.parametrize("value", [-0.01, 0.5, 0.51, 1.0])
-def test_poissons_ratio_of_half_or_more_is_refused(value):
-    message = refusal(Material, poisson=value)
-    assert message.startswith(f"poisson={value:g} must be from 0 to below 0.5")
-    assert "write 0.49" in message
-
-
-def test_poissons_ratios_up_to_near_half_are_taken():
-    assert Material(poisson=0).poisson == 0.0
-    assert Material(poisson=0.4999).poisson == 0.4999
+def test_poissons_ratio_is_from_0_to_below_half():
+    assert [Material(poisson=value).poisson for value in (0, 0.4999)] == [0.0, 0.4999]
+    for value in (-0.01, 0.5, 0.51, 1.0):
+        message = refusal(Material, poisson=value)
+        assert message.startswith(f"poisson={value:g} must be from 0 to below 0.5")
+        assert "write 0.49" in message
 
 
 def test_pitch_below_the_unit_is_refused_with_the_least_allowed():
@@ -124,16 +110,13 @@ def test_pitch_below_the_unit_is_refused_with_the_least_allowed():
     assert SensorDesign(array=Array(pitch_mm=least)).array.pitch_mm == least  # pillars of two units may touch
 
 
-@pytest.mark.parametrize("pad", [Pad(size_mm=15.1), Pad(offset_x_mm=1.6), Pad(offset_x_mm=-1.6), Pad(offset_y_mm=1.6)])
-def test_overlapping_pads_are_refused(pad):
-    message = refusal(SensorDesign, pad=pad)
-    assert message.startswith(f"pad size_mm={pad.size_mm:g}")
-    assert "pads may touch, not overlap; shrink the pad or raise pitch_mm" in message
-
-
-@pytest.mark.parametrize("pad", [Pad(size_mm=15.0), Pad(offset_x_mm=-1.5, offset_y_mm=1.5)])
-def test_pads_may_touch(pad):
-    assert SensorDesign(pad=pad).pad == pad
+def test_pads_may_touch_but_not_overlap():
+    for pad in (Pad(size_mm=15.0), Pad(offset_x_mm=-1.5, offset_y_mm=1.5)):
+        assert SensorDesign(pad=pad).pad == pad
+    for pad in (Pad(size_mm=15.1), Pad(offset_x_mm=1.6), Pad(offset_x_mm=-1.6), Pad(offset_y_mm=1.6)):
+        message = refusal(SensorDesign, pad=pad)
+        assert message.startswith(f"pad size_mm={pad.size_mm:g}")
+        assert "pads may touch, not overlap; shrink the pad or raise pitch_mm" in message
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,8 @@ from geometry.prism import Prism, pillar_prisms, prisms_at
 
 COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
 ONE = SensorDesign(array=Array(rows=1, cols=1))
+CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+REGION = np.array([0, 1, 1, 0, 0])  #: of the cube in five tetrahedra
 SOFT = replace(ONE, matrix_material=Material(young_mpa=1.0))
 
 
@@ -66,6 +68,8 @@ def test_every_cell_has_a_positive_volume_and_lies_in_its_region(meshed):
     assert (mesh.points_mm.dtype, mesh.cells.dtype, mesh.region.dtype) == (np.float64, np.int64, np.int64)
     inside = prisms_at(mesh.points_mm[mesh.cells].mean(axis=1), pillar_prisms(design)) > 0
     assert np.array_equal(mesh.region == REGIONS.index("pillar"), inside & (not design.is_homogeneous))
+    # a loose point would be an unknown without an equation
+    assert np.array_equal(np.unique(mesh.cells), np.arange(len(mesh.points_mm)))
 
 
 def test_boundary_lies_exactly_on_the_six_sides_of_the_slab(meshed):
@@ -82,12 +86,6 @@ def test_boundary_lies_exactly_on_the_six_sides_of_the_slab(meshed):
         assert areas.sum() == pytest.approx(areas_mm2[axis], rel=1e-12)  # rounding
         found |= on
     assert found.all()
-
-
-def test_every_point_belongs_to_a_cell(meshed):
-    """A loose point would be an unknown without an equation."""
-    _, mesh, _ = meshed
-    assert np.array_equal(np.unique(mesh.cells), np.arange(len(mesh.points_mm)))
 
 
 def test_another_look_finds_the_same_mesh_in_the_cache(meshed, monkeypatch):
@@ -175,14 +173,13 @@ def cube(tets: int = 5) -> TetMesh:
     return TetMesh(points, cells, np.zeros(tets, dtype=np.int64))
 
 
-def test_volumes_of_a_cut_cube():
+def test_volumes_are_signed_by_the_order_of_corners_and_summed_by_region():
     assert sorted(cell_volumes(cube(5).points_mm, cube(5).cells)) == pytest.approx([1 / 6] * 4 + [1 / 3])
     assert cell_volumes(cube(6).points_mm, cube(6).cells) == pytest.approx([1 / 6] * 6)
-
-
-def test_volume_is_signed_by_the_order_of_corners():
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    assert cell_volumes(points, np.array([[0, 1, 2, 3], [0, 2, 1, 3]])) == pytest.approx([1 / 6, -1 / 6])
+    assert cell_volumes(CORNER, np.array([[0, 1, 2, 3], [0, 2, 1, 3]])) == pytest.approx([1 / 6, -1 / 6])
+    assert replace(cube(), region=REGION).region_volumes() == pytest.approx([2 / 3, 1 / 3])
+    assert cube().region_volumes().tolist() == pytest.approx([1.0, 0.0])
+    assert cube().region_volumes().dtype == np.float64
 
 
 @pytest.mark.parametrize("tets", [5, 6])
@@ -221,14 +218,20 @@ def wavy_cube(shift_mm: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 UNIT = Prism(base_mm=(0.5, 0.5, 0.0), top_mm=(0.5, 0.5, 1.0), section_mm=(1.0, 1.0))
+LEANING = replace(UNIT, top_mm=(0.8, 0.3, 1.0))
 
 
-def test_snapping_puts_corners_back_and_leaves_the_inside():
+@pytest.mark.parametrize("prism", [UNIT, LEANING], ids=["upright", "leaning"])
+def test_snapping_puts_corners_back_and_leaves_the_inside(prism):
     points, cells = wavy_cube(0.01)
-    snapped = snap_to_prism(points, boundary_faces(cells), UNIT, 0.02)
-    assert snapped[:8] == pytest.approx(cube().points_mm, abs=1e-15)
+    points[:, :2] += prism.axis_at(points[:, 2]) - 0.5
+    kept = points.copy()
+    snapped = snap_to_prism(points, boundary_faces(cells), prism, 0.05)
+    assert np.abs(snapped[:8, :2] - prism.axis_at(snapped[:8, 2])) == pytest.approx(np.full((8, 2), 0.5), abs=1e-15)
+    assert np.array_equal(snapped[:8, 2], cube().points_mm[:, 2])
     assert np.array_equal(snapped[8:], points[8:])
-    assert not np.array_equal(points[:8], cube().points_mm)  # the given points are not written on
+    assert np.array_equal(points, kept)  # the given points are not written on
+    assert not np.array_equal(snapped[:8], points[:8])
     assert cell_volumes(snapped, cells).sum() == pytest.approx(1.0, rel=1e-14)  # rounding
 
 
@@ -241,46 +244,21 @@ def test_inner_points_and_what_is_further_off_than_the_reach_stay():
     assert np.array_equal(snap_to_prism(points, boundary_faces(cells), wide, 0.02), points)
 
 
-def test_faces_of_a_leaning_prism_are_put_back_on_its_planes():
-    lean = Prism(base_mm=(0.5, 0.5, 0.0), top_mm=(0.8, 0.3, 1.0), section_mm=(1.0, 1.0))
-    points, cells = wavy_cube(0.01)
-    points[:, :2] += lean.axis_at(points[:, 2]) - 0.5
-    snapped = snap_to_prism(points, boundary_faces(cells), lean, 0.05)
-    assert np.abs(snapped[:8, :2] - lean.axis_at(snapped[:8, 2])) == pytest.approx(np.full((8, 2), 0.5), abs=1e-15)
-    assert cell_volumes(snapped, cells).sum() == pytest.approx(1.0, rel=1e-14)
-
-
-def test_cells_of_the_other_orientation_are_turned():
+def test_cells_are_turned_outward_or_refused():
+    """All inward are turned; one that snapping turned over, or made flat by moving a corner to the base, is refused."""
     mesh = cube()
     inward = mesh.cells[:, [0, 2, 1, 3]]
-    assert (cell_volumes(mesh.points_mm, inward) < 0).all()
     turned = outward(mesh.points_mm, inward)
+    assert (cell_volumes(mesh.points_mm, inward) < 0).all()
     assert (cell_volumes(mesh.points_mm, turned) > 0).all()
     assert np.array_equal(np.sort(turned), np.sort(mesh.cells))
     assert np.array_equal(outward(mesh.points_mm, mesh.cells), mesh.cells)
-
-
-def test_cell_that_snapping_turned_over_is_refused():
-    mesh = cube()
-    cells = mesh.cells.copy()
+    cells, points = mesh.cells.copy(), mesh.points_mm.copy()
     cells[2] = cells[2][[1, 0, 2, 3]]
-    with pytest.raises(GeometryError, match=r"1 of 5 tetrahedra are flat or inside out.*lower envelope_mm"):
-        outward(mesh.points_mm, cells)
-
-
-def test_flat_cell_is_refused():
-    mesh = cube()
-    points = mesh.points_mm.copy()
-    points[4, 2] = 0.0  # the corner above 0 falls onto the base: one cell is flat
-    with pytest.raises(GeometryError, match="of 5 tetrahedra are flat"):
-        outward(points, mesh.cells)
-
-
-def test_region_volumes_are_summed_by_label():
-    mesh = replace(cube(), region=np.array([0, 1, 1, 0, 0]))
-    assert mesh.region_volumes() == pytest.approx([2 / 3, 1 / 3])
-    assert cube().region_volumes().tolist() == pytest.approx([1.0, 0.0])
-    assert cube().region_volumes().dtype == np.float64
+    points[4, 2] = 0.0
+    for place, tetrahedra in ((mesh.points_mm, cells), (points, mesh.cells)):
+        with pytest.raises(GeometryError, match=r"1 of 5 tetrahedra are flat or inside out.*lower envelope_mm"):
+            outward(place, tetrahedra)
 
 
 def task(pillars_mm3: float, body_mm: float = 1.0) -> MeshTask:
@@ -292,23 +270,18 @@ def task(pillars_mm3: float, body_mm: float = 1.0) -> MeshTask:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("factor", [1.0, 1.0019, 0.9981])
-def test_volumes_within_the_tolerance_pass(factor):
-    check_volumes(replace(cube(), region=np.array([0, 1, 1, 0, 0])), task(factor / 3))
-
-
-@pytest.mark.parametrize(
-    ("asked", "name"),
-    [(task(1.0021 / 3), "the pillars"), (task(0.9979 / 3), "the pillars"), (task(np.nan), "the pillars"),
-     (task(1 / 3, body_mm=1.0 + 1e-8), "the body")],
-)  # fmt: skip
-def test_volumes_further_off_are_refused_by_name(asked, name):
-    with pytest.raises(GeometryError, match=rf"^{name} has .* mm³ in the mesh of tetrahedra instead of .*: part what"):
-        check_volumes(replace(cube(), region=np.array([0, 1, 1, 0, 0])), asked)
+def test_volumes_further_off_than_the_tolerance_are_refused_by_name():
+    mesh = replace(cube(), region=REGION)
+    for factor in (1.0, 1.0019, 0.9981):
+        check_volumes(mesh, task(factor / 3))
+    refused = [(task(volume), "the pillars") for volume in (1.0021 / 3, 0.9979 / 3, np.nan)]
+    for asked, name in [*refused, (task(1 / 3, body_mm=1.0 + 1e-8), "the body")]:
+        with pytest.raises(GeometryError, match=rf"^{name} has .* mm³ in the mesh of tetrahedra instead of .*: part"):
+            check_volumes(mesh, asked)
 
 
 def test_written_mesh_comes_back_to_the_last_bit(tmp_path):
-    mesh = replace(cube(), region=np.array([0, 1, 1, 0, 0]), cache_key="0123456789abcdef")
+    mesh = replace(cube(), region=REGION, cache_key="0123456789abcdef")
     write_mesh(mesh, tmp_path / "cube.vtu")
     again = read_mesh(tmp_path / "cube.vtu")
     assert again.content_hash == mesh.content_hash
@@ -317,38 +290,23 @@ def test_written_mesh_comes_back_to_the_last_bit(tmp_path):
     assert os.listdir(tmp_path) == ["cube.vtu"]
 
 
-def test_missing_mesh_is_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"none\.vtu: no such file"):
-        read_mesh(tmp_path / "none.vtu")
-
-
-@pytest.mark.parametrize("content", [b"", b"hello\n" * 20, b"<?xml version='1.0'?><VTKFile/>"])
-def test_foreign_mesh_is_refused(tmp_path, content, capfd):
-    (tmp_path / "a.vtu").write_bytes(content)
-    refuse(tmp_path / "a.vtu", capfd)
-
-
-@pytest.mark.parametrize("share", [0.02, 0.2, 0.4, 0.6, 0.8, 0.98])
-def test_truncated_mesh_is_refused(tmp_path, share, capfd):
-    write_mesh(cube(), tmp_path / "a.vtu")
-    content = (tmp_path / "a.vtu").read_bytes()
-    (tmp_path / "a.vtu").write_bytes(content[: int(share * len(content))])
-    refuse(tmp_path / "a.vtu", capfd)
-
-
-def test_mesh_without_regions_is_refused(tmp_path, capfd):
+def test_missing_foreign_and_damaged_meshes_are_refused(tmp_path, capfd):
+    """Before VTK reads them, which crashes on some damage; also one without regions."""
     import pyvista as pv
 
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cube().cells}, cube().points_mm)
-    grid.save(tmp_path / "a.vtu")
-    refuse(tmp_path / "a.vtu", capfd)
-
-
-def refuse(path: Path, capfd) -> None:
-    with pytest.raises(FileFormatError) as caught:
+    path = tmp_path / "a.vtu"
+    with pytest.raises(FileFormatError, match=r"a\.vtu: no such file"):
         read_mesh(path)
-    said = "states no hash of its content, damaged or of an earlier version: delete it to mesh again."
-    assert str(caught.value) == f"{path}: {said}"
+    pv.UnstructuredGrid({pv.CellType.TETRA: cube().cells}, cube().points_mm).save(path)
+    contents = [path.read_bytes(), b"", b"hello\n" * 20, b"<?xml version='1.0'?><VTKFile/>"]
+    write_mesh(cube(), path)
+    whole = path.read_bytes()
+    for content in contents + [whole[: int(share * len(whole))] for share in (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)]:
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError) as caught:
+            read_mesh(path)
+        said = "states no hash of its content, damaged or of an earlier version: delete it to mesh again."
+        assert str(caught.value) == f"{path}: {said}"
     assert capfd.readouterr().out == ""
 
 
@@ -398,7 +356,6 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
 
 
 REGULAR = np.array([[1.0, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
-CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 #: shapes, worst and mean scaled Jacobian, smallest dihedral angle; VTK scales a regular one's Jacobian to 1
 SHAPES = {
     "regular": ([REGULAR], 1.0, 1.0, np.degrees(np.arccos(1 / 3))),
