@@ -22,6 +22,13 @@ UP = np.array([0.0, 2.0, 5.0, 8.0, HEIGHT])
 PORTS = PortModes(HALF, HEIGHT, side=3, up=3)
 
 
+def assert_same(cell, other, share=1e-11):
+    """To rounding."""
+    for name in ("stiffness", "reach", "compliance"):
+        one, two = getattr(cell, name), getattr(other, name)
+        assert np.abs(one - two).max() < share * np.abs(two).max()
+
+
 def mirrored(lines):
     return np.concatenate([-lines[::-1], lines[1:]])
 
@@ -41,9 +48,7 @@ def whole_cell():
 def test_four_parities_of_a_quarter_are_the_whole_cell(cell, whole_cell):
     """Splitting by parity is exact, so both condensations agree to rounding."""
     direct = condense(whole_cell, PORTS, RECTANGLES)
-    for name in ("stiffness", "reach", "compliance"):
-        one, other = getattr(cell, name), getattr(direct, name)
-        assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
+    assert_same(cell, direct)
 
 
 def test_a_square_cell_spares_a_parity(cell, monkeypatch):
@@ -57,9 +62,7 @@ def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
     assert solved == parities(mirrors.QUARTER)
     monkeypatch.undo()
-    for name in ("stiffness", "reach", "compliance"):
-        one, other = getattr(cell, name), getattr(four, name)
-        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+    assert_same(cell, four, 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -80,9 +83,7 @@ def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(grid):
     region = np.concatenate([region[:, ::-1], region], axis=1)
     whole = GridBasis(Grid(x=mirrored(grid.x), y=mirrored(grid.y), z=UP, region=region))
     direct = condense(grid_body(whole, grid_stiffness(whole, rubbers)), PORTS, RECTANGLES)
-    for name in ("stiffness", "reach", "compliance"):
-        one, other = getattr(found, name), getattr(direct, name)
-        assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
+    assert_same(found, direct)
 
 
 def test_exchanging_x_and_y_twice_changes_nothing(cell):
@@ -99,15 +100,12 @@ def test_exchanging_x_and_y_twice_changes_nothing(cell):
     assert np.allclose(there, here[:, [1, 0, 2]], rtol=0, atol=1e-14)
 
 
-def test_a_cell_that_gains_energy_is_not_definite(cell):
-    assert cell.is_definite
-    shift = np.linalg.eigvalsh(cell.stiffness)[0] * 1.01
-    assert not replace(cell, stiffness=cell.stiffness - shift * np.eye(len(cell.stiffness))).is_definite
-
-
-def test_a_condensed_cell_is_symmetric_and_positive_definite(cell):
+def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
     assert np.array_equal(cell.stiffness, cell.stiffness.T)
-    assert np.linalg.eigvalsh(cell.stiffness).min() > 0  # its base is clamped
+    least = np.linalg.eigvalsh(cell.stiffness)[0]
+    assert least > 0  # its base is clamped
+    assert cell.is_definite
+    assert not replace(cell, stiffness=cell.stiffness - 1.01 * least * np.eye(len(cell.stiffness))).is_definite
     assert np.linalg.eigvalsh(cell.compliance).min() > 0
 
 
