@@ -219,7 +219,7 @@ def layer_spectrum(q: ArrayLike, poisson: float) -> FloatArray:
         normal        G k C = (1−ν) [κ(1−e²) − 4q e]/D                          1−ν
         cross         G k C = [(1−2ν) κ (1−e)²/2 − 2q² e]/D                     (1−2ν)/2
 
-    from Navier's equation for each wave with u = 0 at the base; tests/fem/test_closed_forms.py solves it by another way.
+    from Navier's equation for each wave with u = 0 at the base; tests/fem/test_closed_forms.py solves it another way.
     """
     q, nu = np.asarray(q, dtype=float), poisson
     e, kappa, m = np.exp(-2 * q), 3 - 4 * nu, 1 - 2 * nu
