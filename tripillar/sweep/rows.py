@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geometry.layout import AXES, PILLARS
+from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.files import replacing, write_bytes
 from geometry.storage.netcdf import write_netcdf
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
@@ -111,6 +111,11 @@ class Row:
         }
 
 
+def column(rows: Sequence[Row], name: str) -> FloatArray:
+    """A metric of all rows; NaN where it is missing."""
+    return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
+
+
 def metric_label(name: str) -> str:
     """The name of a metric with its unit, for tables and pictures.
 
@@ -164,22 +169,19 @@ def to_xarray(rows: Sequence[Row]) -> "xr.Dataset":
     """Rows as a dataset; NaN where a design failed, or its array is smaller than the largest."""
     import xarray as xr
 
-    def column(name: str) -> np.ndarray:
-        return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
-
     errors = {kind: [f"{kind}_{axis}_n" for axis in AXES] for kind in ("error", "trained")}
     talks = [[f"crosstalk_{pillar}_{d}" for d in DISTANCES] for pillar in PILLARS]
     apart = {*chain(*errors.values(), *talks), *(f"crosstalk_{d}" for d in DISTANCES)}
     apart |= {f"sensitivity_{pillar}_pct_per_n" for pillar in PILLARS}
     variables: dict[str, Any] = {
-        name: ("sample", column(name), {"units": units, "meaning": meaning})
+        name: ("sample", column(rows, name), {"units": units, "meaning": meaning})
         for name, (_, units, meaning) in METRICS.items()
         if name not in apart
     }
     for kind, meaning in (("error", "noise-limited error"), ("trained", "error of the trained joint net")):
-        by_axis = np.stack([column(name) for name in errors[kind]], axis=1)
+        by_axis = np.stack([column(rows, name) for name in errors[kind]], axis=1)
         variables[f"{kind}_by_axis_n"] = (("sample", "axis"), by_axis, {"units": "N", "meaning": meaning})
-    talk = np.array([[column(name) for name in names] for names in talks]).transpose(2, 0, 1)
+    talk = np.array([[column(rows, name) for name in names] for names in talks]).transpose(2, 0, 1)
     meaning = "response of the same pillar so many pitches away over the loaded unit's"
     variables["crosstalk"] = (("sample", "pillar", "distance"), talk, {"units": "1", "meaning": meaning})
     variables["sensitivity_per_n"] = (

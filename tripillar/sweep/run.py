@@ -1,13 +1,12 @@
 """The work of a sweep: rows of earlier runs are read, other designs are judged by workers and kept at once."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic
 
 from fem.array.solving import ResponseSettings, response_cache_key
 from fem.array.substructured import cell_cache_key, lone_unit
-from geometry.design import SensorDesign
 from geometry.mesh import mesh_cache_key, suited_settings
 from tripillar.sweep.rows import Row, read_row, write_row
 from tripillar.sweep.sampling import Sample
@@ -32,6 +31,8 @@ def judge_all(
 ) -> dict[str, Row]:
     """Have designs judged; every row is written as it comes. Returns the rows by cache_key.
 
+    A design waits while another one makes a stage that both need, so that none is made twice.
+
     Raises
     ------
     DesignError
@@ -39,20 +40,11 @@ def judge_all(
     OSError
         If a file cannot be written, here or by a worker.
     """
-    rows = {}
-    for row in _judged(samples, judging, workers):
-        write_row(row, folder)
-        rows[row.cache_key] = row
-        progress(row)
-    return rows
-
-
-def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> Iterator[Row]:
-    """Rows as they come. A design waits while another one makes a stage that both need, so that none is made twice."""
     waiting = {sample.cache_key: sample for sample in samples}
     stages = {sample.cache_key: shared_stages(sample, judging) for sample in samples}
     made: set[str] = set()
     making: dict[str, set[str]] = {}  #: stages of the designs in work, by cache_key
+    rows: dict[str, Row] = {}
     while waiting or making:
         count = workers.count
         for cache_key in list(waiting):
@@ -62,7 +54,10 @@ def _judged(samples: Sequence[Sample], judging: Judging, workers: Workers) -> It
                 workers.give(waiting.pop(cache_key), judging)
         row = _next_row(workers)
         made |= making.pop(row.cache_key)
-        yield row
+        write_row(row, folder)
+        rows[row.cache_key] = row
+        progress(row)
+    return rows
 
 
 def _next_row(workers: Workers) -> Row:
@@ -80,9 +75,8 @@ def shared_stages(sample: Sample, judging: Judging) -> set[str]:
     """Names of the costly stages of a design that others may share: the mesh of its cell, the cell, the response."""
     if sample.design is None:
         return set()
-    design: SensorDesign = sample.design
+    design, alone = sample.design, lone_unit(sample.design)
     settings = ResponseSettings(tolerance=judging.tolerance).suited(design)
-    alone = lone_unit(design)
     stages = {
         f"cell {cell_cache_key(design, judging.tolerance)}",
         f"response {response_cache_key(design, settings)}",

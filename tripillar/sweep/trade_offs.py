@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
-from tripillar.sweep.rows import Row, metric_label
+from tripillar.sweep.rows import Row, column, metric_label
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
@@ -65,7 +65,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = [row for row in rows if not row.failed]
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    whole = _column(sound, sweep.least)
+    whole = column(sound, sweep.least)
     error = _clipped(whole)
     is_clipped = error < whole
     variable = telling_variable(sound, sweep)
@@ -73,7 +73,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     norm = LogNorm() if _is_wide(shade) else Normalize()
     figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
     for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
-        other = _column(sound, name)
+        other = column(sound, name)
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
@@ -113,7 +113,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     for variable in sweep.variables:
         kept.append((variable.label, np.array([row.values[variable.name] for row in sound]), False))
     for name in dict.fromkeys((sweep.least, *BESIDE)):
-        whole = _column(sound, name)
+        whole = column(sound, name)
         if np.isfinite(whole).any():
             kept.append((metric_label(name), _clipped(whole), bool((whole > _clipped(whole)).any())))
     heights = np.array([_share(values) for _, values, _ in kept])
@@ -162,7 +162,7 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
     """The variable of the strongest rank correlation with the minimised metric, hopeless designs left out."""
-    error = _column(rows, sweep.least)
+    error = column(rows, sweep.least)
     sane = error == _clipped(error)
     error = error[sane]
 
@@ -173,11 +173,6 @@ def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
         return abs(float(spearmanr(values, error).statistic))
 
     return max(sweep.variables, key=agreement)
-
-
-def _column(rows: Sequence[Row], name: str) -> FloatArray:
-    """A metric of all rows; NaN where it is missing."""
-    return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
 
 
 def _clipped(values: FloatArray) -> FloatArray:

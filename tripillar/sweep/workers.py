@@ -10,16 +10,15 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
 from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker, util
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from time import monotonic
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import psutil
 
@@ -82,12 +81,18 @@ def open_workers(count: int | None, scheduler: str | None, log: Path) -> Iterato
     DesignError
         If both are given, there is no scheduler at the address, or it has no workers.
     """
-    if scheduler is None:
-        with LocalWorkers(count or os.cpu_count() or 1, log) as local:
-            yield local
-        return
-    if count is not None:
+    if count is not None and scheduler is not None:
         raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
+    if scheduler is None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.touch()
+        with scratch() as folder, one_thread_each():
+            local = LocalWorkers(count or os.cpu_count() or 1, log, folder)
+            try:
+                yield local
+            finally:
+                local.end()
+        return
     with connected(scheduler) as cluster:
         yield cluster
 
@@ -103,15 +108,20 @@ class WorkerLost(Exception):
         self.killed = killed  #: by somebody else
 
 
+class _Worker(NamedTuple):
+    process: BaseProcess
+    pipe: Connection
+
+
 class LocalWorkers:
     """Processes that judge a design at a time each; see `Workers`. One that ends is replaced, its design tried again.
 
     Each is attended by a thread, in which it is begun: the main thread is free to answer Ctrl-C at once.
     """
 
-    def __init__(self, count: int, log: Path) -> None:
+    def __init__(self, count: int, log: Path, scratch_folder: Path) -> None:
         self.count = count
-        self._log = log
+        self._log, self._scratch = log, scratch_folder
         self._memory_bytes = min(MEMORY_BYTES, psutil.virtual_memory().total // count)
         self._tasks: SimpleQueue[tuple[Sample, Judging]] = SimpleQueue()
         self._ended: SimpleQueue[Row | Exception] = SimpleQueue()
@@ -119,18 +129,11 @@ class LocalWorkers:
         self._processes: set[BaseProcess] = set()
         self._losses: list[str] = []
         self._closed = False
-        self._stack = ExitStack()
-
-    def __enter__(self) -> Self:
-        self._log.parent.mkdir(parents=True, exist_ok=True)
-        self._log.touch()
-        self._scratch = self._stack.enter_context(scratch())
-        self._stack.enter_context(one_thread_each())
-        for _ in range(self.count):
+        for _ in range(count):
             Thread(target=self._attend, daemon=True).start()
-        return self
 
-    def __exit__(self, *error: object) -> None:
+    def end(self) -> None:
+        """End all processes."""
         self._closed = True
         processes = list(self._processes)
         for process in processes:
@@ -139,7 +142,6 @@ class LocalWorkers:
         for process in processes:
             process.join(max(0.0, until - monotonic()))
             process.kill()
-        self._stack.close()
 
     def give(self, sample: Sample, judging: Judging) -> None:
         self._tasks.put((sample, judging))
@@ -188,7 +190,7 @@ class LocalWorkers:
                 del self._begun[sample.cache_key]
                 self._ended.put(result)
 
-    def _start(self) -> "_Worker":
+    def _start(self) -> _Worker:
         """Begin a process; a copy of one that has loaded the packages already, where the system can."""
         context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
         if context.get_start_method() == "forkserver":
@@ -199,7 +201,8 @@ class LocalWorkers:
         process = context.Process(target=_serve, args=(theirs, self._log.absolute(), environment), daemon=True)
         try:
             process.start()
-        except (EOFError, ConnectionError):
+        except (EOFError, ConnectionError):  # the server was killed; the system may need a while to say so
+            sleep(LOOK_S)
             raise WorkerLost("could not be begun", killed=True) from None
         theirs.close()
         self._processes.add(process)
@@ -207,7 +210,7 @@ class LocalWorkers:
             process.kill()
         return _Worker(process, ours)
 
-    def _judged(self, worker: "_Worker", sample: Sample, judging: Judging) -> Row | OSError:
+    def _judged(self, worker: _Worker, sample: Sample, judging: Judging) -> Row | OSError:
         begun = monotonic()
         try:
             worker.pipe.send((sample, judging))
@@ -226,17 +229,11 @@ class LocalWorkers:
             why = f"ended by {signal.Signals(number).name}" if by_signal else f"ended with exit code {code}"
             raise self._lost(worker, why, killed=number in (signal.SIGKILL, signal.SIGTERM)) from None
 
-    def _lost(self, worker: "_Worker", why: str, killed: bool = False) -> WorkerLost:
+    def _lost(self, worker: _Worker, why: str, killed: bool = False) -> WorkerLost:
         worker.process.kill()
         worker.pipe.close()
         self._processes.discard(worker.process)
         return WorkerLost(why, killed)
-
-
-@dataclass
-class _Worker:
-    process: BaseProcess
-    pipe: Connection
 
 
 def _memory_bytes(process: BaseProcess) -> int:

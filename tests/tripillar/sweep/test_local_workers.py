@@ -19,7 +19,7 @@ from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all
 from tripillar.sweep.sampling import Sample, row_key, samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.workers import LocalWorkers
+from tripillar.sweep.workers import LocalWorkers, open_workers
 
 SWEEP = sweep_from_dict(
     {
@@ -55,7 +55,7 @@ def workers_of(process: psutil.Process) -> list[psutil.Process]:
 def test_killed_workers_are_replaced_and_no_design_is_lost(tmp_path, own_temporary_folder):
     """With the first row all workers are killed, with the second the server that they are copies of as well."""
     done = []
-    with LocalWorkers(2, tmp_path / "log") as judges:
+    with open_workers(2, None, tmp_path / "log") as judges:
 
         def kill(row: Row) -> None:
             done.append(row)
@@ -86,7 +86,7 @@ def test_a_design_that_ends_every_worker_fails_with_a_word_and_the_others_go_on(
 
     monkeypatch.setattr(local, "LOOK_S", 0.01)
     monkeypatch.setattr(LocalWorkers, "_judged", hurried)
-    with LocalWorkers(1, tmp_path / "log") as judges:
+    with open_workers(1, None, tmp_path / "log") as judges:
         rows = judge_all([LONG, SAMPLES[1]], SWEEP.judging, judges, tmp_path / "rows")
     assert rows[LONG.cache_key].reason == "WorkerLost: its worker took more than 0 s, the last of 4"
     assert tried.count(LONG.cache_key) == 4
@@ -96,14 +96,14 @@ def test_a_design_that_ends_every_worker_fails_with_a_word_and_the_others_go_on(
 def test_a_worker_that_takes_too_much_memory_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr(local, "MEMORY_BYTES", 2**20)
     monkeypatch.setattr(local, "LOOK_S", 0.01)
-    with LocalWorkers(1, tmp_path / "log") as judges:
+    with open_workers(1, None, tmp_path / "log") as judges:
         (row,) = judge_all([LONG], SWEEP.judging, judges, tmp_path / "rows").values()
     assert row.reason == "WorkerLost: its worker took more than 0.0 GiB, the last of 4"
 
 
 def test_a_full_disk_ends_the_sweep_instead_of_failing_its_designs(tmp_path, monkeypatch):
     """What a worker meets that is not the design's fault."""
-    with LocalWorkers(1, tmp_path / "log") as judges:
+    with open_workers(1, None, tmp_path / "log") as judges:
         monkeypatch.setattr(judges, "_judged", lambda *_: OSError(28, "No space left on device", "cell.npz"))
         with pytest.raises(OSError, match="No space left"):
             judge_all(SAMPLES[:1], SWEEP.judging, judges, tmp_path / "rows")
@@ -112,7 +112,7 @@ def test_a_full_disk_ends_the_sweep_instead_of_failing_its_designs(tmp_path, mon
 
 def test_nobody_else_reaches_the_workers(tmp_path):
     """No port is open, and the server's socket lies in a folder that is closed to others."""
-    with LocalWorkers(1, tmp_path / "log") as judges:
+    with open_workers(1, None, tmp_path / "log") as judges:
         judge_all(SAMPLES[:1], SWEEP.judging, judges, tmp_path / "rows")
         me = psutil.Process()
         for process in (me, *workers_of(me), *me.children()):
@@ -154,7 +154,7 @@ def test_a_sweep_that_does_not_get_on_says_why(tmp_path, monkeypatch, caplog):
 
 def test_the_state_names_the_longest_design_and_the_last_loss(tmp_path, monkeypatch):
     monkeypatch.setattr(local, "KILLS", 4)
-    with LocalWorkers(1, tmp_path / "log") as judges:
+    with open_workers(1, None, tmp_path / "log") as judges:
         judges.give(LONG, SWEEP.judging)
 
         def kill_four() -> None:

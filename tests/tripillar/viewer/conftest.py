@@ -1,4 +1,6 @@
-"""A page's array of two units without a command around it."""
+"""A page's array of two units without a command around it, and a browser."""
+
+import os
 
 import pytest
 
@@ -10,6 +12,20 @@ from tripillar.viewer.page.scene import Superposition
 from tripillar.viewer.page.sensing import SensorModel
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
+CHROMIUM = "/usr/bin/chromium"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium; evil.test is this machine to it. While it is there nothing else in this process may run asyncio."""
+    api = pytest.importorskip("playwright.sync_api")
+    if not os.path.exists(CHROMIUM):
+        pytest.skip(f"no {CHROMIUM}: install Debian's chromium")
+    flags = ["--no-sandbox", "--enable-unsafe-swiftshader", "--host-resolver-rules=MAP evil.test 127.0.0.1"]
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -31,7 +30,6 @@ from tests.house import House
 
 api = pytest.importorskip("playwright.sync_api")
 
-CHROMIUM = "/usr/bin/chromium"
 MODEL = "model.safetensors"
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=100)
 SERVE = "view", "--serve", "--http-port", "0"
@@ -131,18 +129,6 @@ def running(house, *words):
             printed, said = process.communicate(timeout=60)
     assert process.returncode == 0, said
     assert (printed, said) == ("", "")  # one object is all there is on stdout
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium; evil.test is this machine to it."""
-    if not os.path.exists(CHROMIUM):
-        pytest.skip(f"no {CHROMIUM}: install Debian's chromium")
-    flags = ["--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"]
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
-        yield browser
-        browser.close()
 
 
 @contextmanager

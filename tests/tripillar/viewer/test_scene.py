@@ -133,22 +133,20 @@ def plotter():
     plotter.close()
 
 
-def test_a_change_gives_a_picture_and_then_a_finer_one(plotter):
-    """Several changes at once give one picture."""
-    resized = []
+def drawn(plotter, count, on_resize=lambda: None):
+    """So many pictures of a scene after five changes at once, and all that come within half a second."""
 
-    async def drawn():
-        pictures = Pictures(plotter, lambda: resized.append(True))
-        sent = []
+    async def run():
+        pictures, sent = Pictures(plotter, on_resize), []
 
         async def send(content):
-            sent.append(content)
+            sent.append(Image.open(io.BytesIO(content)))
 
         pictures.resize(300, 200)
         running = asyncio.create_task(pictures.run(send))
         for _ in range(5):
             pictures.schedule_render()
-        while len(sent) < 2:
+        while len(sent) < count:
             await asyncio.sleep(0.05)
         await asyncio.sleep(0.5)
         running.cancel()
@@ -156,8 +154,22 @@ def test_a_change_gives_a_picture_and_then_a_finer_one(plotter):
             await running
         return sent
 
-    sent = asyncio.run(asyncio.wait_for(drawn(), 30))
+    return asyncio.run(asyncio.wait_for(run(), 30))
+
+
+def test_a_change_gives_a_picture_and_then_a_finer_one(plotter):
+    """Several changes at once give one picture."""
+    resized = []
+    sent = drawn(plotter, 2, lambda: resized.append(True))
     assert len(sent) == 2
-    sizes = [Image.open(io.BytesIO(content)).size for content in sent]
-    assert all(wide / high == pytest.approx(1.5, rel=0.02) for wide, high in sizes)
+    assert all(image.width / image.height == pytest.approx(1.5, rel=0.02) for image in sent)
     assert resized == [True]
+
+
+def test_nothing_is_cut_off_before_a_camera_that_comes_near(plotter):
+    plotter.camera.focal_point, plotter.camera.position = (0, 0, 0), (50, 0, 0)
+    plotter.reset_camera_clipping_range()
+    plotter.camera.SetPosition(5, 0, 0)  # as the page's camera, which leaves the rest to the pictures
+    still = drawn(plotter, 2)[-1]
+    middle, corner = (still.getpixel(place) for place in ((still.width // 2, still.height // 2), (2, 2)))
+    assert sum(abs(a - b) for a, b in zip(middle, corner, strict=True)) > 100  # the cube, and white

@@ -6,20 +6,19 @@ The server runs in this process, on a real port, and is asked by real sockets.
 import asyncio
 import json
 import logging
-import os
-import resource
 import struct
 import time
-from contextlib import asynccontextmanager, suppress
 
 import aiohttp
+import psutil
 import pytest
 
+from tests.tripillar.viewer.visitor import PATIENT_S, Visitor, frame, memory_mb, rest
 from tripillar.viewer.page import server as server_module
 from tripillar.viewer.page.server import MAX_BROWSERS, MAX_BYTES, Guard, Server
 from tripillar.viewer.page.session import BURST_S, MAX_A_SECOND
 
-PATIENT_S = 20.0  # for a busy machine
+FILES = ("", "page.js", "page.css", "picture.js")
 
 
 @pytest.fixture(autouse=True)
@@ -28,93 +27,14 @@ def nothing_fails(caplog):
     assert [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
-class Visitor:
-    """Someone who knows where the server is; and its token, unless said otherwise."""
-
-    def __init__(self, url: str) -> None:
-        self.base, self.token = url.split("?token=")
-        self.netloc = self.base.removeprefix("http://").rstrip("/")
-        self.port = int(self.netloc.rsplit(":", 1)[1])
-        self.own = {"Host": self.netloc, "Origin": f"http://{self.netloc}", "Cookie": self.cookie(self.token)}
-
-    def cookie(self, token: str) -> str:
-        return f"tripillar_{self.port}={token}"
-
-    async def get(self, path: str, **headers: str) -> tuple[int, aiohttp.typedefs.LooseHeaders, str]:
-        async with aiohttp.ClientSession() as client, client.get(self.base + path, headers=headers) as answer:
-            return answer.status, answer.headers, await answer.text()
-
-    async def asked_for_socket(self, **changed: str | None) -> int:
-        """The status that a request for the web socket gets, its headers but for some as the page sends them."""
-        said = {name: value for name, value in (self.own | changed).items() if value is not None}
-        async with aiohttp.ClientSession() as client:
-            try:
-                async with client.ws_connect(self.base + "socket", headers=said):
-                    return 101
-            except aiohttp.WSServerHandshakeError as error:
-                return error.status
-
-    @asynccontextmanager
-    async def browser(self):
-        async with (
-            aiohttp.ClientSession() as client,
-            client.ws_connect(self.base + "socket", headers=self.own) as socket,
-        ):
-            yield Browser(socket)
-
-    async def raw_socket(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """A web socket whose frames are written by hand."""
-        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
-        words = "".join(f"{name}: {value}\r\n" for name, value in self.own.items())
-        writer.write(
-            f"GET /socket HTTP/1.1\r\n{words}Upgrade: websocket\r\nConnection: Upgrade\r\n"
-            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-        )
-        assert b" 101 " in await reader.readuntil(b"\r\n\r\n")
-        return reader, writer
-
-
-class Browser:
-    """The page's side of the web socket."""
-
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self.socket, self.shown, self.controls, self.pictures = socket, {}, {}, 0
-
-    async def say(self, **message: object) -> None:
-        await self.socket.send_str(json.dumps(message))
-
-    async def heard(self, kind: str) -> object:
-        """The next message of a kind; all are taken note of."""
-        async with asyncio.timeout(PATIENT_S):
-            async for message in self.socket:
-                if message.type is aiohttp.WSMsgType.BINARY:
-                    self.pictures += 1
-                    continue
-                said = json.loads(message.data)
-                self.shown |= said.get("show", {})
-                self.controls |= said.get("show", {}).get("controls", {})
-                if kind in said:
-                    return said[kind]
-        raise ConnectionResetError(f"closed with {self.socket.close_code}")
-
-    async def ended(self) -> int | None:
-        """The code that the server ends the connection with."""
-        async with asyncio.timeout(PATIENT_S):
-            async for _ in self.socket:
-                pass
-        return self.socket.close_code
-
-
-def on_page(host="127.0.0.1", **bounds):
+def on_page(*hosts, **bounds):
     """Make a test of a trial: a visitor of a running server whose bounds may be narrower."""
 
     def decorated(trial):
-        async def tried(subject):
+        async def tried(subject, host):
             server = Server(subject, host)
-            visitor = Visitor(await server.start(host, 0))
-            visitor.stop = server.stop
             try:
-                await trial(visitor)
+                await trial(Visitor(await server.start(host, 0), server))
             finally:
                 await server.stop()
 
@@ -122,7 +42,8 @@ def on_page(host="127.0.0.1", **bounds):
             with pytest.MonkeyPatch.context() as patch:
                 for name, value in bounds.items():
                     patch.setattr(server_module, name, value)
-                asyncio.run(tried(subject))
+                for host in hosts or ("127.0.0.1",):
+                    asyncio.run(tried(subject, host))
 
         test.__doc__ = trial.__doc__
         return test
@@ -130,31 +51,27 @@ def on_page(host="127.0.0.1", **bounds):
     return decorated
 
 
-def test_the_token_is_asked_for_and_kept_in_a_strict_cookie(subject):
-    tokens = set()
+@on_page()
+async def test_the_token_is_asked_for_and_kept_in_a_strict_cookie(visitor):
+    for path in (*FILES, "socket", "?token=", "?token=wrong", "nothing"):
+        assert (await visitor.get(path))[0] == 403, path
+    for token in ("wrong", "\xff"):
+        assert (await visitor.get("page.js", Cookie=visitor.cookie(token)))[0] == 403
+    assert (await visitor.get(f"page.js?token={visitor.token}"))[0] == 403  # it opens the page alone
+    status, headers, text = await visitor.get(f"?token={visitor.token}")
+    assert (status, visitor.token in text) == (200, False)
+    said = headers["Set-Cookie"]
+    assert said.startswith(visitor.cookie(visitor.token))
+    assert {"HttpOnly", "SameSite=Strict"} <= {word.strip() for word in said.split(";")}
+    assert "script-src 'self';" in headers["Content-Security-Policy"]
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert headers["Referrer-Policy"] == "no-referrer"  # the address holds the token
+    for path in FILES:
+        assert (await visitor.get(path, Cookie=visitor.cookie(visitor.token)))[0] == 200
 
-    @on_page()
-    async def asked(visitor):
-        files = ("", "page.js", "page.css", "picture.js")
-        for path in (*files, "socket", "?token=", "?token=wrong", "nothing"):
-            assert (await visitor.get(path))[0] == 403, path
-        for token in ("wrong", "\xff"):
-            assert (await visitor.get("page.js", Cookie=visitor.cookie(token)))[0] == 403
-        assert (await visitor.get(f"page.js?token={visitor.token}"))[0] == 403  # it opens the page alone
-        status, headers, text = await visitor.get(f"?token={visitor.token}")
-        assert (status, visitor.token in text) == (200, False)
-        said = headers["Set-Cookie"]
-        assert said.startswith(visitor.cookie(visitor.token))
-        assert {"HttpOnly", "SameSite=Strict"} <= {word.strip() for word in said.split(";")}
-        assert "script-src 'self';" in headers["Content-Security-Policy"]
-        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
-        assert headers["Referrer-Policy"] == "no-referrer"  # the address holds the token
-        for path in files:
-            assert (await visitor.get(path, Cookie=visitor.cookie(visitor.token)))[0] == 200
-        tokens.add(visitor.token)
 
-    for _ in range(2):
-        asked(subject)
+def test_each_server_has_a_long_token_of_its_own(subject):
+    tokens = {Server(subject, "127.0.0.1")._guard.token for _ in range(2)}
     assert len(tokens) == 2
     assert min(map(len, tokens)) >= 43  # 256 bits
 
@@ -185,22 +102,16 @@ async def test_another_host_is_refused_with_the_token_too(visitor):
         assert await visitor.asked_for_socket(Host=host, Origin=f"http://{host}") == 101, host
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
-def test_other_machines_come_by_the_address_that_they_ask_for(subject, host):
+@on_page("0.0.0.0", "::")
+async def test_other_machines_come_by_the_address_that_they_ask_for(visitor):
     """All of 127.0.0.0/8 are addresses of this machine, as those of its network are."""
-
-    @on_page(host)
-    async def asked(server):
-        port = server.netloc.rsplit(":", 1)[1]
-        for address, name, status in (
-            ("127.0.0.2", "127.0.0.2", 200), ("127.0.0.2", "127.0.0.3", 403), ("127.0.0.2", "evil.test", 403),
-            ("127.0.0.2", "0.0.0.0", 403), ("127.0.0.1", "127.0.0.1", 200),
-        ):  # fmt: skip
-            visitor = Visitor(f"http://{address}:{port}/?token={server.token}")
-            assert (await visitor.get(f"?token={visitor.token}", Host=f"{name}:{port}"))[0] == status, name
-            assert (await visitor.get("", Host=f"{name}:{port}"))[0] == 403  # without the token
-
-    asked(subject)
+    for address, name, status in (
+        ("127.0.0.2", "127.0.0.2", 200), ("127.0.0.2", "127.0.0.3", 403), ("127.0.0.2", "evil.test", 403),
+        ("127.0.0.2", "0.0.0.0", 403), ("127.0.0.1", "127.0.0.1", 200),
+    ):  # fmt: skip
+        place = {"base": f"http://{address}:{visitor.port}/", "Host": f"{name}:{visitor.port}"}
+        assert (await visitor.get(f"?token={visitor.token}", **place))[0] == status, name
+        assert (await visitor.get("", **place))[0] == 403  # without the token
 
 
 def test_a_name_that_the_user_gave_is_one_of_the_servers():
@@ -215,10 +126,8 @@ def test_a_name_that_the_user_gave_is_one_of_the_servers():
 @on_page()
 async def test_only_the_pages_files_are_served(visitor):
     async def status(request: str) -> int:
-        reader, writer = await asyncio.open_connection("127.0.0.1", visitor.port)
-        words = f"Host: {visitor.netloc}\r\nCookie: {visitor.own['Cookie']}\r\n"
-        writer.write(f"{request} HTTP/1.1\r\n{words}Connection: close\r\n\r\n".encode())
-        said = await asyncio.wait_for(reader.read(), PATIENT_S)
+        reader, writer = await visitor.raw(f"{request} HTTP/1.1\r\nConnection: close\r\n\r\n")
+        said = await rest(reader)
         writer.close()
         return int(said.split()[1])
 
@@ -276,15 +185,13 @@ async def test_what_no_control_can_say_is_refused_and_the_page_stays(visitor):
     messages = [*map(json.dumps, values), *WRONG_MESSAGES]
     assert len(messages) > 80
     async with visitor.browser() as browser:
-        await browser.heard("show")
         before = dict(browser.controls)
         for message in messages:
             await browser.socket.send_str(message)
             assert await browser.heard("refused"), message[:80]
         await browser.socket.send_bytes(b"\x00" * 13)
         assert await browser.heard("refused") == "messages are text."
-        await browser.say(set={"pressure": 1.0})
-        await browser.heard("show")
+        await browser.change(set={"pressure": 1.0})
         assert browser.controls == before  # what the browser said itself is not told to it
         state = browser.shown["state"]
         assert state["controls"] == before | {"pressure": 1.0}
@@ -294,112 +201,60 @@ async def test_what_no_control_can_say_is_refused_and_the_page_stays(visitor):
 @on_page()
 async def test_each_browser_has_a_state_of_its_own(visitor):
     async with visitor.browser() as one, visitor.browser() as other:
-        for browser in (one, other):
-            await browser.heard("show")
-        await one.say(set={"source": "indenter", "colour": "vertical", "dark": True, "peak": 5.0})
-        await one.heard("show")
+        await one.change(set={"source": "indenter", "colour": "vertical", "dark": True, "peak": 5.0})
         before = one.shown["state"]
         assert before["controls"]["source"] == "indenter"
-        await other.say(set={"pad": 0, "pressure": 2.0})
-        await other.heard("show")
+        await other.change(set={"pad": 0, "pressure": 2.0})
         assert other.shown["state"]["traction_mpa"] == [0, 0, -2.0, 0, 0, 0]
         assert other.shown["state"]["controls"]["colour"] == "displacement"
-        await one.say(set={"at_x": 1.0})
-        await one.heard("show")
+        await one.change(set={"at_x": 1.0})
         assert one.shown["state"]["controls"] == before["controls"] | {"at_x": 1.0}
         kept = one.shown["state"]
     async with visitor.browser() as again:  # a browser that lost its connection goes on where it was
-        await again.heard("show")
-        await again.say(restore=kept)
-        await again.heard("show")
+        await again.change(restore=kept)
         assert again.shown["state"] == kept
 
 
 @on_page()
 async def test_choosing_a_pad_shows_its_load_and_keeps_that_of_others(visitor):
     async with visitor.browser() as browser:
-        await browser.heard("show")
         for said, told in (
-            ({"pad": 0}, {}),
-            ({"pressure": 2.0}, {}),
-            ({"pad": 1}, {"pressure": 0.0}),
-            ({"pressure": 3.0}, {}),
+            ({"pad": 0}, {}), ({"pressure": 2.0}, {}), ({"pad": 1}, {"pressure": 0.0}), ({"pressure": 3.0}, {}),
             ({"pad": 0}, {"pressure": 2.0}),
-        ):
-            await browser.say(set=said)
-            assert (await browser.heard("show"))["controls"] == told
-        await browser.say(do="reset")
-        assert (await browser.heard("show"))["controls"]["pressure"] == 0.0
+        ):  # fmt: skip
+            assert (await browser.change(set=said))["controls"] == told
+        assert (await browser.change(do="reset"))["controls"]["pressure"] == 0.0
         assert not any(browser.shown["state"]["traction_mpa"])
 
 
 @on_page(MAX_BROWSERS=1)
 async def test_one_browser_more_than_there_are_places_is_told_so(visitor):
     assert MAX_BROWSERS == 8
-    async with visitor.browser() as first:
-        await first.heard("show")
-        async with visitor.browser() as refused:
-            assert await refused.ended() == aiohttp.WSCloseCode.TRY_AGAIN_LATER
-    async with asyncio.timeout(PATIENT_S):
-        while not await is_shown_something(visitor):  # until the server has seen that the first one left
-            await asyncio.sleep(0.1)
-
-
-async def is_shown_something(visitor):
-    async with visitor.browser() as browser:
-        with suppress(ConnectionResetError):
-            await browser.heard("show")
-        return bool(browser.shown)
-
-
-def memory_mb() -> float:
-    with open("/proc/self/statm") as table:
-        return int(table.read().split()[1]) * resource.getpagesize() / 1e6
-
-
-def frame(opcode: int, length: int, content: bytes, fin: bool = True) -> bytes:
-    """A masked frame that claims a length, whatever it has."""
-    head = bytes([opcode | (0x80 if fin else 0)])
-    if length < 126:
-        head += bytes([0x80 | length])
-    elif length < 2**16:
-        head += bytes([0xFE]) + struct.pack(">H", length)
-    else:
-        head += bytes([0xFF]) + struct.pack(">Q", length)
-    return head + b"\0\0\0\0" + content
+    async with visitor.browser(), visitor.browser(is_served=False) as refused:
+        with pytest.raises(ConnectionResetError, match=str(aiohttp.WSCloseCode.TRY_AGAIN_LATER.value)):
+            await refused.heard("show")
+    await visitor.wait_for_a_place()
 
 
 @on_page()
 async def test_a_claimed_flood_is_refused_before_it_is_stored(visitor):
-    async with visitor.browser() as other:
-        await other.heard("show")
-        before = memory_mb()
+    async with visitor.bystander():  # it was 4 GB each
         for claimed in (MAX_BYTES + 1, 2**20, 4 * 2**30, 2**63 - 1, 2**64 - 1):
             reader, writer = await visitor.raw_socket()
             writer.write(frame(2, claimed, b""))
-            async with asyncio.timeout(PATIENT_S):
-                said = await reader.read()
-            assert struct.pack(">H", 1009) in said[-200:], claimed  # message too big
+            assert struct.pack(">H", 1009) in (await rest(reader))[-200:], claimed  # message too big
             writer.close()
-        assert memory_mb() - before < 250  # scenes of five browsers; it was 4 GB each
-        await other.say(set={"pressure": 1.0})
-        await other.heard("show")
 
 
 @on_page()
 async def test_a_real_flood_waits_in_its_sender(visitor):
-    """Fragments without end, 20,000 values, as many pings: another browser is served meanwhile, and memory stays."""
-    async with visitor.browser() as other:
-        await other.heard("show")
-        before = memory_mb()
+    """Fragments without end, 20,000 values, as many pings: another browser is served meanwhile."""
+    async with visitor.bystander() as other:
         reader, fragments = await visitor.raw_socket()
         fragments.write(frame(1, 1000, b"x" * 1000, fin=False))
         for _ in range(1000):
             fragments.write(frame(0, 1000, b"x" * 1000, fin=False))
-        with suppress(ConnectionResetError):  # of what was not read
-            async with asyncio.timeout(PATIENT_S):
-                while await reader.read(2**16):
-                    pass
+        await rest(reader)
         _, values = await visitor.raw_socket()
         said = b'{"set":{"pressure":%d}}'
         for number in range(20_000):
@@ -410,11 +265,9 @@ async def test_a_real_flood_waits_in_its_sender(visitor):
         waited_s = []
         for number in range(10):
             start = time.perf_counter()
-            await other.say(set={"pressure": 0.5 + 0.1 * number})
-            await other.heard("show")
+            await other.change(set={"pressure": 0.5 + 0.1 * number})
             waited_s.append(time.perf_counter() - start)
         assert sorted(waited_s)[5] < 1.0
-        assert memory_mb() - before < 250
         for writer in (fragments, values, pings):
             writer.transport.abort()
             writer.close()
@@ -423,7 +276,6 @@ async def test_a_real_flood_waits_in_its_sender(visitor):
 @on_page()
 async def test_messages_are_read_at_the_rate_of_a_screen(visitor):
     async with visitor.browser() as browser:
-        await browser.heard("show")
         start, count = time.perf_counter(), 2 * MAX_A_SECOND
         for _ in range(count):
             await browser.say(set={"pad": 9999})
@@ -437,14 +289,11 @@ async def test_who_reads_nothing_keeps_nobody_waiting(visitor):
     """Another browser is served meanwhile, and the server stops soon."""
     _, writer = await visitor.raw_socket()
     writer.transport.pause_reading()
-    async with visitor.browser() as other:
-        await other.heard("show")
+    async with visitor.bystander():
         for number in range(100):
             said = json.dumps({"set": {"pressure": 0.05 * number}, "turn": [5, 0], "size": [1000, 1000]}).encode()
             writer.write(frame(1, len(said), said))
             await asyncio.sleep(0.02)
-        await other.say(set={"pressure": 1.0})
-        await other.heard("show")
     start = time.perf_counter()
     await visitor.stop()
     writer.close()
@@ -454,22 +303,17 @@ async def test_who_reads_nothing_keeps_nobody_waiting(visitor):
 @on_page(HEARTBEAT_S=1.0, MAX_BROWSERS=1)
 async def test_a_browser_that_gives_no_sign_of_life_leaves_its_place(visitor):
     reader, writer = await visitor.raw_socket()  # answers no ping
-    async with asyncio.timeout(PATIENT_S):
-        while await reader.read(2**16):
-            pass
-        writer.close()
-        while not await is_shown_something(visitor):
-            await asyncio.sleep(0.1)
+    await rest(reader)
+    writer.close()
+    await visitor.wait_for_a_place()
 
 
 @on_page(MAX_CONNECTIONS=8, PATIENCE_S=1.0)
 async def test_connections_that_ask_nothing_end_and_hold_no_place(visitor):
-    async with visitor.browser() as other:
-        await other.heard("show")
+    async with visitor.bystander():  # a browser that is silent as long stays
         silent = [await asyncio.open_connection("127.0.0.1", visitor.port) for _ in range(30)]  # more than places
         assert (await visitor.get(f"?token={visitor.token}"))[0] == 200
-        slow = await asyncio.open_connection("127.0.0.1", visitor.port)
-        slow[1].write(b"GET / HTTP/1.1\r\nHost: a\r\n")
+        slow = await visitor.raw("GET / HTTP/1.1\r\n")
 
         async def dripping() -> None:
             while not slow[1].is_closing():
@@ -477,31 +321,22 @@ async def test_connections_that_ask_nothing_end_and_hold_no_place(visitor):
                 await asyncio.sleep(0.1)
 
         drips = asyncio.create_task(dripping())
-        async with asyncio.timeout(PATIENT_S):
-            for reader, _ in [*silent, slow]:
-                with suppress(ConnectionResetError):
-                    await reader.read()
+        for reader, _ in [*silent, slow]:
+            await rest(reader)
         drips.cancel()
         for _, writer in [*silent, slow]:
             writer.close()
-        await other.say(set={"pressure": 1.0})  # a browser that is silent as long stays
-        await other.heard("show")
 
 
 @on_page()
 async def test_browsers_that_leave_give_everything_back(visitor):
     for number in range(15):
         if number == 5:
-            before = memory_mb(), len(os.listdir("/proc/self/fd"))
+            before = memory_mb(), psutil.Process().num_fds()
         async with visitor.browser() as browser:
-            await browser.heard("show")
-            await browser.say(size=[800, 600])
-            async with asyncio.timeout(PATIENT_S):
-                while not browser.pictures:
-                    await browser.say(turn=[1, 0])
-                    message = await browser.socket.receive()
-                    browser.pictures += message.type is aiohttp.WSMsgType.BINARY
+            await browser.say(size=[800, 600], turn=[1, 0])
+            await browser.heard("picture")
     async with asyncio.timeout(PATIENT_S):
-        while len(os.listdir("/proc/self/fd")) > before[1] + 3:
+        while psutil.Process().num_fds() > before[1] + 3:
             await asyncio.sleep(0.1)
     assert memory_mb() - before[0] < 100  # 10 scenes that stayed took 200

@@ -57,7 +57,7 @@ class Pictures:
     """
 
     def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
-        self._window = plotter.render_window
+        self._plotter, self._window = plotter, plotter.render_window
         self._window.ShowWindowOff()
         self._reader = vtkWindowToImageFilter()
         self._reader.SetInput(self._window)
@@ -110,6 +110,7 @@ class Pictures:
         """A picture of so many pixels for one of the place's, along each side."""
         wide, high = self._size
         self._window.SetSize(max(1, round(zoom * wide)), max(1, round(zoom * high)))
+        self._plotter.reset_camera_clipping_range()  # nothing near is cut off
         self._window.Render()
         self._reader.Modified()
         self._reader.Update()

@@ -152,7 +152,6 @@ class ArrayScene:
         """Put the camera where it was at first: the undeformed array fills the window."""
         wide, high = self.plotter.render_window.GetSize()
         place(self.plotter.camera, self.reach_mm, VIEW, (0.0, 0.0, 1.0), wide / high)
-        self.plotter.reset_camera_clipping_range()
         self.camera.set_home()
 
     def fit(self) -> None:
