@@ -70,10 +70,11 @@ def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
     solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
     values = np.concatenate([quantity.of(part) for _, part in solid])
     whose = "" if solid[0][0] == "body" else f" of the {solid[0][0]}"
-    share = SHOWN_SHARE if quantity.of_stress else 1.0
-    sizes = np.concatenate([part.sizes for _, part in solid])
-    low, high = np.quantile(values, [1 - share, share], weights=sizes, method="inverted_cdf").tolist()
-    low, high = min(low, 0.0), max(high, 0.0)
+    low, high = values.min(), values.max()
+    if quantity.of_stress:
+        sizes, shares = np.concatenate([part.sizes for _, part in solid]), [1 - SHOWN_SHARE, SHOWN_SHARE]
+        low, high = np.quantile(values, shares, weights=sizes, method="inverted_cdf")
+    low, high = min(float(low), 0.0), max(float(high), 0.0)
     if low == high:
         high = 1.0
     return Bar(

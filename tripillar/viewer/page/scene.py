@@ -90,6 +90,7 @@ class ArrayScene:
         self._rest_mm = centres[:, None] + np.concatenate(points)  # (n_units, n_points, 3)
         everyone = np.arange(design.n_units)
         self.pillars = self._mesh(of_pillars, [(quads, everyone)])
+        self._quads = self.pillars.regular_faces
         self._faces, self._edges = self._mesh(of_sides, faces), self._mesh(of_sides, edges)
         self._pads = self._mesh(of_pads, [(_lines(np.r_[: len(outline), 0]), everyone)])
         self._moving = (
@@ -135,10 +136,10 @@ class ArrayScene:
             bar = Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=shades(None, -most, most))
         else:
             quantity = QUANTITIES[colour]
-            of_pillars = moved_mm[:, : len(self._owner)].reshape(-1, 3)
+            k = len(self._owner)
             part = Part(
-                points_mm=of_pillars, cells=np.empty((0, 4), dtype=np.int64), cell_type=QUADRILATERAL,
-                displacement_mm=of_pillars,
+                points_mm=self._rest_mm[:, :k].reshape(-1, 3), cells=self._quads, cell_type=QUADRILATERAL,
+                displacement_mm=moved_mm[:, :k].reshape(-1, 3),
                 stress_mpa=self._stress.stress_mpa(state).reshape(-1, 6) if quantity.of_stress else None,
             )  # fmt: skip
             bar, values = bar_of(quantity, [{"pillars": part}]), quantity.of(part)
