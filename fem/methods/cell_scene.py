@@ -9,7 +9,7 @@ from fem.array.substructured import condensed_cell, mesh_stages
 from fem.discretization.richardson import richardson_factor
 from fem.methods.plan import Plan
 from fem.scene.scene import Rectangle, Scene, SceneError, Sensor
-from fem.scene.solution import Solution, largest_error
+from fem.scene.solution import Solution, Stopwatch, largest_error
 from geometry.layout import FloatArray, unit_centres
 
 Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
@@ -37,7 +37,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     rectangles = np.array(list(local))
     forces = newtons.reshape(design.n_units, -1, 1)
 
-    seconds = dict.fromkeys(("mesh", "assemble", "factor", "solve"), 0.0)
+    seconds = Stopwatch().seconds
     steps: list[str] = []
     for coarse, fine, degree in mesh_stages(scene.tolerance):
         found, meshing, start = [], 0.0, perf_counter()

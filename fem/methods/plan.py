@@ -112,10 +112,6 @@ class Plan:
         """True unless that saving was switched off."""
         return name not in self.keeps
 
-    def deciding(self, name: str, choice: str, reason: str) -> "Plan":
-        """The plan with one more decision."""
-        return replace(self, decisions=(*self.decisions, Decision(name=name, choice=choice, reason=reason)))
-
 
 def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False) -> Plan:
     """Decide how to solve a scene.
