@@ -59,10 +59,6 @@ def test_dims_in_another_order_are_transposed(tmp_path):
         assert np.array_equal(data[name], example()[name])
 
 
-def test_missing_file_is_refused(tmp_path):
-    assert "no such file" in refusal(tmp_path / "none.nc")
-
-
 def test_missing_variable_is_named_with_those_there_are(tmp_path):
     write_netcdf(example().drop_vars("reply"), tmp_path / "a.nc")
     assert "has no variable 'reply', only ['load', 'more']" in refusal(tmp_path / "a.nc")
@@ -80,18 +76,16 @@ def test_wrong_dims_are_named_with_the_right_ones(tmp_path, changed):
     assert "expected ('row', 'col')" in refusal(tmp_path / "a.nc")
 
 
-@pytest.mark.parametrize("content", [b"", b"hello\n" * 100, b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"\0" * 4096])
-def test_foreign_file_is_refused(tmp_path, content):
-    (tmp_path / "a.nc").write_bytes(content)
-    assert "truncated or not NetCDF" in refusal(tmp_path / "a.nc")
-
-
-@pytest.mark.parametrize("share", [0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
-def test_truncated_file_is_refused(tmp_path, share):
-    write_netcdf(example(), tmp_path / "whole.nc")
-    content = (tmp_path / "whole.nc").read_bytes()
-    (tmp_path / "a.nc").write_bytes(content[: int(share * len(content))])
-    assert "truncated or not NetCDF" in refusal(tmp_path / "a.nc")
+def test_missing_foreign_and_truncated_files_are_refused(tmp_path):
+    path = tmp_path / "a.nc"
+    assert "no such file" in refusal(path)
+    assert "a folder" in refusal(tmp_path)
+    write_netcdf(example(), path)
+    whole = path.read_bytes()
+    foreign = [b"", b"hello\n" * 100, b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"\0" * 4096]
+    for content in foreign + [whole[: int(share * len(whole))] for share in (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)]:
+        path.write_bytes(content)
+        assert "truncated or not NetCDF" in refusal(path)
 
 
 def test_failed_write_leaves_the_old_file(tmp_path):
@@ -102,8 +96,3 @@ def test_failed_write_leaves_the_old_file(tmp_path):
         write_netcdf(broken, tmp_path / "a.nc")
     assert (tmp_path / "a.nc").read_bytes() == before
     assert list(tmp_path.iterdir()) == [tmp_path / "a.nc"]
-
-
-def test_a_folder_is_named_as_one(tmp_path):
-    with pytest.raises(FileFormatError, match="a folder"):
-        read_netcdf(tmp_path, {"a": ("x",)}, made_by="")
