@@ -7,6 +7,7 @@ shape (n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing do
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -35,30 +36,32 @@ class Protocol:
     draw: Draw
 
 
-def _independent_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    traction[..., 2] = -generator.uniform(*NORMAL_MPA, traction.shape[:2])
+#: of protocols that load one axis alone: its number, sign, range and preload
+_ALONE = {
+    "z": (2, -1.0, NORMAL_MPA, NORMAL_PRELOAD_MPA),
+    "x": (0, 1.0, TANGENTIAL_MPA, TANGENTIAL_PRELOAD_MPA),
+}
+
+
+def _alone(axis: str, sizes_mpa: FloatArray) -> FloatArray:
+    """Tractions (n, n_units, 3) [MPa] of these sizes (n, n_units) along one axis."""
+    number, sign, *_ = _ALONE[axis]
+    traction = np.zeros((*sizes_mpa.shape, 3))
+    traction[..., number] = sign * sizes_mpa
     return traction
 
 
-def _independent_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    traction[..., 0] = generator.uniform(*TANGENTIAL_MPA, traction.shape[:2])
-    return traction
+def _independent(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
+    return _alone(axis, generator.uniform(*_ALONE[axis][2], (n, design.n_units)))
 
 
-def _contact_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    indenters = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
-    traction[..., 2] = -NORMAL_PRELOAD_MPA - indenters.sum(axis=1)
-    return traction
+def _contact_alone(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
+    *_, peak_mpa, preload_mpa = _ALONE[axis]
+    return _alone(axis, preload_mpa + _indenters(generator, n, design, peak_mpa, preload_mpa).sum(axis=1))
 
 
-def _contact_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    indenters = _indenters(generator, n, design, TANGENTIAL_MPA, TANGENTIAL_PRELOAD_MPA)
-    traction[..., 0] = TANGENTIAL_PRELOAD_MPA + indenters.sum(axis=1)
-    return traction
+def _light_alone(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
+    return _alone(axis, _touches(generator, n, design))
 
 
 def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
@@ -71,28 +74,16 @@ def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> Fl
 
 
 def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    pressure = generator.uniform(*NORMAL_MPA, (n, design.n_units))
-    traction = np.empty((n, design.n_units, 3))
-    traction[..., :2] = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
-    traction[..., 2] = -pressure
-    return traction
-
-
-def _light_fz(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    traction[..., 2] = -_touches(generator, n, design)
-    return traction
-
-
-def _light_fx(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    traction = np.zeros((n, design.n_units, 3))
-    traction[..., 0] = _touches(generator, n, design)
-    return traction
+    return _in_cone(generator, generator.uniform(*NORMAL_MPA, (n, design.n_units)))
 
 
 def _light(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    pressure = _touches(generator, n, design)
-    traction = np.empty((n, design.n_units, 3))
+    return _in_cone(generator, _touches(generator, n, design))
+
+
+def _in_cone(generator: np.random.Generator, pressure: FloatArray) -> FloatArray:
+    """Tractions (n, n_units, 3) of these pressures (n, n_units), each with a shear within the friction cone."""
+    traction = np.empty((*pressure.shape, 3))
     traction[..., :2] = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
     traction[..., 2] = -pressure
     return traction
@@ -136,20 +127,21 @@ def _in_disc(generator: np.random.Generator, shape: tuple[int, int]) -> FloatArr
     """Points spread evenly over the unit disc, shape (*shape, 2)."""
     radius = np.sqrt(generator.uniform(0.0, 1.0, shape))
     angle = generator.uniform(0.0, 2 * np.pi, shape)
-    points = np.empty((*shape, 2))
-    points[..., 0] = radius * np.cos(angle)
-    points[..., 1] = radius * np.sin(angle)
-    return points
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
 PROTOCOLS = {
-    "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), _independent_fz),
-    "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), _independent_fx),
-    "contact-fz": Protocol("1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), _contact_fz),
-    "contact-fx": Protocol("1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _contact_fx),
+    "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), partial(_independent, axis="z")),
+    "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), partial(_independent, axis="x")),
+    "contact-fz": Protocol(
+        "1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), partial(_contact_alone, axis="z")
+    ),
+    "contact-fx": Protocol(
+        "1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), partial(_contact_alone, axis="x")
+    ),
     "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
     "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
-    "light-fz": Protocol("nothing, or 0-10 N of pressure on 1-3 pads", ("z",), _light_fz),
-    "light-fx": Protocol("nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), _light_fx),
+    "light-fz": Protocol("nothing, or 0-10 N of pressure on 1-3 pads", ("z",), partial(_light_alone, axis="z")),
+    "light-fx": Protocol("nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), partial(_light_alone, axis="x")),
     "light": Protocol("nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light),
 }

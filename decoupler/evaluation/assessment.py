@@ -159,15 +159,6 @@ def _columns_by_axis(columns: FloatArray, axes: tuple[str, ...]) -> FloatArray:
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:
-    """An assessment as dictionaries and numbers, for JSON."""
-    return {
-        name: asdict(one.errors)
-        | {
-            "limits": None if one.limits is None else asdict(one.limits),
-            "ratio": one.ratio,
-            "baselines": {label: asdict(errors) for label, errors in one.baselines.items()},
-            "coverage": one.coverage,
-            "light": None if one.light is None else asdict(one.light),
-        }
-        for name, one in assessed.items()
-    }
+    """An assessment as dictionaries and numbers, for JSON; the errors stand beside the rest."""
+    plain = {name: asdict(one) for name, one in assessed.items()}
+    return {name: one.pop("errors") | one for name, one in plain.items()}

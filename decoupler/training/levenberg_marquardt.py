@@ -35,7 +35,9 @@ class GaussNewton:
     the pairs of nodes once an iteration, and one matrix product of a quarter of the size is left.
     """
 
-    def __init__(self, samples: TrainingSet, hidden: Tensor, output: Tensor) -> None:
+    def __init__(self, samples: TrainingSet, point: Point) -> None:
+        self.samples, self.point = samples, point
+        hidden, output = point.hidden, point.output
         h, p = hidden.shape
         A = samples.activations(hidden)
         s = 1.0 - A[:, :h] ** 2
@@ -51,13 +53,19 @@ class GaussNewton:
         blocks = pairs.index_select(1, _pair_index(p)).index_select(0, _pair_index(h))
         self.ZtZ = blocks.view(h, h, p, p).permute(0, 2, 1, 3).reshape(h * p, h * p)
 
-    def largest_diagonal(self) -> float:
-        """Largest entry of the diagonal of JᵀJ, the scale of a damping."""
-        p = self.gradient_hidden.shape[1]
-        hidden = self.ZtZ.diagonal() * self.K.diagonal().repeat_interleave(p)
-        return max(hidden.max().item(), self.AtA.diagonal().max().item())
+        diagonal = self.ZtZ.diagonal() * self.K.diagonal().repeat_interleave(p)  # of JᵀJ, hidden weights
+        self.scale = max(diagonal.max().item(), self.AtA.diagonal().max().item())
 
-    def step(self, damping: float) -> tuple[Tensor, Tensor] | None:
+    def step(self, damping: float) -> tuple[Point, float] | None:
+        """The point after a damped step, and the fall in cost the quadratic promises; None if singular."""
+        step = self.direction(damping)
+        if step is None:
+            return None
+        gradient = (self.gradient_hidden, self.gradient_output)
+        promised = sum((d * (damping * d - g)).sum().item() / 2 for d, g in zip(step, gradient, strict=True))
+        return point_at(self.samples, self.point.hidden + step[0], self.point.output + step[1]), promised
+
+    def direction(self, damping: float) -> tuple[Tensor, Tensor] | None:
         """Damped step (JᵀJ + damping·I) d = −Jᵀr as (hidden, output); None if singular to rounding."""
         h, p = self.gradient_hidden.shape
         M = self.AtA.clone()
@@ -80,21 +88,6 @@ class GaussNewton:
         return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, M_factor).T
 
 
-class _AllWeights:
-    def __init__(self, samples: TrainingSet, point: Point) -> None:
-        self.samples, self.point = samples, point
-        self.matrix = GaussNewton(samples, point.hidden, point.output)
-        self.scale = self.matrix.largest_diagonal()
-
-    def step(self, damping: float) -> tuple[Point, float] | None:
-        step = self.matrix.step(damping)
-        if step is None:
-            return None
-        gradient = (self.matrix.gradient_hidden, self.matrix.gradient_output)
-        promised = sum((d * (damping * d - g)).sum().item() / 2 for d, g in zip(step, gradient, strict=True))
-        return point_at(self.samples, self.point.hidden + step[0], self.point.output + step[1]), promised
-
-
 def point_at(samples: TrainingSet, hidden: Tensor, output: Tensor) -> Point:
     """Weights with their cost ½‖r‖² and their mean squared error."""
     residual = samples.activations(hidden) @ output.T - samples.targets
@@ -107,4 +100,4 @@ def train_lm(
 ) -> tuple[Point, Outcome]:
     """Train from the given weights."""
     start = point_at(samples, hidden, output)
-    return minimise(start, lambda point: _AllWeights(samples, point), config, progress)
+    return minimise(start, lambda point: GaussNewton(samples, point), config, progress)

@@ -29,17 +29,6 @@ def simulated(response, protocol="three-axis", samples=40, **changed):
     return simulate(response, DatasetSettings(protocol=protocol, samples=samples, **changed))
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_arrays_have_the_shapes_of_the_contract(response, protocol):
-    data = simulated(response, protocol, 7)
-    sizes = {"sample": 7, "row": 2, "col": 3, "electrode": 2, "axis": 3, "pillar": 3}
-    for name, (dims, _) in VARIABLES.items():
-        values = getattr(data, name)
-        assert values.shape == tuple(sizes[dim] for dim in dims)
-        assert values.dtype == np.float64
-        assert np.isfinite(values).all()
-
-
 def test_force_is_traction_times_pad_area_and_positive_in_compression():
     """12 mm × 12 mm: 1 MPa is 144 N. Shear keeps its sign; pushing down, tz < 0, reads Fz > 0."""
     design = SensorDesign()
@@ -48,23 +37,29 @@ def test_force_is_traction_times_pad_area_and_positive_in_compression():
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_forces_of_a_dataset_follow_that_rule(response, protocol):
+def test_a_dataset_is_what_the_equations_say(response, protocol):
+    """Shapes of the contract; forces of tractions; displacements summed over pads and axes; lengths by hand.
+
+    From the electrodes' places z goes from L1 to U1, x from L2 to U1, y from L1 to U2. Tolerances are for rounding.
+    """
     data = simulated(response, protocol)
+    sizes = {"sample": 40, "row": 2, "col": 3, "electrode": 2, "axis": 3, "pillar": 3}
+    for name, (dims, _) in VARIABLES.items():
+        values = getattr(data, name)
+        assert values.shape == tuple(sizes[dim] for dim in dims)
+        assert values.dtype == np.float64
+        assert np.isfinite(values).all()
     assert np.array_equal(data.force_n, data.traction_mpa * 144.0 * np.array([1.0, 1.0, -1.0]))
     assert (data.force_n[..., 2] >= 0).all()
-
-
-def superposed(response, traction_mpa: np.ndarray) -> np.ndarray:
-    """Displacement of each electrode by the sum over pads and axes as the file's dims spell it."""
-    newtons = traction_mpa * response.design.pad.size_mm**2
-    return np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, newtons)
-
-
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_displacements_are_the_superposition_of_unit_loads(response, protocol):
-    data = simulated(response, protocol)
-    expected = superposed(response, data.traction_mpa)
-    assert data.displacement_mm == pytest.approx(expected, abs=1e-13)  # rounding of sums of millimetres
+    moved = np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, 144.0 * data.traction_mpa)
+    assert data.displacement_mm == pytest.approx(moved, abs=1e-13)
+    L1, L2 = np.array([-5.0, -5.0, 0.0]), np.array([5.0, -5.0, 0.0])
+    U1 = np.array([-5.0, -5.0, 10.0]) + data.displacement_mm[..., 0, :]
+    U2 = np.array([-5.0, 5.0, 10.0]) + data.displacement_mm[..., 1, :]
+    lengths = [np.linalg.norm(top - low, axis=-1) for low, top in ((L1, U1), (L2, U1), (L1, U2))]
+    assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)
+    resistance = 4000.0 * data.length_mm**2 / (4.0 * np.array([10.0, np.sqrt(200), np.sqrt(200)]))
+    assert data.resistance_ohm == pytest.approx(resistance, rel=1e-14)
 
 
 def test_superposition_is_linear(response):
@@ -74,6 +69,8 @@ def test_superposition_is_linear(response):
     apart = 2.0 * displacements(response, a) - 3.0 * displacements(response, b)
     assert both == pytest.approx(apart, abs=1e-12)  # rounding
     assert np.abs(both).max() > 1.0
+    a[..., :2] = 0.0  # skipping unloaded axes changes nothing: the same products, summed in another order
+    assert displacements(response, a, ("z",)) == pytest.approx(displacements(response, a), abs=1e-14)
 
 
 def test_unit_load_moves_electrodes_as_its_column_of_the_influence_says(response):
@@ -81,28 +78,6 @@ def test_unit_load_moves_electrodes_as_its_column_of_the_influence_says(response
     traction[0, 1 * 3 + 2, 0] = 1.0 / 144.0  # 1 N along x on row 1, col 2
     moved = displacements(response, traction)[0].reshape(2, 3, 2, 3)
     assert moved == pytest.approx(response.influence_mm_per_n[..., 1, 2, 0], rel=1e-12)
-
-
-def test_skipping_unloaded_axes_changes_nothing(response):
-    traction = np.zeros((5, 6, 3))
-    traction[..., 2] = np.random.default_rng(0).normal(size=(5, 6))
-    assert displacements(response, traction, ("z",)) == pytest.approx(
-        displacements(response, traction), abs=1e-14
-    )  # rounding: the same products, summed in another order
-
-
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_lengths_and_resistances_follow_from_the_displacements(response, protocol):
-    """By hand from the electrodes' places: z from L1 to U1, x from L2 to U1, y from L1 to U2."""
-    data = simulated(response, protocol)
-    L1, L2 = np.array([-5.0, -5.0, 0.0]), np.array([5.0, -5.0, 0.0])
-    U1 = np.array([-5.0, -5.0, 10.0]) + data.displacement_mm[..., 0, :]
-    U2 = np.array([-5.0, 5.0, 10.0]) + data.displacement_mm[..., 1, :]
-    lengths = [np.linalg.norm(top - low, axis=-1) for low, top in ((L1, U1), (L2, U1), (L1, U2))]
-    assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)  # rounding
-    rest_mm = np.array([10.0, np.sqrt(200), np.sqrt(200)])
-    resistance = 4000.0 * data.length_mm**2 / (4.0 * rest_mm)
-    assert data.resistance_ohm == pytest.approx(resistance, rel=1e-14)
 
 
 @pytest.mark.parametrize("measurement", [{}, {"noise": 0.01, "bits": 12}], ids=["exact", "measured"])

@@ -50,33 +50,21 @@ def test_gives_what_the_torch_network_gives(net, feature):
     np.testing.assert_allclose(decoupler.forces(DATA.resistance_ohm), expected, rtol=1e-11)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.0])
-def test_the_first_bad_resistance_is_named(value):
+def test_what_is_no_scan_of_its_sensor_is_refused_and_what_it_does_not_take_does_no_harm():
     decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
-    R = DATA.resistance_ohm.copy()
-    R[4:, 1, 2, 0] = value
-    with pytest.raises(SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"):
-        decoupler.forces(R)
-
-
-def test_a_dead_pillar_that_is_not_taken_does_no_harm():
-    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
-    R = DATA.resistance_ohm.copy()
-    R[..., 1:] = np.nan
-    np.testing.assert_array_equal(decoupler.forces(R), decoupler.forces(DATA.resistance_ohm))
-
-
-def test_wrong_sizes_are_refused():
-    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
+    for value in (np.nan, np.inf, -1.0, 0.0):
+        R = DATA.resistance_ohm.copy()
+        R[4:, 1, 2, 0] = value
+        with pytest.raises(SampleError, match=r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"):
+            decoupler.forces(R)
     with pytest.raises(SampleError, match=r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"):
         decoupler.forces(DATA.resistance_ohm[0])
     with pytest.raises(SampleError, match="of 3 × 2 units, the model's sensor has 2 × 3"):
         decoupler.forces(DATA.resistance_ohm.transpose(0, 2, 1, 3))
-
-
-def test_no_samples_give_no_forces():
-    decoupler = train(DATA, "fz", NetworkConfig(hidden=3), FEW)
     assert decoupler.forces(DATA.resistance_ohm[:0]).shape == (0, 2, 3, 1)
+    R = DATA.resistance_ohm.copy()
+    R[..., 1:] = np.nan
+    np.testing.assert_array_equal(decoupler.forces(R), decoupler.forces(DATA.resistance_ohm))
 
 
 def test_using_a_model_loads_no_torch():

@@ -140,15 +140,10 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
     assert np.median(one) < np.ptp(EXACT.force_n, axis=(0, 1, 2)).max()
 
 
-def test_a_healthy_sensor_is_trusted():
-    training, _ = noisy(1e-3)
+def test_a_healthy_sensor_is_trusted_and_a_model_without_uncertainty_says_so():
+    training, test = noisy(1e-3)
     model = train(training, "all", NetworkConfig(hidden=6, feature="inverse"), TrainingConfig(), response=RESPONSE)
     assert model.untrusted() == []
-
-
-def test_a_model_without_it_says_so():
-    training, test = noisy(0.0)
-    model = train(training, "fz", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1))
     with pytest.raises(SampleError, match="knows no uncertainty"):
         replace(model, uncertainty=None).half_widths(test.resistance_ohm)
 
@@ -190,12 +185,8 @@ def test_believes_exact_data_and_forgets_noise():
     A = generator.uniform(-1, 1, (50, 5))
     assert best_ridge(A, A[:, :2]) == RIDGES[0] * 50
     assert best_ridge(A, generator.standard_normal((50, 200))) >= 0.01 * 50
-
-
-def test_more_features_than_samples():
-    generator = np.random.default_rng(0)
-    A = generator.uniform(-1, 1, (5, 20))
-    assert best_ridge(A, generator.standard_normal((5, 3))) in RIDGES * 5
+    fewer = generator.uniform(-1, 1, (5, 20))  # samples than features
+    assert best_ridge(fewer, generator.standard_normal((5, 3))) in RIDGES * 5
 
 
 def test_readings_of_one_load_count_once():

@@ -1,15 +1,25 @@
-"""The forward model against the dataset's own lengths, and its derivatives against differences."""
+"""The forward model against the dataset's own lengths, and its inverse: near the forces, where it explains the data."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from decoupler import component_named
+from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
 from decoupler.data.columns import force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.sample_checks import explaining
+from decoupler.training.suited import suited_feature
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
+ALL = component_named("all")
+DATA = labelled(SENSOR, "xyz", n_samples=300, seed=0)
+TRAIN, TEST = split(DATA, 200)
+FORWARD = ForwardModel.of(RESPONSE, ALL)
+READABLE = np.ones(FORWARD.n_pillars, dtype=bool)
+COLUMNS, FORCES = pillar_columns(DATA.resistance_ohm, ALL), force_columns(DATA.force_n, ALL)
 
 
 @pytest.mark.parametrize(("name", "axes"), [("fx", "x"), ("fy", "y"), ("fz", "z"), ("all", "xyz")])
@@ -23,13 +33,93 @@ def test_gives_the_resistances_that_the_dataset_has(name, axes):
     np.testing.assert_allclose(forward.lengths_of(found) ** 2 * forward.ohm_per_mm2, found, rtol=1e-14)
 
 
-def test_derivatives_are_those_of_the_lengths():
+def test_derivatives_of_lengths():
     """Central differences of a step of 1e-3 N err by its square times the third derivative: far below 1e-8."""
-    forward = ForwardModel.of(RESPONSE, component_named("all"))
-    force = np.random.default_rng(0).uniform(10.0, 300.0, (3, forward.n_forces))
-    lengths, J = forward.jacobian(force)
-    np.testing.assert_array_equal(lengths, forward.lengths(force))
+    force = np.random.default_rng(0).uniform(10.0, 300.0, (3, FORWARD.n_forces))
+    lengths, J = FORWARD.jacobian(force)
+    np.testing.assert_array_equal(lengths, FORWARD.lengths(force))
     along = np.random.default_rng(1).standard_normal(force.shape)
     step = 1e-3 * along
-    differences = (forward.lengths(force + step) - forward.lengths(force - step)) / 2e-3
+    differences = (FORWARD.lengths(force + step) - FORWARD.lengths(force - step)) / 2e-3
     np.testing.assert_allclose(np.einsum("npf,nf->np", J, along), differences, rtol=0, atol=1e-8)
+
+
+def test_corrections_come_near_the_forces():
+    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that."""
+    inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise=0.0)
+    others, columns = FORCES[200:], COLUMNS[200:]
+    linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
+    assert np.std(linear - others) > 0.01 * others.std()
+    assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-2])
+def test_at_rest_and_under_a_light_touch_forces_are_right(noise):
+    """Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best."""
+    inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise)
+    touches = np.zeros((1 + FORWARD.n_forces, FORWARD.n_forces))
+    touches[1:] = 10.0 * np.eye(FORWARD.n_forces)
+    missed = np.abs(inverse.forces(FORWARD.resistances(touches)) - touches)
+    assert missed.max() < 0.05
+
+
+def test_derivatives_are_those_of_the_forces():
+    """Differences over a millionth of the resistances err by far less than 1e-7 of the largest."""
+    inverse = ModelInverse.about(FORWARD, FORCES, READABLE, noise=0.0)
+    R = COLUMNS[:2]
+    step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
+    differences = (inverse.forces(R + step) - inverse.forces(R - step)) / 2
+    expected = np.einsum("nfp,np->nf", inverse.derivatives(R), step)
+    np.testing.assert_allclose(expected, differences, rtol=0, atol=1e-7 * np.abs(differences).max())
+
+
+def test_an_unreadable_pillar_is_not_looked_at():
+    readable = READABLE.copy()
+    readable[4] = False
+    inverse = ModelInverse.about(FORWARD, FORCES, readable, noise=0.0)
+    garbled = COLUMNS.copy()
+    garbled[:, 4] = 1e4
+    once = inverse.forces(garbled)
+    garbled[:, 4] = 7.0
+    np.testing.assert_array_equal(inverse.forces(garbled), once)
+    assert np.std(once - FORCES) < 0.5 * FORCES.std()
+
+
+def test_a_net_on_the_inverse_beats_one_on_the_root():
+    config = TrainingConfig(goal_mse=1e-12, max_iterations=20)
+    known = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), config, response=RESPONSE)
+    unknown = train(TRAIN, "all", NetworkConfig(hidden=6, feature="root"), config)
+    for name, errors in evaluate(known, TEST).items():
+        assert errors.rmse_n < evaluate(unknown, TEST)[name].rmse_n / 3
+
+
+def test_the_feature_needs_a_response_that_explains_the_data():
+    with pytest.raises(SampleError, match="needs the array's response"):
+        train(TRAIN, "all", NetworkConfig(feature="inverse"), TrainingConfig())
+    with pytest.raises(SampleError, match="the response is of 12 pillars, the samples of 18"):
+        explaining(response(sensor(2, 2)), ALL, COLUMNS, FORCES, READABLE)
+    shuffled = np.random.default_rng(0).permutation(FORCES)  # resistances of other loads
+    with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
+        explaining(RESPONSE, ALL, COLUMNS, shuffled, READABLE)
+
+
+def test_another_resistivity_or_gains_are_explained_and_a_softer_body_is_not():
+    """Ohms ten times as many say the same of the forces; a body half as stiff does not."""
+    gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, COLUMNS.shape[1])
+    explaining(RESPONSE, ALL, gains * COLUMNS, FORCES, READABLE)
+    other = replace(DATA, resistance_ohm=DATA.resistance_ohm * gains.reshape(2, 3, 3))
+    model = train(other, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    own = train(DATA, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
+    for name, errors in evaluate(model, other).items():
+        assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs
+    softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)
+    with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
+        explaining(softer, ALL, COLUMNS, FORCES, READABLE)
+
+
+def test_the_suited_feature():
+    assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
+    assert suited_feature(DATA, ALL, "plain", RESPONSE) == "root"
+    assert suited_feature(DATA, ALL, "skip", None) == "root"
+    shuffled = np.random.default_rng(0).permutation(DATA.force_n)
+    assert suited_feature(replace(DATA, force_n=shuffled), ALL, "skip", RESPONSE) == "root"

@@ -19,19 +19,13 @@ def test_errors_by_hand():
 
 
 @pytest.mark.parametrize("smallest", [0.0, 0.05, -0.1])
-def test_no_relative_error_near_zero_force(smallest):
-    """At or below a thousandth of full scale eq. 17 says nothing; the other two errors still do."""
+def test_what_means_nothing_is_none(smallest):
+    """At or below a thousandth of full scale eq. 17 says nothing; no force at all has no full scale."""
     errors = force_errors(np.array([1.0, 101.0]), np.array([smallest, 100.0]))
     assert errors.rel_err is None
     assert errors.rmse_n > 0
-
-
-def test_no_force_at_all_has_no_full_scale():
     errors = force_errors(np.ones(3), np.zeros(3))
     assert (errors.rel_err, errors.rmse_n, errors.full_scale_pct) == (None, 1.0, None)
-
-
-def test_shapes_must_agree():
     with pytest.raises(SampleError, match="give both alike"):
         force_errors(np.ones(3), np.ones((3, 1)))
 

@@ -1,4 +1,4 @@
-"""Samples that repeat each other, and pillars that do not follow their loads."""
+"""Samples that repeat each other, pillars that do not follow their loads, and scaling to [-1, 1] and back."""
 
 from dataclasses import replace
 
@@ -118,9 +118,26 @@ def test_forces_that_no_sensor_gives_are_named():
             pillar_columns(data.resistance_ohm, ALL)
 
 
-def test_a_range_too_small_to_be_divided_by_is_no_range():
-    scaling = Scaling.fitted(np.array([[0.0, 0.0], [1e-310, 2.0]]))
-    assert scaling.scale(np.array([[1.0, 1.0]])).tolist() == [[0.0, 0.0]]
+def test_range_becomes_minus_one_to_one_and_back():
+    values = np.random.default_rng(0).uniform([-5.0, 1e3, 1e-6], [5.0, 1e6, 3e-6], (50, 3))
+    scaling = Scaling.fitted(values)
+    scaled = scaling.scale(values)
+    np.testing.assert_allclose(scaled.min(axis=0), -1.0, rtol=1e-12)
+    np.testing.assert_allclose(scaled.max(axis=0), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(scaling.unscale(scaled), values, rtol=1e-12)
+
+
+@pytest.mark.parametrize("value", [0.0, 1e4, -3.7])
+@pytest.mark.parametrize("jitter", [0.0, 1e-16])
+def test_constant_column_becomes_zero_and_comes_back(value, jitter):
+    """Rounding noise on a constant is not blown up to the full range."""
+    values = value * (1 + jitter * np.random.default_rng(0).standard_normal((20, 1)))
+    scaling = Scaling.fitted(values)
+    assert not scaling.scale(values).any()
+    np.testing.assert_allclose(scaling.unscale(np.full((1, 1), 5.0)), value, rtol=1e-14)
+
+    tiny = Scaling.fitted(np.array([[0.0, 0.0], [1e-310, 2.0]]))  # too small to be divided by
+    assert tiny.scale(np.array([[1.0, 1.0]])).tolist() == [[0.0, 0.0]]
 
 
 def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_cannot_take(monkeypatch):
@@ -145,5 +162,5 @@ def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_
     ):
         with pytest.raises(ArgumentError, match=r"^\w+ is of type \w+, expected \w+: [^\n]*\.$"):
             wrong()
-    with pytest.raises(DesignError, match="component='fw' is unknown"):
+    with pytest.raises(DesignError, match="component='fw' is unknown; choose one of fz, fx, fy, all"):
         train(data, "fw")

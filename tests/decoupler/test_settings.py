@@ -2,7 +2,7 @@
 
 import pytest
 
-from decoupler import NetworkConfig, TrainingConfig, component_named
+from decoupler import NetworkConfig, TrainingConfig
 from geometry import DesignError
 
 
@@ -31,8 +31,3 @@ def test_nonsense_is_refused_by_name(kind, settings, message):
 def test_each_trainer_has_its_own_patience():
     assert TrainingConfig(trainer="momentum").max_iterations > TrainingConfig(trainer="lm").max_iterations
     assert TrainingConfig(trainer="momentum", max_iterations=7).max_iterations == 7
-
-
-def test_unknown_component_is_refused():
-    with pytest.raises(DesignError, match="component='fw' is unknown; choose one of fz, fx, fy, all"):
-        component_named("fw")

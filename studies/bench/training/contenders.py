@@ -10,7 +10,7 @@ from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
 from decoupler.training.damping import FIRST_DAMPING
-from decoupler.training.levenberg_marquardt import GaussNewton
+from decoupler.training.levenberg_marquardt import GaussNewton, point_at
 from decoupler.training.network import TrainingSet
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
@@ -108,9 +108,10 @@ def step_difference(problem: Problem, samples: int = 50) -> float:
     model, x, t = scaled.model, scaled.x, scaled.t
     J = torch.from_numpy(peers.dense_jacobian(model, x.numpy()))
     with torch.no_grad():
-        structured = GaussNewton(TrainingSet(x, t, model.skip), model.hidden.detach(), model.output.detach())
-        damping = FIRST_DAMPING * structured.largest_diagonal()
-        step = structured.step(damping)
+        given = TrainingSet(x, t, model.skip)
+        structured = GaussNewton(given, point_at(given, model.hidden.detach(), model.output.detach()))
+        damping = FIRST_DAMPING * structured.scale
+        step = structured.direction(damping)
         assert step is not None  # the damping keeps the matrix from being singular
         ours = parameters_to_vector(step)
         matrix = J.T @ J
