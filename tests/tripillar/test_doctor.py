@@ -1,24 +1,21 @@
 """The doctor on a machine that is well, and on one that is not."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from fem.linear.linear_solver import SolverError
 from tests.docs.terminal import ROOT
+from tests.house import House
 from tripillar.doctor import known_answers, surroundings
 from tripillar.doctor.known_answers import KNOWN
 
 
 def ask(*words, folder, **environment):
-    command = [sys.executable, "-m", "tripillar", "doctor", "--json", "--quiet", *words]
-    return subprocess.run(
-        command, capture_output=True, text=True, cwd=folder, env=os.environ | environment, check=False
-    )
+    house = House(folder)
+    house.environment |= environment
+    return house.process("doctor", "--json", "--quiet", *words)
 
 
 def test_a_sound_machine_is_found_sound(tmp_path):
@@ -55,8 +52,8 @@ def test_a_wrong_answer_is_told(monkeypatch):
 
 def test_a_cache_that_cannot_be_written_is_wrong(tmp_path, monkeypatch):
     monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
-    assert surroundings.cache().state == "wrong"
-    assert "TRIPILLAR_CACHE" in surroundings.cache().advice
+    found = surroundings.cache()
+    assert (found.state, "TRIPILLAR_CACHE" in found.advice) == ("wrong", True)
 
 
 def test_a_port_without_permission_names_the_group(monkeypatch):

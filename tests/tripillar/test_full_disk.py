@@ -4,14 +4,15 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from io import StringIO
+from pathlib import Path
 
 import pytest
 
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import sensor
-from tests.house import SMALL
+from tests.house import SMALL, run_here
 from tests.tripillar.made_files import a_dataset, a_model
-from tripillar.cli.app import main
 from tripillar.pipeline import run as pipeline
 from tripillar.viewer import saving
 
@@ -88,15 +89,12 @@ def full(tmp_path):
         subprocess.run(["umount", str(folder)], check=True)
 
 
-def said_by(words, capsys, monkeypatch):
+def said_by(words):
     """Run a command that must fail; its one line."""
-    monkeypatch.setattr(sys, "argv", ["tripillar", *words])
-    with pytest.raises(SystemExit) as end:
-        main()
-    said = capsys.readouterr().err
-    assert end.value.code == 2, said
-    *others, last = said.splitlines()
-    assert all(" left" in other and "%" in other for other in others), said  # bars of progress
+    said = StringIO()
+    assert run_here(words, Path(), {}, StringIO(), said) == 2, said.getvalue()
+    *others, last = said.getvalue().splitlines()
+    assert all(" left" in other and "%" in other for other in others), said.getvalue()  # bars of progress
     return last
 
 
@@ -107,20 +105,20 @@ def few_frames(monkeypatch):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_full_disk_is_one_line(name, inputs, full, capsys, monkeypatch):
-    last = said_by([*COMMANDS[name], f"full/{name}"], capsys, monkeypatch)
+def test_a_full_disk_is_one_line(name, inputs, full):
+    last = said_by([*COMMANDS[name], f"full/{name}"])
     assert f"full/{name}" in last
     assert "disk is full" in last
     assert [path.name for path in full.iterdir()] == ["filler"]
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if not name.startswith("p.")])  # pictures take seconds
-def test_a_limit_on_the_size_of_files_is_one_line(name, inputs, capsys, monkeypatch):
+def test_a_limit_on_the_size_of_files_is_one_line(name, inputs):
     (inputs / "place").mkdir()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
     try:
-        last = said_by([*COMMANDS[name], f"place/{name}"], capsys, monkeypatch)
+        last = said_by([*COMMANDS[name], f"place/{name}"])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert f"place/{name}" in last
@@ -128,9 +126,9 @@ def test_a_limit_on_the_size_of_files_is_one_line(name, inputs, capsys, monkeypa
     assert list((inputs / "place").iterdir()) == []
 
 
-def test_a_mesh_that_cannot_be_kept_is_one_line(inputs, full, capsys, monkeypatch):
+def test_a_mesh_that_cannot_be_kept_is_one_line(inputs, full, monkeypatch):
     monkeypatch.setenv("TRIPILLAR_CACHE", "full")
-    last = said_by(["mesh", *DESIGN], capsys, monkeypatch)
+    last = said_by(["mesh", *DESIGN])
     assert last.startswith("tripillar: full/mesh-")
     assert "disk is full" in last
     assert [path.name for path in full.iterdir()] == ["filler"]

@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -180,7 +179,7 @@ def train(
             samples, component, net=net, hidden=hidden, trainer=trainer, feature=feature, seed=seed, design=stated,
             force=force, goal_mse=goal, max_iterations=iterations, caller=caller(data, bars),
         )  # fmt: skip
-        seconds = perf_counter() - bars.begun_s
+        seconds = bars.seconds()
     write_model(model, out)
     iterations, mse, reason = (model.made_from["outcome"][name] for name in ("iterations", "mse", "reason"))
     result = {

@@ -14,14 +14,15 @@ import numpy as np
 from dataset import Imperfections, Samples
 from decoupler.data.columns import COMPONENTS, Component
 from decoupler.evaluation.assessment import light_touches
-from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
+from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
+from decoupler.training.fine_tuning import fine_tune
 from fem.array.response import ArrayResponse
 from geometry.layout import AXES, FloatArray
-from tripillar.pipeline.manufactured import READ, SPECIMEN, errors_as_made
+from tripillar.pipeline.manufactured import PAIRS, PAIRS_SEED, READ, SPECIMEN, TEST_SEED, measured_on
 from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
 
 PAPER_CAP = 0.3  #: largest strain of the paper's data that ours are compared with
@@ -98,7 +99,14 @@ def compare(
     )
     forward = ForwardModel.of(response, component)
     at_rest = {label: light_touches(model, forward, 0.0, None)[name].at_rest_rmse_n for label, model in models.items()}
-    made = errors_as_made(models, truth, response, protocol, len(test.force_n))
+    made, pairs = (
+        measured_on(truth, response.design, protocol, samples, seed)
+        for samples, seed in ((len(test), TEST_SEED), (PAIRS, PAIRS_SEED))
+    )
+    tuned = {label: fine_tune(model, pairs, response) for label, model in models.items()}
+    as_made, as_made_tuned = (
+        {label: evaluate(model, made)[name] for label, model in either.items()} for either in (models, tuned)
+    )
     return Comparison(
         protocol=protocol,
         component=name,
@@ -112,8 +120,8 @@ def compare(
                 errors=errors[label],
                 as_read=as_read[label],
                 at_rest_n=at_rest.get(label),
-                as_made=made[label].untuned[name] if label in made else None,
-                as_made_tuned=made[label].tuned[name] if label in made else None,
+                as_made=as_made.get(label),
+                as_made_tuned=as_made_tuned.get(label),
                 made_from=models[label].made_from if label in models else {},
             )
             for label in decouplers
@@ -121,7 +129,7 @@ def compare(
         touches=touches(
             {LINEAR: least_squares.forces} | {label: models[label].forces for label in (paper, ours)},
             models[ours],
-            made[ours].tuned_model,
+            tuned[ours],
             response,
             truth,
         ),

@@ -4,12 +4,9 @@ Test data of the response that a network starts from test only the arithmetic: w
 response is exact. Here geometry, rubber, readings and the solver's tolerance all differ.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dataset import DatasetSettings, Imperfections, Samples, simulate
-from decoupler import Decoupler, fine_tune
-from decoupler.evaluation.metrics import ForceErrors, evaluate
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign
@@ -20,16 +17,7 @@ SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.
 READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: noise and converter alone, for the sensor as designed
 AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
 PAIRS = 10  #: measured samples that a model is fine-tuned on
-SEEDS = {"test": 2, "pairs": 3}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Manufactured:
-    """Errors of one model on the sensor as made."""
-
-    untuned: dict[str, ForceErrors]  #: as trained on the sensor as designed
-    tuned: dict[str, ForceErrors]  #: after `PAIRS` measured pairs
-    tuned_model: Decoupler
+TEST_SEED, PAIRS_SEED = 2, 3
 
 
 def as_made(design: SensorDesign) -> SensorDesign:
@@ -51,18 +39,3 @@ def measured_on(truth: ArrayResponse, design: SensorDesign, protocol: str, sampl
     """Samples of the sensor as made under the loads of a protocol; they state the design that was intended."""
     made = simulate(truth, DatasetSettings(protocol=protocol, samples=samples, seed=seed, **vars(SPECIMEN)))
     return replace(made.labels(), design=design, made_from={})
-
-
-def errors_as_made(
-    models: Mapping[str, Decoupler], truth: ArrayResponse, response: ArrayResponse, protocol: str, samples: int
-) -> dict[str, Manufactured]:
-    """Errors of models of the sensor as designed on the sensor as made, before and after fine-tuning."""
-    test, pairs = (
-        measured_on(truth, response.design, protocol, n, SEEDS[split])
-        for split, n in (("test", samples), ("pairs", PAIRS))
-    )
-    tuned = {name: fine_tune(model, pairs, response) for name, model in models.items()}
-    return {
-        name: Manufactured(untuned=evaluate(model, test), tuned=evaluate(tuned[name], test), tuned_model=tuned[name])
-        for name, model in models.items()
-    }

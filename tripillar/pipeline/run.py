@@ -7,7 +7,6 @@ says so, if its files hold the wanted key.
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -115,7 +114,6 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
 
 def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     """Write the design, and STEP and STL of the sensor's parts and its mould."""
-    start = perf_counter()
     advance = bars.begin("CAD", total=1)
     made = folder / "made.json"
     cache_key = digest("cad", CAD_METHOD, design.unit, design.array)
@@ -130,7 +128,7 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     description = folder / "design.toml"
     write_text(design_to_toml(design), description)
     advance(1, "reused" if reused else f"{len(files)} files")
-    return Stage(name="CAD", seconds=perf_counter() - start, reused=reused, files=(description, *files))
+    return Stage(name="CAD", seconds=bars.seconds(), reused=reused, files=(description, *files))
 
 
 def _intact_files(made: Path, cache_key: str) -> list[Path]:
@@ -154,7 +152,6 @@ def _file_hash(path: Path) -> str:
 
 def meshed(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh the sensor and judge the mesh."""
-    start = perf_counter()
     advance = bars.begin("mesh", total=1)
     mesh, path, reused = sensor_mesh(design, suited_settings(design), needed=True)
     shape = mesh_quality(mesh)
@@ -163,23 +160,21 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
         f"{shape.mean_scaled_jacobian:.2f} in the mean, dihedral angles from {shape.smallest_dihedral_deg:.0f}°"
     )
     advance(1, "reused" if reused else note)
-    return Stage(name="mesh", seconds=perf_counter() - start, reused=reused, files=(path,), note=note)
+    return Stage(name="mesh", seconds=bars.seconds(), reused=reused, files=(path,), note=note)
 
 
 def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
     """Solve for the array's response. The array itself is never meshed."""
-    start = perf_counter()
     advance = bars.begin("response", total=1)
     response, path, reused = array_response(design, settings, lambda step: advance(0, step))
     note = response_note(response)
     advance(1, "reused" if reused else note)
     kept = (path,) if path.exists() else ()
-    return Stage(name="response", seconds=perf_counter() - start, reused=reused, files=kept, note=note), response
+    return Stage(name="response", seconds=bars.seconds(), reused=reused, files=kept, note=note), response
 
 
 def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh one unit by pytetwild, solve it by scikit-fem, and say how far the response's cell is from it."""
-    start = perf_counter()
     advance = bars.begin("unit", total=1)
     files: tuple[Path, ...] = ()
     try:
@@ -192,7 +187,7 @@ def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
     except GeometryError as error:  # grids of boxes solve what is too thin to be meshed
         note, reused = f"not compared with tetrahedra: {error}", False
     advance(1, note)
-    return Stage(name="unit", seconds=perf_counter() - start, reused=reused, files=files, note=note)
+    return Stage(name="unit", seconds=bars.seconds(), reused=reused, files=files, note=note)
 
 
 def response_note(response: ArrayResponse) -> str:
@@ -206,7 +201,6 @@ def response_note(response: ArrayResponse) -> str:
 
 def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
     """Simulate the training and the test samples of every studied protocol."""
-    start = perf_counter()
     advance = bars.begin("datasets", total=len(STUDIED) * sum(samples for samples, _ in SPLITS.values()))
     files, reused, made = [], True, 0
     for protocol in STUDIED:
@@ -220,12 +214,11 @@ def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
                 reused, made = False, made + samples
             files.append(path)
     note = "" if reused else f"{made} samples"
-    return Stage(name="datasets", seconds=perf_counter() - start, reused=reused, files=tuple(files), note=note)
+    return Stage(name="datasets", seconds=bars.seconds(), reused=reused, files=tuple(files), note=note)
 
 
 def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stage, dict[str, dict[str, Decoupler]]]:
     """Train every network of the table on every studied protocol."""
-    start = perf_counter()
     models: dict[str, dict[str, Decoupler]] = {}
     files, all_reused = [], True
     advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
@@ -240,7 +233,7 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
             models[protocol][name] = model
             files.append(path)
             advance(1, "reused" if reused else "")
-    stage = Stage(name="networks", seconds=perf_counter() - start, reused=all_reused, files=tuple(files))
+    stage = Stage(name="networks", seconds=bars.seconds(), reused=all_reused, files=tuple(files))
     return stage, models
 
 

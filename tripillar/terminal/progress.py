@@ -30,7 +30,7 @@ class Bars:
     def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
         self._console = Console(stderr=True, quiet=quiet)
         self._verbose = verbose
-        self._start_s = self.begun_s = perf_counter()  # the second: of the stage that began last
+        self._start_s = self._begun_s = perf_counter()
         self._progress = Progress(
             SpinnerColumn(finished_text="✓"),
             TextColumn("{task.description:24}"),
@@ -59,7 +59,7 @@ class Bars:
     def begin(self, stage: str, total: float) -> Advance:
         """Open the bar of a stage; the function it gives moves it."""
         task = self._progress.add_task(stage, total=total, note="")
-        self.begun_s = perf_counter()
+        self._begun_s = perf_counter()
 
         def advance(amount: float, note: str = "") -> None:
             self._progress.update(task, advance=amount, note=note)
@@ -67,6 +67,10 @@ class Bars:
                 self.say(f"{perf_counter() - self._start_s:7.2f} s  {stage}: {note}")
 
         return advance
+
+    def seconds(self) -> float:
+        """Time since the last stage began [s]."""
+        return perf_counter() - self._begun_s
 
     def say(self, line: str) -> None:
         """Print a line above the bars."""
