@@ -86,7 +86,9 @@ def factored(request, mixed):
     kind, solver = request.param
     is_definite = kind != "quasi-definite"
     matrix, exact = elastic_system((3, 3, 2), float(kind[2:])) if is_definite else mixed
-    return matrix, exact, factorized(matrix, installed(solver), definite=is_definite)
+    factor = factorized(matrix, installed(solver), definite=is_definite)
+    assert factor.solver == solver
+    return matrix, exact, factor
 
 
 def test_every_system_is_solved_to_rounding(factored):
