@@ -55,17 +55,17 @@ def ended_by(number, house, n_rows):
             command, cwd=house.folder, env=house.environment, stderr=subprocess.PIPE, text=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it
         ) as process:  # fmt: skip
-            while len(kept := sorted(rows.glob("[!.]*.json"))) < n_rows and process.poll() is None:
+            while len(list(rows.glob("[!.]*.json"))) < n_rows and process.poll() is None:
                 time.sleep(0.02)
             process.send_signal(signal.SIGSTOP)
-            workers = psutil.Process(process.pid).children(recursive=True)
-            is_at_work = n_rows <= len(kept := sorted(rows.glob("[!.]*.json"))) < 6
+            workers = [] if process.poll() is not None else psutil.Process(process.pid).children(recursive=True)
+            is_at_work = n_rows <= len(list(rows.glob("[!.]*.json"))) < 6
             process.send_signal(number if is_at_work else signal.SIGKILL)
             process.send_signal(signal.SIGCONT)
             said = process.communicate(timeout=60)[1]
         assert not psutil.wait_procs(workers, timeout=60)[1]
         if is_at_work:
-            return process.returncode, said, kept
+            return process.returncode, said, sorted(rows.glob("[!.]*.json"))
         shutil.rmtree(house.folder / "cache")
         shutil.rmtree(house.folder / "out")
     raise AssertionError("the sweep is never seen at work")
