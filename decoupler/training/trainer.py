@@ -210,9 +210,19 @@ def _light_samples_too(
     the sensor's own response only noise is left, and the ridge takes it for nothing. With another's, gains and offsets
     fitted under load make up for it there and not at rest; the linear part puts rest right.
     """
+    assert untrained.inverse is not None
+    assert untrained.calibration is not None
+    generator = np.random.default_rng(0)
+    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
+    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
+    low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
+    all_n = np.concatenate([force_n, touched * TOUCH * generator.uniform(low, high, (n, n_forces))])
+    modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(all_n))
+    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM)), [len(force_n)])  # √Ω
+    A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
-    A, root = _with_one(untrained.output_scaling.scale(force_n)), np.sqrt(columns_ohm)
-    left = np.where(readable, root - _modelled_root(untrained, force_n), 0.0)
+    root = np.sqrt(columns_ohm)
+    left = np.where(readable, root - modelled, 0.0)
     G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
     left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
@@ -220,26 +230,8 @@ def _light_samples_too(
     excess = (left_out**2 - by_noise)[:, readable].mean(axis=0)
     if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
         return columns_ohm, force_n, 0
-    generator = np.random.default_rng(0)
-    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
-    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
-    low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
-    light_n = touched * TOUCH * generator.uniform(low, high, (n, n_forces))
-    light_root = _modelled_root(untrained, light_n) + _with_one(untrained.output_scaling.scale(light_n)) @ linear
-    light_ohm = measured(light_root**2, data.noise, data.bits, generator)
-    return np.concatenate([columns_ohm, light_ohm]), np.concatenate([force_n, light_n]), n
-
-
-def _modelled_root(untrained: Decoupler, force_n: FloatArray) -> FloatArray:
-    """√R that response and calibration give for forces (n, n_out) [N], shape (n, n_in) [√Ω]."""
-    assert untrained.inverse is not None
-    assert untrained.calibration is not None
-    modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(force_n))
-    return np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM))
-
-
-def _with_one(values: FloatArray) -> FloatArray:
-    return np.hstack([values, np.ones((len(values), 1))])
+    light_ohm = measured((light + A_light @ linear) ** 2, data.noise, data.bits, generator)
+    return np.concatenate([columns_ohm, light_ohm]), all_n, n
 
 
 @contextmanager
