@@ -11,6 +11,7 @@ from fem.scene.scene_file import scene_from_toml
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page import numbers
+from tripillar.viewer.page.sensing import Reading
 from tripillar.viewer.sights import panels_of
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(size_mm=11.0))
@@ -51,7 +52,11 @@ def test_tables_and_samples_pair_forces_with_readings():
 def test_a_line_of_the_csv_is_a_unit_and_what_is_unknown_is_empty():
     ohm = np.array([[[1e4, 1.4e4, 1.5e4], [9e3, 1.3e4, 1.2e4]]])
     force = np.arange(6.0).reshape(1, 2, 3)
-    written = numbers.csv_of(DESIGN, TRACTION, ohm, np.full_like(force, np.nan), force)
+    unknown = np.full_like(force, np.nan)
+    reading = Reading(
+        traction_mpa=TRACTION, applied_n=unknown, resistance_ohm=ohm, change=unknown, force_n=force, strain=unknown
+    )
+    written = numbers.csv_of(DESIGN, reading)
     lines = list(csv.DictReader(io.StringIO(written)))
     assert [(line["row"], line["col"]) for line in lines] == [("0", "0"), ("0", "1")]
     assert [float(line["x_mm"]) for line in lines] == unit_centres(DESIGN)[:, 0].tolist()

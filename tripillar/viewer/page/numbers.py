@@ -34,23 +34,11 @@ kind = "array"
 """
 
 
-def beside_picture(
-    tab: str, unit: int, traction_mpa: FloatArray, applied_n: FloatArray, reading: Reading, change: FloatArray
-) -> dict[str, Any]:
-    """The numbers beside the picture: those of the chosen tab, of the chosen unit, and of the whole array.
-
-    Parameters
-    ----------
-    tab, unit : str, int
-        The chosen ones.
-    traction_mpa : array, shape (n_units, 3)
-    applied_n, change : arrays, shape (rows, cols, 3)
-        Forces, NaN where unknown; relative change of the resistances from rest.
-    reading : Reading
-    """
-    cols = change.shape[1]
+def beside_picture(tab: str, unit: int, reading: Reading) -> dict[str, Any]:
+    """The numbers beside the picture: those of the chosen tab, of the chosen unit, and of the whole array."""
+    change, ohm, applied_n, force_n = reading.change, reading.resistance_ohm, reading.applied_n, reading.force_n
+    strain, cols = reading.strain, reading.strain.shape[1]
     row, col = divmod(unit, cols)
-    ohm, force_n, strain = reading.resistance_ohm, reading.force_n, reading.strain
     if tab == "table":
         of_tab: dict[str, Any] = {"rows": table_rows(ohm, applied_n, force_n)}
     elif tab == "time":
@@ -74,7 +62,7 @@ def beside_picture(
     return of_tab | {
         "unit_pillars": [[name, *texts(line, (3, 2, 1))] for name, line in zip(PILLARS, of_pillars, strict=True)],
         "unit_forces": [[f"F{name}", *texts(line, (1, 1, 2))] for name, line in zip(AXES, of_forces, strict=True)],
-        "pads": pad_cells(traction_mpa, cols, MAX_PRESSURE_MPA),
+        "pads": pad_cells(reading.traction_mpa, cols, MAX_PRESSURE_MPA),
         "unit_name": f"row {row}, col {col}",
         "strain": text(100.0 * worst, 1),
         "strain_share": min(worst / CAP, 1.0) * 100.0,
@@ -155,26 +143,14 @@ def colour(share: float) -> str:
     return f"rgba({red},{green},{blue},{min(abs(share), 1.0):.3f})"
 
 
-def csv_of(
-    design: SensorDesign,
-    traction_mpa: FloatArray,
-    resistance_ohm: FloatArray,
-    applied_n: FloatArray,
-    force_n: FloatArray,
-) -> str:
+def csv_of(design: SensorDesign, reading: Reading) -> str:
     """A CSV file with a line a unit: its place, its load, its resistances and the forces decoupled from them.
 
-    Parameters
-    ----------
-    design : SensorDesign
-    traction_mpa : array, shape (n_units, 3)
-        z negative pushing down.
-    resistance_ohm, applied_n, force_n : arrays, shape (rows, cols, 3)
-        Of the pillars z, x, y; along x, y, z, Fz positive in compression. What is not known, NaN, is left empty.
+    An unknown value, NaN, is left empty.
     """
-    by_unit = [part.reshape(-1, 3) for part in (resistance_ohm, applied_n, force_n)]
+    by_unit = [part.reshape(-1, 3) for part in (reading.resistance_ohm, reading.applied_n, reading.force_n)]
     places = np.divmod(np.arange(design.n_units), design.array.cols)
-    values = np.column_stack([*places, unit_centres(design), traction_mpa, *by_unit])
+    values = np.column_stack([*places, unit_centres(design), reading.traction_mpa, *by_unit])
     written, formats = io.StringIO(), ["%d", "%d", *["%.7g"] * (len(CSV_COLUMNS) - 2)]
     np.savetxt(written, values, formats, delimiter=",", header=",".join(CSV_COLUMNS), comments="")
     return written.getvalue().replace("nan", "")

@@ -2,14 +2,12 @@
 
 import asyncio
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dataset.protocols import FRICTION
-from dataset.resistance import rest_resistances
-from dataset.simulation import forces
 from fem.fields.array_field import indenter_tractions
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
@@ -29,7 +27,7 @@ from tripillar.viewer.page.controls import (
 )
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Superposition
-from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel, by_unit, tractions
+from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
@@ -61,7 +59,6 @@ class Page:
 
     def __init__(self, subject: Subject) -> None:
         self._subject, self._design = subject, subject.design
-        self._rest_ohm = rest_resistances(self._design)
         self._traction = np.zeros((self._design.n_units, 3))
         self._reading: Reading | None = None  # as it is shown
         self._generator = np.random.default_rng(0)
@@ -146,9 +143,7 @@ class Page:
             raise ControlError(f"there is no file {shortened(kind)}.")
         if kind == "scene":
             return {"name": "scene.toml", "text": numbers.scene_of(self._design, self._traction, self.controls["pad"])}
-        reading = self._reading
-        text = numbers.csv_of(self._design, self._traction, reading.resistance_ohm, self._applied_n(), reading.force_n)
-        return {"name": "tripillar.csv", "text": text}
+        return {"name": "tripillar.csv", "text": numbers.csv_of(self._design, self._reading)}
 
     # what the browser shows
 
@@ -162,20 +157,14 @@ class Page:
             reading = self._reading = self._loaded()
         except TriPillarError as error:
             return {"trouble": str(error)}
-        change = reading.resistance_ohm / self._rest_ohm - 1.0
-        controls = self.controls
-        legend = self.scene.show(
-            self._traction, change.reshape(-1, 3), controls["colour"], controls["scale"], controls["pad"],
-            controls["dark"],
-        )  # fmt: skip
+        self._traction, controls = reading.traction_mpa, self.controls
+        shown = (controls[name] for name in ("colour", "scale", "pad", "dark"))
+        legend = self.scene.show(self._traction, reading.change.reshape(-1, 3), *shown)
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
         feed = self._subject.feed
         heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
-        shown_numbers = numbers.beside_picture(
-            controls["tab"], controls["pad"], self._traction, self._applied_n(), reading, change
-        )
-        return shown_numbers | heard | {
+        return numbers.beside_picture(controls["tab"], controls["pad"], reading) | heard | {
             "trouble": "" if feed is None else feed.trouble,
             "legend": [numbers.legend(bar) for bar in (legend, PADS_BAR)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
@@ -187,14 +176,13 @@ class Page:
         """Load the array as the controls or the sensor say, and read it."""
         controls, sensor, feed = self.controls, self._subject.sensor, self._subject.feed
         if controls["source"] == "sensor" and feed is not None and feed.scan is not None:
-            scan = feed.scan
-            self._traction = tractions(scan.force_n, self._design)
-            _, strain = sensor.strains(self._traction)
-            return Reading(resistance_ohm=scan.resistance_ohm, force_n=scan.force_n, strain=strain)
+            return sensor.follow(feed.scan)
         if controls["source"] == "indenter":
             at_middle, centre = self._held("peak", "drag", "drag_angle"), (controls["at_x"], controls["at_y"])
             self._traction = indenter_tractions(self._design, at_middle, centre, controls["width"])
-        return sensor.read(self._traction, controls["noise"], self._generator)
+        reading = sensor.read(self._traction, controls["noise"], self._generator)
+        unknown = np.full_like(reading.applied_n, np.nan)
+        return replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
 
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""
@@ -207,8 +195,3 @@ class Page:
         pressure, shear, angle = sliders_of(self._traction[self.controls["pad"]])
         values = round(pressure, 2), round(shear, 2), float(round(angle))
         self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
-
-    def _applied_n(self) -> FloatArray:
-        """Forces on the pads, (rows, cols, 3) [N]; NaN for a sensor, of which they are unknown."""
-        applied_n = by_unit(forces(self._traction, self._design), self._design)
-        return np.full_like(applied_n, np.nan) if self.controls["source"] == "sensor" else applied_n

@@ -13,7 +13,7 @@ import numpy as np
 
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances, pillar_strains
+from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances, pillar_strains, rest_resistances
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
@@ -36,9 +36,12 @@ Decouple = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """Resistances, decoupled forces and strains of the array at one moment."""
+    """The array at one moment: its loads, its resistances, and the forces decoupled from these."""
 
+    traction_mpa: FloatArray  #: (n_units, 3): on the pads, z negative pushing down
+    applied_n: FloatArray  #: (rows, cols, 3): forces on the pads, Fz positive in compression; NaN where unknown
     resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y
+    change: FloatArray  #: (rows, cols, 3): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
     strain: FloatArray  #: (rows, cols, 3): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
 
@@ -50,21 +53,36 @@ class SensorModel:
     response: ArrayResponse
     decouple: Decouple
 
-    def strains(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lengths [mm] and strains of all pillars, each (rows, cols, 3), under tractions (n_units, 3) [MPa]."""
+    def read(self, traction_mpa: FloatArray, noise: float, generator: np.random.Generator) -> Reading:
+        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
+        design = self.response.design
+        lengths_mm, strain = self._deformed(traction_mpa)
+        exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+        ohm = measured(exact_ohm, noise, None, generator)
+        applied_n = by_unit(forces(traction_mpa, design), design)
+        return self._reading(traction_mpa, applied_n, ohm, self.decouple(ohm), strain)
+
+    def follow(self, scan: ScanForces) -> Reading:
+        """Reading of a sensor's scan; strains are those under the forces found, since nobody knows what acts."""
+        traction_mpa = tractions(scan.force_n, self.response.design)
+        _, strain = self._deformed(traction_mpa)
+        return self._reading(traction_mpa, np.full_like(strain, np.nan), scan.resistance_ohm, scan.force_n, strain)
+
+    def _deformed(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lengths [mm] and strains of all pillars, each (rows, cols, 3)."""
         design = self.response.design
         moved_mm = displacements(self.response, traction_mpa[None])[0]
         lengths_mm = pillar_lengths(moved_mm, design.unit)
         strains = pillar_strains(moved_mm, lengths_mm, design.unit)
         return by_unit(lengths_mm, design), by_unit(strains, design)
 
-    def read(self, traction_mpa: FloatArray, noise: float, generator: np.random.Generator) -> Reading:
-        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
-        design = self.response.design
-        lengths_mm, strain = self.strains(traction_mpa)
-        exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-        resistance_ohm = measured(exact_ohm, noise, None, generator)
-        return Reading(resistance_ohm=resistance_ohm, force_n=self.decouple(resistance_ohm), strain=strain)
+    def _reading(
+        self, traction: FloatArray, applied_n: FloatArray, ohm: FloatArray, force_n: FloatArray, strain: FloatArray
+    ) -> Reading:
+        return Reading(
+            traction_mpa=traction, applied_n=applied_n, resistance_ohm=ohm, force_n=force_n, strain=strain,
+            change=ohm / rest_resistances(self.response.design) - 1.0,
+        )  # fmt: skip
 
 
 def net_forces(model: Decoupler) -> Decouple:
