@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import brentq
 from skfem import ElementTetP2, FacetBasis, LinearForm, MeshTet
 from threadpoolctl import threadpool_limits
 
@@ -162,13 +163,8 @@ def flattened(smallest_deg: float) -> tuple[MeshTet, float]:
         cells = TetMesh(points.T, mesh.t.T.astype(np.int32), np.zeros(mesh.nelements, dtype=np.int32))
         return mesh_quality(cells).smallest_dihedral_deg
 
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if angle(middle) > smallest_deg else (low, middle)
-        if angle(low) <= 1.01 * smallest_deg:
-            break
-    return MeshTet(mesh.p + low * push, mesh.t), angle(low)
+    share = brentq(lambda share: angle(share) - 1.005 * smallest_deg, 0.0, 1.0)
+    return MeshTet(mesh.p + share * push, mesh.t), angle(share)
 
 
 def signed_volumes(points: FloatArray, cells: FloatArray) -> FloatArray:

@@ -72,7 +72,7 @@ def samples(
     return measured_again(simulate(small_response(rows), settings), faults, seed).labels()
 
 
-#: an input that says nothing new, by the name of its trial; collinear: a root is the mean of two others'
+#: an input without information, by the name of its trial; collinear: its root is the mean of two others'
 DEGENERATE: dict[str, Callable[[FloatArray], FloatArray | float]] = {
     "constant": lambda ohm: 1e4,
     "duplicated": lambda ohm: ohm[:, 0, 1, 0],
@@ -131,7 +131,7 @@ def difference(one: FloatArray, other: FloatArray) -> float:
 
 
 def degenerate(kind: Kind, name: str) -> Judged:
-    """An input that says nothing new: the net still fits as well as a linear map. The momentum rule, slow, beats 1."""
+    """An input without information: the net fits as well as a linear map, the slow momentum rule as the mean force."""
     resistance_ohm = samples().resistance_ohm.copy()
     resistance_ohm[:, 0, 0, 0] = DEGENERATE[name](resistance_ohm)
     data = replace(samples(), resistance_ohm=resistance_ohm)
@@ -273,10 +273,10 @@ def dead_wire(kind: Kind) -> Judged:
 
 
 def joint(pad_mm: float, dead_cols: tuple[int, ...] = ()) -> Judged:
-    """A joint net that starts from the response of a sensor with some pad, on new samples, against a linear map.
+    """A joint net that starts from the response of a sensor with some pad, against a linear map on new samples.
 
-    A net that starts from another pad's response mends it, or is refused. A tenth of the samples that judge both is
-    rest, as of those that teach such a net; where pillars are dead, knowing of rest costs it a little under load.
+    The samples are of a pad of 12 mm: a net that starts from another response corrects it, or is refused. A tenth of
+    the new samples is at rest, as in the net's training; with dead pillars a net that knows rest errs more under load.
     """
     response = small_response(pad_mm=pad_mm)
     network = NetworkConfig(hidden=HIDDEN, feature="inverse")

@@ -50,7 +50,7 @@ class ErrorRow:
     force: str
     error_pct: float
     limit_pct: float | None = None  #: Cramér-Rao
-    bayes_pct: float | None = None  #: knowing the usual loads
+    bayes_pct: float | None = None  #: Bayes, which knows the usual loads
     coverage: tuple[float, float] | None = None  #: shares of errors within the 68 % and the 95 % deviation
     error_range_pct: tuple[float, float] | None = None  #: over the draws of pairs
 
@@ -105,7 +105,7 @@ class Trained:
 
     model: Decoupler
     assessed: dict[str, Assessment]
-    bayes_n: FloatArray  #: (rows, cols, 3): least error of every unit for who knows the usual loads [N]
+    bayes_n: FloatArray  #: (rows, cols, 3): Bayes limit of every unit [N]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +205,7 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[ErrorRow]:
 
 
 def fine_tuned(sensor: LoadedSensor, sizes: Sizes, net: Feature, designed: Trained) -> list[ErrorRow]:
-    """Errors on a specimen whose pillars differ, of a model of the sensor as designed, tuned on ever more pairs.
+    """Errors on a specimen with other pillars: of a model of the sensor as designed, fine-tuned on ever more pairs.
 
     The limits are those of the sensor as designed: to relative noise a known gain makes no difference.
     """
@@ -228,7 +228,7 @@ def fine_tuned(sensor: LoadedSensor, sizes: Sizes, net: Feature, designed: Train
 def with_dead(
     sensor: LoadedSensor, case: str, faults: Imperfections, net: Feature, found: Trained, healthy: Decoupler
 ) -> tuple[list[ErrorRow], Named]:
-    """Errors of the units that lost a pillar and of the others, and which outputs the model names."""
+    """Errors of the units that lost a pillar and of the others; the outputs that the model calls untrusted."""
     test = sensor.measured(faults, "test")
     assert test.dead is not None
     now = unit_rmse(found.model, test)
@@ -260,7 +260,7 @@ def unit_rmse(model: Decoupler, data: Samples) -> FloatArray:
 
 
 def unit_bayes(response: ArrayResponse, data: Samples, usual_n: FloatArray) -> FloatArray:
-    """Least error of every unit for who knows the usual loads (n, rows, cols, 3) [N], (rows, cols, 3) [N]."""
+    """Bayes limit of every unit, which knows the usual loads (n, rows, cols, 3) [N]; shape (rows, cols, 3) [N]."""
     parts = component_named("all")
     forward = ForwardModel.of(response, parts)
     force_n = force_columns(data.force_n, parts)[:LIMIT_SAMPLES]

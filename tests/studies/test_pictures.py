@@ -23,17 +23,14 @@ def volume_of(faces):
     return sum(abs(np.linalg.det(triangle - centre)) / 6 for triangle in triangles)
 
 
-def test_drawn_pillars_are_those_of_the_design():
+def test_the_drawings_are_written_and_their_pillars_are_those_of_the_design(tmp_path):
     """Their volumes are S·l, though they are drawn from horizontal sections."""
-    unit = SensorDesign().unit
-    drawn = [volume_of(prism_faces(*one)) for one in zip(pillar_ends(unit), pillar_sections(unit), strict=True)]
-    assert drawn == pytest.approx(pillar_volumes(unit))
-
-
-def test_the_drawings_are_written(tmp_path):
     draw(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"build.png", "protocols.png"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in tmp_path.iterdir())
+    unit = SensorDesign().unit
+    drawn = [volume_of(prism_faces(*one)) for one in zip(pillar_ends(unit), pillar_sections(unit), strict=True)]
+    assert drawn == pytest.approx(pillar_volumes(unit))
 
 
 def test_the_readme_s_moving_picture_moves_and_is_small():

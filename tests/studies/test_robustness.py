@@ -13,45 +13,34 @@ from decoupler.inverse.limits import bayes, cramer_rao
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
+from studies.robustness import study
 from studies.robustness.__main__ import numbers, robustness_table, write
-from studies.robustness.study import (
-    BITS,
-    NETS,
-    NOISES,
-    ErrorRow,
-    Named,
-    Sizes,
-    dead_cases,
-    sensor_under_load,
-    study_sensors,
-)
-from studies.robustness.study import unit_bayes as limits_of_units
 from tests.studies.one_process import one_after_another
 
-SIZES = Sizes(train=300, test=100, draws=2, pairs=(0, 1, 20))
+SIZES = study.Sizes(train=300, test=100, draws=2, pairs=(0, 1, 20))
 
 
 @pytest.fixture(scope="module")
 def sensor():
     """2 × 2 units, their response in closed form."""
     design = replace(SensorDesign(), array=Array(rows=2, cols=2))
-    return sensor_under_load(solve_response(design, ResponseSettings(method="layer")), SIZES)
+    return study.sensor_under_load(solve_response(design, ResponseSettings(method="layer")), SIZES)
 
 
 @pytest.fixture(scope="module")
 def found(sensor):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("studies.robustness.study.in_parallel", one_after_another)
-        return study_sensors(sensor, SIZES)
+        return study.study_sensors(sensor, SIZES)
 
 
-def chosen(found, **labels) -> list[ErrorRow]:
+def chosen(found, **labels) -> list[study.ErrorRow]:
     return [row for row in found.rows if all(getattr(row, name) == value for name, value in labels.items())]
 
 
 def test_every_case_has_a_row_for_every_net_and_force(found):
-    cases = len(NOISES) + len(BITS) + len(SIZES.pairs) + 2 * len(dead_cases(2, 2))
-    assert len(found.rows) == cases * len(NETS) * 3
+    cases = len(study.NOISES) + len(study.BITS) + len(SIZES.pairs) + 2 * len(study.dead_cases(2, 2))
+    assert len(found.rows) == cases * len(study.NETS) * 3
     assert len({(row.part, row.case, row.net, row.force) for row in found.rows}) == len(found.rows)
 
 
@@ -77,24 +66,21 @@ def test_models_name_what_dead_pillars_and_wires_hurt_and_nothing_else(found):
             assert one.named[1, 1, axis]
         elif one.net == "inverse":
             assert one.counts["hits"] >= 4  # those of the two units that lost pillars, along two axes
+    for fault, pillars in {"dead row wire": "zx", "dead column wire": "zy"}.items():
+        lost = np.argwhere(study.dead_cases(6, 6)[fault].dead_mask(6, 6))  # those that hang on the wire
+        assert {PILLARS[pillar] for _, _, pillar in lost} == set(pillars)
+        assert set(lost[:, 0 if "row" in fault else 1]) == {3}
+        assert len(lost) == 12
     rise = np.array([[[5.0, 5.0, 1.0]]])
-    one = Named(case="", net="", rise=rise, named=np.array([[[True, False, True]]]))
+    one = study.Named(case="", net="", rise=rise, named=np.array([[[True, False, True]]]))
     assert one.counts == {"hits": 1, "misses": 1, "false alarms": 1}
-
-
-@pytest.mark.parametrize(("fault", "pillars"), [("dead row wire", "zx"), ("dead column wire", "zy")])
-def test_a_dead_wire_takes_the_pillars_that_hang_on_it(fault, pillars):
-    lost = np.argwhere(dead_cases(6, 6)[fault].dead_mask(6, 6))
-    assert {PILLARS[pillar] for _, _, pillar in lost} == set(pillars)
-    assert set(lost[:, 0 if "row" in fault else 1]) == {3}
-    assert len(lost) == 12
 
 
 def test_limits_of_units_add_up_to_those_of_the_array(sensor):
     data = sensor.measured(Imperfections(noise=0.01), "test")
     parts = component_named("all")
     usual_n = sensor.loads["train"].force_n
-    by_unit = limits_of_units(sensor.response, data, usual_n)
+    by_unit = study.unit_bayes(sensor.response, data, usual_n)
     forward, forces = ForwardModel.of(sensor.response, parts), force_columns(data.force_n, parts)
     whole = bayes(forward, forces, 0.01, None, None, force_columns(usual_n, parts))
     np.testing.assert_allclose((by_unit**2).mean(), (whole**2).mean(), rtol=1e-12)  # the same sums in another order
@@ -121,6 +107,6 @@ def test_table_json_and_pictures_are_written(found, tmp_path):
     pictures = sorted(path.name for path in tmp_path.glob("*.png"))
     assert pictures == [f"robustness-{name}.png" for name in ("dead-inverse", "dead-root", "pairs", "readings")]
     assert robustness_table(found).row_count == len(found.rows)
-    row = ErrorRow(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
+    row = study.ErrorRow(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
     assert numbers(row)[3] == "1.20 > 1.15"  # beyond the bar of the net that is to meet it
     assert numbers(replace(row, net="root"))[3] == "1.20"

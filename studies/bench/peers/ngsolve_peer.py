@@ -1,4 +1,4 @@
-"""NGSolve as one who knows it would use it: netgen's graded or hp-refined meshes, orders 2 to 6, its own solver.
+"""NGSolve as an expert would use it: netgen's graded or hp-refined meshes, orders 2 to 6, its own solver.
 
 Patch outlines and inclusions are glued into the body, so that the mesh conforms to them and is refined there: either by
 local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra. The same

@@ -1,4 +1,4 @@
-"""Other optimisers on the same network, full batch, each set as one who knows it well would."""
+"""Other optimisers on the same network, full batch, with settings that an expert would choose."""
 
 from importlib.util import find_spec
 from itertools import count

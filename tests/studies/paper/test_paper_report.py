@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from dataset import DatasetSettings
 from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
-from fem.array.solving import ResponseSettings, array_response
+from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, SensorDesign
 from studies.paper import __main__ as command
 from studies.paper import experiments, spacing
@@ -35,7 +35,7 @@ from studies.paper.experiments import (
     Experiments,
     cache_key_of,
     run_experiments,
-)
+)  # fmt: skip
 from studies.paper.report import Computed, as_html, as_markdown
 from studies.paper.results import Results, read_results, write_results
 from studies.paper.spacing import Asked, Spacing, study_spacing
@@ -54,21 +54,18 @@ SMALL = Experiments(
 def of_layer(design, settings):
     """Six by six units in closed form: some are not on the rim."""
     six = replace(design, array=replace(design.array, rows=6, cols=6))
-    return array_response(six, ResponseSettings(method="layer"))
+    return solve_response(six, ResponseSettings(method="layer")), None, None
 
 
 @pytest.fixture(scope="module")
-def response(tmp_path_factory) -> ArrayResponse:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
-        made, *_ = array_response(SensorDesign(array=Array(rows=2, cols=2)), ResponseSettings(method="layer"))
+def response() -> ArrayResponse:
+    made = solve_response(SensorDesign(array=Array(rows=2, cols=2)), ResponseSettings(method="layer"))
     return replace(made, error_estimate=1e-3)  # finite elements have one, the closed form has none
 
 
 @pytest.fixture(scope="module")
-def computed(response, tmp_path_factory) -> Computed:
+def computed(response) -> Computed:
     with pytest.MonkeyPatch.context() as patch, Bars(quiet=True) as bars:
-        patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(spacing, "array_response", of_layer)
         patch.setattr(experiments, "in_parallel", one_after_another)
         return Computed(
