@@ -50,10 +50,10 @@ def indented_commands(page: Path, *programs: str) -> list[str]:
 class Terminal:
     """A folder in which commands are typed: they run in this process, or in one of their own if they end in ``&``."""
 
-    def __init__(self, folder: Path, cache: Path) -> None:
+    def __init__(self, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
         self.folder, self._jobs = folder, list[subprocess.Popen]()
-        self._environment = os.environ | {"TRIPILLAR_CACHE": str(cache), "COLUMNS": "200", "PYTHONPATH": str(ROOT)}
+        self._environment = os.environ | {"COLUMNS": "200", "PYTHONPATH": str(ROOT)}
 
     def __enter__(self) -> "Terminal":
         return self

@@ -11,9 +11,8 @@ from tripillar.sweep.sweep_file import read_sweep
 
 
 @pytest.fixture
-def printed_by(tmp_path, pages_cache, monkeypatch, capsys):
+def printed_by(tmp_path, shared_cache, monkeypatch, capsys):
     """Run a script in this process; what it printed."""
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(pages_cache))
     monkeypatch.chdir(tmp_path)
 
     def printed_by(name):

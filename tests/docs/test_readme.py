@@ -46,9 +46,9 @@ MADE = {
 }  # fmt: skip
 
 
-def test_the_commands_of_the_readme_run_as_typed(tmp_path, pages_cache):
+def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache):
     """In their order, in an empty folder, but for what is elsewhere."""
-    with Terminal(tmp_path / "empty", pages_cache) as terminal:
+    with Terminal(tmp_path / "empty") as terminal:
         for line in (line for line in TYPED if line not in ELSEWHERE):
             typed = SHORTER.sub("--seconds 1", FIRST_TYPED if line == FIRST else line)
             terminal.type(Command(typed, ["… Ctrl-C ends it"] if line.endswith("&") else []))

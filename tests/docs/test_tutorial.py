@@ -7,11 +7,11 @@ from tests.docs.terminal import ROOT, Terminal, agrees, console_commands, last_d
 PAGE = ROOT / "docs" / "tutorial.md"
 
 
-def test_the_tutorial_does_what_it_promises(tmp_path, pages_cache):
+def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache):
     """Every command succeeds, and prints what the page says below it."""
     commands = console_commands(PAGE)
     assert len(commands) > 12
-    with Terminal(tmp_path, pages_cache) as terminal:
+    with Terminal(tmp_path) as terminal:
         for command in commands:
             printed = terminal.type(command)
             assert not missing(command.promised, printed), f"{command.line}\nprinted:\n{printed}"
