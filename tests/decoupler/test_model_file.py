@@ -44,6 +44,12 @@ def test_what_is_read_is_what_was_written(decoupler, tmp_path):
     assert again.made_from == decoupler.made_from
 
 
+def test_same_training_gives_the_same_file(decoupler, tmp_path):
+    write_model(decoupler, tmp_path / "a")
+    write_model(train(DATA, "all", NETWORK, FEW), tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
 def test_all_that_a_model_may_hold_comes_back(tmp_path):
     """Response, calibration, dead pillars, uncertainty and the mark to beat: forces and deviations to the bit."""
     dead = np.zeros((2, 3, 3), dtype=bool)

@@ -1,8 +1,13 @@
 """The work of a sweep: whichever worker does it rows are the same, none is lost with one, no stage is made twice."""
 
-import psutil
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import pytest
-from distributed import LocalCluster
 
 from fem import ResponseSettings, solve_response
 from geometry.design import Array, Material, Pad, SensorDesign
@@ -14,6 +19,7 @@ from tripillar.sweep.sampling import Sample, row_key, samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
 from tripillar.sweep.workers import open_workers
 
+ROOT = Path(__file__).parents[3]
 SMALL = {"array": {"rows": 1, "cols": 2}}
 SWEEP = sweep_from_dict(
     {
@@ -116,22 +122,39 @@ def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
 def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
     """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right."""
     monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 60)
-    samples, done = samples_of(SWEEP), []
-    with (
-        LocalCluster(
-            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, local_directory=str(tmp_path),
-            env={"TRIPILLAR_CACHE": str(tmp_path / "there")},
-        ) as cluster,
-        open_workers(None, cluster.scheduler_address, tmp_path / "unused.log") as judges,
-    ):  # fmt: skip
-        assert judges.count == 2
+    samples = samples_of(SWEEP)
+    file = tmp_path / "scheduler.json"
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "TRIPILLAR_CACHE": str(tmp_path / "there"),
+    }
+    dask = [sys.executable, "-W", "ignore", "-m", "dask"]
+    options = ["--scheduler-file", str(file), "--no-dashboard"]
+    worker = [*dask, "worker", *options, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)]
+    with open(tmp_path / "log", "w") as log:
+        processes = [
+            subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=tmp_path)
+            for command in ([*dask, "scheduler", *options, "--host", "127.0.0.1", "--port", "0"], worker, worker)
+        ]
+        try:
+            address = _address(file)
+            with open_workers(None, address, tmp_path / "unused.log") as judges:
+                until = time.monotonic() + 60
+                while judges.count < 2 and time.monotonic() < until:
+                    time.sleep(0.1)
+                done = []
 
-        def progress(row):
-            done.append(row)
-            if len(done) == 2:
-                psutil.Process(cluster.workers[0].pid).kill()
+                def progress(row):
+                    done.append(row)
+                    if len(done) == 2:
+                        processes[1].send_signal(signal.SIGKILL)
 
-        rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows", progress)
+                rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows", progress)
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
     assert len(done) == len(samples) == len(rows) == 6
     assert kept_rows(samples, tmp_path / "rows") == rows
     failed = [row for row in rows.values() if row.failed]
@@ -148,3 +171,13 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 1)
     with pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"):
         open_workers(None, "tcp://127.0.0.1:9", tmp_path / "log").__enter__()
+
+
+def _address(file):
+    import json
+
+    for _ in range(600):
+        if file.exists() and file.read_text():
+            return json.loads(file.read_text())["address"]
+        time.sleep(0.1)
+    raise AssertionError("the scheduler did not start")
