@@ -1,11 +1,9 @@
 """Fixtures of every test: a cache of its own or one shared by all, folders that are filled once, and Ctrl-C."""
 
 import os
-import shutil
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
-from multiprocessing.util import Finalize
 from pathlib import Path
 
 import filelock
@@ -15,12 +13,17 @@ from hypothesis.configuration import set_hypothesis_home_dir
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before NumPy loads: the cores belong to pytest's workers
 if "PYTEST_XDIST_WORKER" not in os.environ:  # the workers inherit the first process's environment
-    _scratch = os.environ["TRIPILLAR_TESTS"] = tempfile.mkdtemp(prefix="tripillar-tests-")
-    Finalize(None, shutil.rmtree, (_scratch, True), exitpriority=-200)  # after what multiprocessing keeps in it
-    os.environ["TRIPILLAR_CACHE"] = f"{_scratch}/cache"  # of fixtures that live longer than one test
+    _scratch = tempfile.TemporaryDirectory(prefix="tripillar-tests-")
+    os.environ["TRIPILLAR_TESTS"] = _scratch.name
+    os.environ["TRIPILLAR_CACHE"] = f"{_scratch.name}/cache"  # of fixtures that live longer than one test
 SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a session, in whatever process they run
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
+
+
+def pytest_unconfigure() -> None:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        _scratch.cleanup()
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,12 @@
 """Worker processes of this machine: killed, stuck, too large, and reached by nobody else. All are real."""
 
 import logging
-import os
+import shutil
 import socket
 import tempfile
 import time
 from contextlib import suppress
+from multiprocessing.util import Finalize
 from pathlib import Path
 from threading import Thread
 
@@ -37,7 +38,8 @@ LONG = Sample(cache_key=row_key(LARGE, SWEEP.judging), values={}, design=LARGE)
 @pytest.fixture(autouse=True)
 def own_temporary_folder(monkeypatch):
     """A short path, since sockets of the workers' server lie below it; it stays, since the server remembers it."""
-    folder = Path(tempfile.mkdtemp(dir=os.environ["TRIPILLAR_TESTS"]))
+    folder = Path(tempfile.mkdtemp(prefix="tripillar-tests-"))
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=-200)  # after what multiprocessing keeps in it
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr("tempfile.tempdir", None)
     return folder
