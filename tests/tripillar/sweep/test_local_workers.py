@@ -1,12 +1,10 @@
 """Worker processes of this machine: killed, stuck, too large, and reached by nobody else. All are real."""
 
 import logging
-import shutil
 import socket
-import tempfile
 import time
 from contextlib import suppress
-from multiprocessing.util import Finalize
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from threading import Thread
 
@@ -36,10 +34,10 @@ LONG = Sample(cache_key=row_key(LARGE, SWEEP.judging), values={}, design=LARGE)
 
 
 @pytest.fixture(autouse=True)
-def own_temporary_folder(monkeypatch):
-    """A short path, since sockets of the workers' server lie below it; it stays, since the server remembers it."""
-    folder = Path(tempfile.mkdtemp(prefix="tripillar-tests-"))
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=-200)  # after what multiprocessing keeps in it
+def own_temporary_folder(tmp_path, monkeypatch):
+    get_temp_dir()  # of multiprocessing, which remembers it: its sockets need a short path, and it outlives a test
+    folder = tmp_path / "temporary"
+    folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr("tempfile.tempdir", None)
     return folder
