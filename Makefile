@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 OUT ?= out
-WORKERS := --numprocesses logical --maxprocesses 4 --dist worksteal
+WORKERS = --numprocesses $(shell $(PYTHON) -c 'import os; print(min(5, 1 + os.cpu_count()))') --dist worksteal
 export PYTHONDONTWRITEBYTECODE :=  # compiled files are kept, so that the many processes which tests start load quickly
 
 .DEFAULT_GOAL := help
@@ -59,7 +59,7 @@ simulator: firmware  ## the program that runs that firmware on a simulated chip
 hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
 	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/test_board_commands.py
 
-test: $(READY)  ## run the tests, on up to four cores
+test: $(READY)  ## run the tests, a process more than there are cores, since some wait: five at most
 	$(BIN)/python -m pytest $(WORKERS)
 
 test-long: $(READY)  ## run those that take minutes each: an hour of frames, a million damaged ones, the edge cases

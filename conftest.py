@@ -17,6 +17,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # the workers inherit the first pro
     os.environ["TRIPILLAR_TESTS"] = _scratch.name
     os.environ["TRIPILLAR_CACHE"] = f"{_scratch.name}/cache"  # of fixtures that live longer than one test
 SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a session, in whatever process they run
+LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
 
@@ -24,6 +25,11 @@ set_hypothesis_home_dir(SHARED / "hypothesis")
 def pytest_unconfigure() -> None:
     if "PYTEST_XDIST_WORKER" not in os.environ:
         _scratch.cleanup()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the folders of long tests, so that no worker is left with one in the end."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONG_FIRST))
 
 
 @pytest.fixture(autouse=True)

@@ -90,6 +90,7 @@ def test_an_interrupt_as_soon_as_the_folder_is_there_removes_it(tmp_path, monkey
         remove_unfinished()
         raise KeyboardInterrupt
 
+    monkeypatch.setattr("geometry.storage.unfinished._of_this_process", set())  # not those of other tests
     monkeypatch.setattr(os, "mkdir", make_and_be_interrupted)
     with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "data.txt"):
         pass

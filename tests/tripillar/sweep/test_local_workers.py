@@ -1,10 +1,11 @@
 """Worker processes of this machine: killed, stuck, too large, and reached by nobody else. All are real."""
 
 import logging
+import os
 import socket
+import tempfile
 import time
 from contextlib import suppress
-from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from threading import Thread
 
@@ -34,10 +35,9 @@ LONG = Sample(cache_key=row_key(LARGE, SWEEP.judging), values={}, design=LARGE)
 
 
 @pytest.fixture(autouse=True)
-def own_temporary_folder(tmp_path, monkeypatch):
-    get_temp_dir()  # of multiprocessing, which remembers it: its sockets need a short path, and it outlives a test
-    folder = tmp_path / "temporary"
-    folder.mkdir()
+def own_temporary_folder(monkeypatch):
+    """A short path, since sockets of the workers' server lie below it; it stays, since the server remembers it."""
+    folder = Path(tempfile.mkdtemp(dir=os.environ["TRIPILLAR_TESTS"]))
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr("tempfile.tempdir", None)
     return folder
