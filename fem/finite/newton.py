@@ -1,0 +1,184 @@
+"""Equilibrium under growing loads by Newton's method, in steps as large as converge.
+
+The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
+tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice
+as many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fem.finite.loads import FollowerLoad
+from fem.finite.system import FiniteSystem, Misfit, State
+from fem.linear.factors import SolverError
+from fem.linear.refactored import RepeatedFactor
+from geometry.layout import FloatArray
+
+RESIDUAL = 1e-9  #: of the loads, of an equilibrium
+MAX_ITERATIONS = 15  #: of a step, before it is halved
+MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
+MIN_STEP = 1 / 256  #: of the load, before it is refused
+DAMPINGS = 4  #: times that a change which turns an element inside out is halved
+
+
+class UnreachableLoadError(SolverError):
+    """A load at which no equilibrium was found."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equilibrium:
+    """A body in equilibrium with its loads."""
+
+    state: State
+    residual: float  #: unbalanced forces, relative to the loads
+    least_j: float  #: least ratio of deformed to original volume at any Gauss point
+    iterations: int  #: tangents factored, failed steps included
+    steps: int  #: load steps that converged
+    stored_mj: float  #: energy in the rubber
+    work_mj: float  #: of the loads; NaN where they have no potential
+    n_negative: int | None = None  #: eigenvalues of the tangent below 0: above 0, the state has buckled
+
+    @property
+    def energy_imbalance(self) -> float:
+        """Work of the loads less stored energy, relative; NaN where the loads have no potential."""
+        return (self.work_mj - self.stored_mj) / self.stored_mj if self.stored_mj else 0.0
+
+
+@dataclass(eq=False)
+class _Path:
+    """The load's own displacement g = f · u along the load, for the work ∫ s dg; f is the full load."""
+
+    share: list[float] = field(default_factory=lambda: [0.0])
+    value: list[float] = field(default_factory=lambda: [0.0])
+    slope: list[float] = field(default_factory=list)
+
+    def work(self) -> float:
+        """∫ s dg, with g a cubic in every step that has the known values and slopes at its ends."""
+        s, g, d = (np.array(v) for v in (self.share, self.value, self.slope))
+        h = np.diff(s)
+        below = h * (g[1:] + g[:-1]) / 2 + h**2 * (d[:-1] - d[1:]) / 12
+        return float(s[-1] * g[-1] - below.sum())
+
+
+def find_equilibrium(system: FiniteSystem, factor: RepeatedFactor | None = None, first_step: float = 1.0) -> Equilibrium:
+    """Load a body from rest to its full loads.
+
+    Parameters
+    ----------
+    system : FiniteSystem
+    factor : RepeatedFactor, optional
+        Of the system's pattern, to use again; it is left with the last tangent.
+    first_step : float
+        Share of the load to try first.
+
+    Raises
+    ------
+    UnreachableLoadError
+        With the load that was reached, the place that gave way, and what would help.
+    """
+    factor = factor or RepeatedFactor(system.pattern)
+    state, share, step = system.rest(), 0.0, first_step
+    path = _Path()
+    iterations = steps = 0
+    worst = state
+    misfit = system.misfit(state, 0.0)
+    if system.misfit(state, 1.0).size == 0.0:
+        return Equilibrium(
+            state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, n_negative=0
+        )
+    while share < 1.0:
+        step = min(step, 1.0 - share)
+        tried = _equilibrium_at(system, factor, state, share + step, path)
+        iterations += tried.iterations
+        if not tried.converged:
+            worst = tried.state
+            step /= 2
+            if step < MIN_STEP:
+                raise UnreachableLoadError(_refusal(system, share, worst))
+            continue
+        share, state, misfit = share + step, tried.state, tried.misfit
+        path.share.append(share)
+        path.value.append(_own_displacement(system, state))
+        path.slope.append(_slope(system, factor, state))
+        steps, step = steps + 1, 2 * step
+    return Equilibrium(
+        state=state,
+        residual=misfit.residual,
+        least_j=misfit.least_j,
+        iterations=iterations,
+        steps=steps,
+        stored_mj=system.body.energy_mj(state.u),
+        work_mj=path.work() if system.symmetric else np.nan,
+        n_negative=factor.n_negative,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    state: State
+    misfit: Misfit
+    iterations: int
+    converged: bool
+
+
+def _equilibrium_at(
+    system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, path: _Path
+) -> _Tried:
+    """Newton's method at one load, from a state in equilibrium with a smaller one."""
+    misfit = system.misfit(state, share)
+    start = misfit.residual
+    for iteration in range(MAX_ITERATIONS):
+        if misfit.residual <= RESIDUAL:
+            return _Tried(state, misfit, iteration, True)
+        if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
+            return _Tried(state, misfit, iteration, False)
+        try:
+            blocks, parts = system.tangent(state, share, misfit.held)
+            factor.factor(blocks)
+        except SolverError:
+            return _Tried(state, misfit, iteration, False)
+        change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
+        if not path.slope:
+            path.slope.append(_slope(system, factor, state))
+        pressures = misfit.pressures - state.p + parts.pressure_change(system.nodal_change(state.rotation, change))
+        for damping in range(DAMPINGS):
+            trial = system.moved(state, change * 0.5**damping, pressures * 0.5**damping)
+            misfit = system.misfit(trial, share)
+            if np.isfinite(misfit.residual):
+                break
+        state = trial
+    return _Tried(state, misfit, MAX_ITERATIONS, misfit.residual <= RESIDUAL)
+
+
+def _own_displacement(system: FiniteSystem, state: State) -> float:
+    """f · u of the full loads that have a potential [mJ]."""
+    return float((system.dead * state.u).sum() + (system.force_n * state.shift).sum())
+
+
+def _slope(system: FiniteSystem, factor: RepeatedFactor, state: State) -> float:
+    """d(f · u) / d(share) by the last tangent."""
+    loads = system.loads_on(state, 1.0).reshape(-1, 1)
+    return float((loads * factor.solve(loads)).sum())
+
+
+def _refusal(system: FiniteSystem, share: float, worst: State) -> str:
+    least, element = system.body.least_j(worst.u)
+    x, y, z = system.body.centres_mm[element]
+    mend = "bond a stiff plate to the patch, or take a smaller load"
+    if system.plates.count and not system.dead.any() and not len(system.faces.faces):
+        mend = "take a smaller load or a stiffer rubber"
+    elif any(isinstance(load, FollowerLoad) for load in system.loads):
+        mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
+    return (
+        f"no equilibrium above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
+        f"gives way (smallest J {least:.2g}): {mend}."
+    )
+
+
+def solve_rest(system: FiniteSystem, factor: RepeatedFactor) -> FloatArray:
+    """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
+    state = system.rest()
+    blocks, _ = system.tangent(state, 0.0, np.zeros_like(state.u))
+    factor.factor(blocks)
+    return factor.solve(system.loads_on(state, 1.0).reshape(-1, 1)).reshape(-1, 3)
