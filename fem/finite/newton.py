@@ -1,7 +1,7 @@
 """Equilibrium under growing loads by Newton's method, in steps as large as converge.
 
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
-tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice
+tangent takes it from there. A state whose tangent has an eigenvalue below 0 is unstable, and is not taken. With the pressure of the displacements instead, nearly incompressible rubber needs twice
 as many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100.
 """
 
@@ -16,7 +16,7 @@ from fem.linear.refactored import RepeatedFactor
 from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
-MAX_ITERATIONS = 15  #: of a step, before it is halved
+MAX_ITERATIONS = 9  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
 MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 256  #: of the load, before it is refused
 DAMPINGS = 4  #: times that a change which turns an element inside out is halved
@@ -37,7 +37,7 @@ class Equilibrium:
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
-    n_negative: int | None = None  #: eigenvalues of the tangent below 0: above 0, the state has buckled
+    is_stable: bool | None = None  #: whether the last tangent is definite; None where it is not symmetric
 
     @property
     def energy_imbalance(self) -> float:
@@ -85,7 +85,7 @@ def find_equilibrium(system: FiniteSystem, factor: RepeatedFactor | None = None,
     misfit = system.misfit(state, 0.0)
     if system.misfit(state, 1.0).size == 0.0:
         return Equilibrium(
-            state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, n_negative=0
+            state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, is_stable=True
         )
     while share < 1.0:
         step = min(step, 1.0 - share)
@@ -110,7 +110,7 @@ def find_equilibrium(system: FiniteSystem, factor: RepeatedFactor | None = None,
         steps=steps,
         stored_mj=system.body.energy_mj(state.u),
         work_mj=path.work() if system.symmetric else np.nan,
-        n_negative=factor.n_negative,
+        is_stable=None if factor.n_negative is None else factor.n_negative == 0,
     )
 
 
@@ -130,7 +130,7 @@ def _equilibrium_at(
     start = misfit.residual
     for iteration in range(MAX_ITERATIONS):
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, True)
+            return _Tried(state, misfit, iteration, not (iteration and factor.n_negative))
         if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             return _Tried(state, misfit, iteration, False)
         try:
@@ -148,7 +148,7 @@ def _equilibrium_at(
             if np.isfinite(misfit.residual):
                 break
         state = trial
-    return _Tried(state, misfit, MAX_ITERATIONS, misfit.residual <= RESIDUAL)
+    return _Tried(state, misfit, MAX_ITERATIONS, misfit.residual <= RESIDUAL and not factor.n_negative)
 
 
 def _own_displacement(system: FiniteSystem, state: State) -> float:
