@@ -269,7 +269,7 @@ def bilinear_cofactors(A: FloatArray, B: FloatArray) -> FloatArray:
     >>> bool(np.allclose(bilinear_cofactors(np.eye(3), np.eye(3)), 2 * np.eye(3)))
     True
     """
-    out = np.empty_like(A)
+    out = np.empty(np.broadcast_shapes(A.shape, B.shape))
     for i, d in product(range(3), range(3)):
         i1, i2, d1, d2 = (i + 1) % 3, (i + 2) % 3, (d + 1) % 3, (d + 2) % 3
         out[i, d] = A[i1, d1] * B[i2, d2] - A[i1, d2] * B[i2, d1]

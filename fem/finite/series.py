@@ -1,9 +1,9 @@
-"""The response as a power series in the load: every order one more solve with the factor of the body at rest.
+"""The response as a power series in the load about a state of equilibrium: every order one more solve with one factor.
 
-With loads s f, all fields are series u = Σ sᵏ uₖ, and the equations of order k are linear in uₖ with the tangent at
-rest, their right-hand side made of lower orders (the asymptotic numerical method: Cochelin, Computers & Structures 53
-(1994) 1181). Stresses need products and one division alone: the rubber's law has no other function but 1/J in it.
-Only dead tractions and forces on plates are expanded: their tangent at rest is symmetric.
+With loads f₀ + s (f − f₀) all fields are series u = Σ sᵏ uₖ, and the equations of order k are linear in uₖ with the
+tangent of the base state f₀, their right-hand side made of lower orders (asymptotic numerical method: Cochelin,
+Computers & Structures 53 (1994) 1181). Products and one division are all it takes: the law has no other function than
+1/J in its stress. Many samples share the factor and are expanded together.
 """
 
 from dataclasses import dataclass
@@ -11,131 +11,230 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.finite.loads import skew
-from fem.finite.rubber_body import PRESSURES, bilinear_cofactors, cofactors
-from fem.finite.system import FiniteSystem
+from fem.finite.newton import find_equilibrium
+from fem.finite.rubber_body import N_POINTS, N_PRESSURES, PRESSURES, Strain, TangentParts, bilinear_cofactors, cofactors
+from fem.finite.system import FiniteSystem, State
 from fem.linear.refactored import RepeatedFactor
 from geometry.layout import FloatArray
+
+Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
+
+
+@dataclass(frozen=True, eq=False)
+class BaseState:
+    """An equilibrium about which series are expanded: the loads of a system, and its factored tangent."""
+
+    system: FiniteSystem
+    state: State
+    factor: RepeatedFactor
+    parts: TangentParts  #: of the tangent
+    strain: Strain
+    plate_forces: FloatArray  #: internal forces of the bonded nodes, (n, 3) [N]
+
+    @classmethod
+    def of(cls, system: FiniteSystem) -> "BaseState":
+        """The equilibrium of a system under its own loads, which may be 0.
+
+        Raises
+        ------
+        UnreachableLoadError
+            If there is none.
+        ValueError
+            If the loads have no potential: tangents of series are symmetric.
+        """
+        if not system.symmetric:
+            raise ValueError("series are expanded about dead loads and forces on plates only: moments and pressures turn.")
+        factor = RepeatedFactor(system.pattern)
+        state = find_equilibrium(system, factor).state
+        misfit = system.misfit(state, 1.0)
+        blocks, parts = system.tangent(state, 1.0, misfit.held)
+        factor.factor(blocks)
+        internal, _, _ = system.body.internal_forces(state.u[None])
+        return cls(
+            system=system,
+            state=state,
+            factor=factor,
+            parts=parts,
+            strain=system.body.strain(state.u[None]),
+            plate_forces=internal[0, system.plates.node],
+        )
+
+    def solve(self, unbalanced: FloatArray) -> FloatArray:
+        """Change of the unknowns (m, n_blocks, 3) by forces on them, of the same shape."""
+        flat = np.ascontiguousarray(unbalanced.reshape(len(unbalanced), -1).T)
+        return self.factor.solve(flat).T.reshape(unbalanced.shape)
+
+    def compliance(self) -> FloatArray:
+        """Shifts and half-width times spins of the plates per newton on each of them, (6 k, 6 k) [mm/N]."""
+        n = 6 * self.system.plates.count
+        loads = np.zeros((self.system.n_unknowns, n))
+        loads[-n:] = np.eye(n)
+        return self.factor.solve(loads)[-n:]
 
 
 @dataclass(frozen=True, eq=False)
 class LoadSeries:
-    """Coefficients of sᵏ, k = 1 … orders, of m samples."""
+    """Coefficients of sᵏ, k = 1 … orders, of m samples; what is of the base state is not in them."""
 
+    base: BaseState
     u: FloatArray  #: displacements, (orders, m, n_nodes, 3) [mm]
     p: FloatArray  #: pressures, (orders, m, n_elements, 4) [MPa]
     shift: FloatArray  #: of the plates, (orders, m, k, 3) [mm]
-    half_spin: FloatArray  #: vector part of the plates' quaternions, (orders, m, k, 3)
+    half_spin: FloatArray  #: vector part of the quaternion of each plate's further rotation, (orders, m, k, 3)
 
 
-def load_series(
-    system: FiniteSystem, factor: RepeatedFactor, forces_n: FloatArray, orders: int, dead_n: FloatArray | None = None
-) -> LoadSeries:
-    """Series of the response to forces on the plates, of many samples at once.
+def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
+    """Series of the response to loads on the plates, of many samples at once.
 
     Parameters
     ----------
-    system : FiniteSystem
-    factor : RepeatedFactor
-        Of the system's tangent at rest.
-    forces_n : array, shape (m, k, 3)
-        Forces on the plates of m samples [N].
+    base : BaseState
+    loads : array, shape (m, 2, k, 3)
+        Forces and moments over half-widths on the plates of m samples, less those of the base state [N].
     orders : int
-    dead_n : array, shape (m, n_nodes, 3), optional
-        Dead nodal forces [N].
+
+    Returns
+    -------
+    LoadSeries
 
     Notes
     -----
-    Rotations are R = I + 2 q₀ [v] + 2 [v]² with q₀² = 1 − |v|²: a series of v gives that of R by products and a root.
+    Rotations are R = I + 2 q₀ [v] + 2 [v]², q₀² = 1 − |v|²: a series of v gives that of R by products and a root.
     """
-    body, plates = system.body, system.plates
-    m, k, n = len(forces_n), plates.count, len(system.free)
-    mu = body.mu_mpa[:, None]
-    F, cof, J, over, s, P_f = [], [], [], [], [], []
-    at_points = (m, body.n_elements, 27)
-    unit = np.zeros((3, 3, 1, 1, 1))
-    unit[range(3), range(3)] = 1.0
-    s0 = np.broadcast_to(-mu, at_points)
-    u, p, shift, v, R, q0 = [], [], [], [], [], [np.ones((m, k))]
-    for order in range(1, orders + 1):
-        # what lower orders say of this one: rotations of the plates, then stresses
-        known_R = 2 * sum((q0[i][..., None, None] * skew(v[order - i - 1]) for i in range(1, order)), np.zeros((m, k, 3, 3)))
+    return _Expansion(base, len(loads)).expand(loads, orders)
+
+
+class _Expansion:
+    """The lists of coefficients as they grow, order by order."""
+
+    def __init__(self, base: BaseState, m: int) -> None:
+        self.base, self.system, self.body = base, base.system, base.system.body
+        self.m, self.k = m, base.system.plates.count
+        self.mu = self.body.mu_mpa[:, None]
+        strain, pressure = base.strain, base.state.p @ PRESSURES.T
+        self.F: Terms = [strain.F]
+        self.cof: Terms = [strain.cof]
+        self.J: Terms = [strain.J]
+        self.inverse: Terms = [1 / strain.J]
+        self.s: Terms = [pressure - self.mu / strain.J]  # p − μ/J
+        self.q0: Terms = [np.ones((m, self.k))]
+        self.v: Terms = [np.zeros((m, self.k, 3))]
+        self.arm: Terms = [self.system.plates.turned(base.state.rotation)[None]]
+        self.force: Terms = [base.plate_forces[None]]
+
+    def expand(self, loads: FloatArray, orders: int) -> LoadSeries:
+        base, system, body = self.base, self.system, self.body
+        rotation = np.broadcast_to(base.state.rotation, (self.m, self.k, 3, 3))
+        n = len(system.free)
+        found: list[tuple[FloatArray, ...]] = []
+        for order in range(1, orders + 1):
+            known_turn = self._known_turn(order)
+            known_arm = self._turned(known_turn)
+            unbalanced = np.zeros((self.m, system.n_blocks, 3))
+            if order == 1:
+                unbalanced[:, n:] = loads.reshape(self.m, -1, 3)
+                terms = self._no_terms()
+            else:
+                held = np.zeros((self.m, body.n_nodes, 3))
+                held[:, system.plates.node] = known_arm
+                terms = self._known_terms(order, held)
+                unbalanced -= system.gathered(body.divergence(terms[-1].copy()), rotation)
+                unbalanced[:, n + self.k :] -= self._known_moments(order, known_arm)
+            z = base.solve(unbalanced)
+            v = z[:, n + self.k :] / system.plates.half_mm[:, None] / 2
+            u = system.nodal_change(rotation, z)
+            p = self._add(order, terms, u, last=order == orders)
+            u[:, system.plates.node] += known_arm
+            found.append((u, p, z[:, n : n + self.k], v))
+            self.v.append(v)
+            self.arm.append(known_arm + self._turned(2 * skew(v)))
+            self.q0.append(self._root(order))
+        u, p, shift, half_spin = (np.array(part) for part in zip(*found, strict=True))
+        return LoadSeries(base=base, u=u, p=p, shift=shift, half_spin=half_spin)
+
+    def _turned(self, turn: FloatArray) -> FloatArray:
+        return self.system.plates.turned(turn @ self.base.state.rotation)
+
+    def _known_turn(self, order: int) -> FloatArray:
+        """The part of this order's rotations that lower orders give, (m, k, 3, 3)."""
+        turn = np.zeros((self.m, self.k, 3, 3))
         for i in range(1, order):
-            known_R = known_R + 2 * skew(v[i - 1]) @ skew(v[order - i - 1])
-        known = np.zeros((m, body.n_nodes, 3))
-        known[:, plates.node] = plates.turned(known_R)
-        rhs = np.zeros((m, system.n_blocks, 3))
-        if order == 1:
-            if dead_n is not None:
-                rhs += system.gathered(dead_n, np.broadcast_to(np.eye(3), (m, k, 3, 3)))
-            rhs[:, n : n + k] += forces_n
-            H = np.zeros((3, 3, *at_points))
-            C, D = H.copy(), np.zeros(at_points)
-            inverse, stretch, stress = D.copy(), D.copy(), H.copy()
-            pressure = np.zeros((m, body.n_elements, 4))
-        else:
-            H = body.gradient(known)
-            C = _crossed_with_unit(H)
-            for i in range(1, (order + 1) // 2):
-                C += bilinear_cofactors(F[i - 1], F[order - i - 1])
-            if order % 2 == 0:
-                C += cofactors(F[order // 2 - 1])
-            D = H[0, 0] + H[1, 1] + H[2, 2]
-            for j in range(1, order):
-                D += (j / order) * np.einsum("ij...,ij...->...", cof[order - j - 1], F[j - 1])
-            pressure = body.dilated(D)
-            inverse = -D - sum(J[j - 1] * over[order - j - 1] for j in range(1, order))
-            stretch = pressure @ PRESSURES.T - mu * inverse
-            stress = mu * H + s0 * C
-            for j in range(1, order):
-                stress += s[j - 1] * cof[order - j - 1]
-            for i in range(3):
-                stress[i, i] += stretch
-            forces = body.divergence(stress.copy())
-            rhs -= system.gathered(forces, np.broadcast_to(np.eye(3), (m, k, 3, 3)))
-            for i in range(1, order):
-                moments = np.cross(plates.turned(R[i - 1]), P_f[order - i - 1])
-                if k:
-                    rhs[:, n + k :] -= np.add.reduceat(moments, plates.starts, axis=1) / plates.half_mm[:, None]
-        z = factor.solve(np.ascontiguousarray(rhs.reshape(m, -1).T)).T.reshape(m, -1, 3)
-        own_v = z[:, n + k :] / plates.half_mm[:, None] / 2
-        change = system.nodal_change(np.broadcast_to(np.eye(3), (m, k, 3, 3)), z)
-        u.append(known + change)
-        shift.append(z[:, n : n + k])
-        v.append(own_v)
-        R.append(known_R + 2 * skew(own_v))
-        q0.append(-sum((np.einsum("mki,mki->mk", v[i - 1], v[order - i - 1]) + q0[i] * q0[order - i] for i in range(1, order)), np.zeros((m, k))) / 2)
-        # now that this order is known, the rest of its strains and stresses
-        dH = body.gradient(change)
-        dC = _crossed_with_unit(dH)
-        dD = dH[0, 0] + dH[1, 1] + dH[2, 2]
-        dp = body.dilated(dD)
-        ds = dp @ PRESSURES.T + mu * dD
-        p.append(pressure + dp)
-        if order == orders:
-            break
-        stress += mu * dH + s0 * dC
-        for i in range(3):
-            stress[i, i] += ds
-        P_f.append(body.divergence(stress)[:, plates.node])
-        F.append(H + dH)
-        cof.append(C + dC)
-        J.append(D + dD)
-        over.append(inverse - dD)
-        s.append(stretch + ds)
-    return LoadSeries(u=np.array(u), p=np.array(p), shift=np.array(shift), half_spin=np.array(v))
+            turn += 2 * self.q0[i][..., None, None] * skew(self.v[order - i])
+            turn += 2 * skew(self.v[i]) @ skew(self.v[order - i])
+        return turn
 
+    def _root(self, order: int) -> FloatArray:
+        """This order of q₀ = √(1 − |v|²), (m, k)."""
+        total = np.zeros((self.m, self.k))
+        for i in range(1, order):
+            total += np.einsum("mki,mki->mk", self.v[i], self.v[order - i]) + self.q0[i] * self.q0[order - i]
+        return -total / 2
 
-def _crossed_with_unit(H: FloatArray) -> FloatArray:
-    """tr H I − Hᵀ, the change of the cofactors of I with H (3, 3, ...)."""
-    C = -H.swapaxes(0, 1)
-    trace = H[0, 0] + H[1, 1] + H[2, 2]
-    for i in range(3):
-        C[i, i] += trace
-    return C
+    def _known_moments(self, order: int, known_arm: FloatArray) -> FloatArray:
+        """Moments of lower orders' forces about the plates' middles over their half-widths, (m, k, 3) [N]."""
+        moments = np.cross(known_arm, self.force[0])
+        for i in range(1, order):
+            moments = moments + np.cross(self.arm[i], self.force[order - i])
+        if not self.k:
+            return np.zeros((self.m, 0, 3))
+        return np.add.reduceat(moments, self.system.plates.starts, axis=1) / self.system.plates.half_mm[:, None]
+
+    def _no_terms(self) -> tuple[FloatArray, ...]:
+        at_points = (self.m, self.body.n_elements, N_POINTS)
+        H, scalar = np.zeros((3, 3, *at_points)), np.zeros(at_points)
+        pressure = np.zeros((self.m, self.body.n_elements, N_PRESSURES))
+        return H, H.copy(), scalar, scalar.copy(), pressure, scalar.copy(), H.copy()
+
+    def _known_terms(self, order: int, held: FloatArray) -> tuple[FloatArray, ...]:
+        """This order's F, cof F, J, 1/J, p, s and stress by lower orders and displacements (m, n_nodes, 3)."""
+        F, cof, J = self.F, self.cof, self.J
+        H = self.body.gradient(held)
+        C = bilinear_cofactors(F[0], H)
+        for i in range(1, (order + 1) // 2):
+            C += bilinear_cofactors(F[i], F[order - i])
+        if order % 2 == 0:
+            C += cofactors(F[order // 2])
+        D = np.einsum("ij...,ij...->...", cof[0], H)
+        for j in range(1, order):  # J' = cof F : F'
+            D += (j / order) * np.einsum("ij...,ij...->...", cof[order - j], F[j])
+        total = D * self.inverse[0]
+        for j in range(1, order):
+            total += J[j] * self.inverse[order - j]
+        inverse = -self.inverse[0] * total
+        pressure = self.body.dilated(D)
+        s = pressure @ PRESSURES.T - self.mu * inverse
+        stress = self.mu * H + self.s[0] * C + s * cof[0]
+        for j in range(1, order):
+            stress += self.s[j] * cof[order - j]
+        return H, C, D, inverse, pressure, s, stress
+
+    def _add(self, order: int, known: tuple[FloatArray, ...], u: FloatArray, last: bool) -> FloatArray:
+        """Complete this order's terms by what is linear in its displacements; returns the pressures."""
+        H, C, D, inverse, pressure, s, stress = known
+        dF = self.body.gradient(u)
+        dC = bilinear_cofactors(self.F[0], dF)
+        dJ = np.einsum("ij...,ij...->...", self.cof[0], dF)
+        dp = self.body.dilated(dJ)
+        if last:
+            return pressure + dp
+        d_inverse = -(self.inverse[0] ** 2) * dJ
+        ds = dp @ PRESSURES.T - self.mu * d_inverse
+        stress += self.mu * dF + self.s[0] * dC + ds * self.cof[0]
+        self.F.append(H + dF)
+        self.cof.append(C + dC)
+        self.J.append(D + dJ)
+        self.inverse.append(inverse + d_inverse)
+        self.s.append(s + ds)
+        self.force.append(self.body.divergence(stress)[:, self.system.plates.node])
+        return pressure + dp
 
 
 def quaternion_rotations(half_spin: FloatArray) -> FloatArray:
-    """R = I + 2 q₀ [v] + 2 [v]², (..., 3, 3), of vector parts v (..., 3) shorter than 1."""
+    """R = I + 2 q₀ [v] + 2 [v]², (..., 3, 3), of vector parts v (..., 3) shorter than 1.
+
+    >>> quaternion_rotations(np.array([0.0, 0.0, np.sqrt(0.5)])).round(12) @ np.array([1.0, 0.0, 0.0])
+    array([0., 1., 0.])
+    """
     q0 = np.sqrt(1 - (half_spin**2).sum(axis=-1))[..., None, None]
     V = skew(half_spin)
     return np.eye(3) + 2 * q0 * V + 2 * V @ V
