@@ -49,9 +49,24 @@ PROJECTION = WEIGHTS[:, None] / 8 * PRESSURES * np.array([1.0, 3.0, 3.0, 3.0])
 class Strain:
     """Deformation at the Gauss points of one or several states; m states, e elements, q points."""
 
-    F: FloatArray  #: deformation gradient, (3, 3, m, e, q): component i by coordinate J
-    cof: FloatArray  #: its cofactors J F⁻ᵀ, of the same shape
-    J: FloatArray  #: ratio of volumes, (m, e, q)
+    H: FloatArray  #: displacement gradient F − I, (3, 3, m, e, q): component i by coordinate J
+    C: FloatArray  #: cof F − I, of the same shape
+    dilation: FloatArray  #: J − 1, (m, e, q); with H and C free of cancellation where strains are tiny
+
+    @property
+    def J(self) -> FloatArray:
+        """Ratio of volumes, (m, e, q)."""
+        return 1.0 + self.dilation
+
+    @property
+    def F(self) -> FloatArray:
+        """Deformation gradient, (3, 3, m, e, q)."""
+        return plus_unit(self.H.copy(), 1.0)
+
+    @property
+    def cof(self) -> FloatArray:
+        """Cofactors J F⁻ᵀ, (3, 3, m, e, q)."""
+        return plus_unit(self.C.copy(), 1.0)
 
 
 class RubberBody:
@@ -112,11 +127,13 @@ class RubberBody:
 
     def strain(self, u: FloatArray) -> Strain:
         """Deformation of displacements (m, n_nodes, 3)."""
-        F = self.gradient(u)
-        for i in range(3):
-            F[i, i] += 1.0
-        cof = cofactors(F)
-        return Strain(F=F, cof=cof, J=F[0, 0] * cof[0, 0] + F[0, 1] * cof[0, 1] + F[0, 2] * cof[0, 2])
+        H = self.gradient(u)
+        second = cofactors(H)
+        trace = H[0, 0] + H[1, 1] + H[2, 2]
+        determinant = H[0, 0] * second[0, 0] + H[0, 1] * second[0, 1] + H[0, 2] * second[0, 2]
+        dilation = trace + second[0, 0] + second[1, 1] + second[2, 2] + determinant
+        second -= H.swapaxes(0, 1)
+        return Strain(H=H, C=plus_unit(second, trace), dilation=dilation)
 
     def gradient(self, u: FloatArray) -> FloatArray:
         """∂uᵢ/∂X_J at the Gauss points, shape (3, 3, m, n_elements, n_points), of displacements (m, n_nodes, 3)."""
@@ -137,9 +154,10 @@ class RubberBody:
 
     def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
         """First Piola-Kirchhoff stress P at the Gauss points [MPa], (3, 3, m, n_elements, n_points)."""
-        P = (p @ PRESSURES.T - self.mu_mpa[:, None] / strain.J) * strain.cof
-        P += self.mu_mpa[:, None] * strain.F
-        return P
+        pressure, over = p @ PRESSURES.T, self.mu_mpa[:, None] / strain.J
+        P = (pressure - over) * strain.C
+        P += self.mu_mpa[:, None] * strain.H
+        return plus_unit(P, pressure + over * strain.dilation)
 
     def divergence(self, P: FloatArray) -> FloatArray:
         """Nodal forces ∫ P : ∇v of stresses (3, 3, m, n_elements, n_points), which it overwrites, (m, n_nodes, 3) [N]."""
@@ -173,7 +191,7 @@ class RubberBody:
             At or below 0 where a state is turned inside out; its forces mean nothing.
         """
         strain = self.strain(u)
-        p = self.dilated(strain.J - 1)
+        p = self.dilated(strain.dilation)
         with np.errstate(divide="ignore", invalid="ignore"):
             forces = self.divergence(self.stress(strain, p))
         return forces, p, strain.J.min(axis=(1, 2))
@@ -186,10 +204,11 @@ class RubberBody:
     def energy_mj(self, u: FloatArray) -> float:
         """Stored energy of one state (n_nodes, 3); NaN where it is turned inside out."""
         strain = self.strain(u[None])
-        J = strain.J[0]
-        dilation = (J - 1) @ PROJECTION
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shear = self.mu_mpa[:, None] * ((strain.F[:, :, 0] ** 2).sum(axis=(0, 1)) / 2 - 1.5 - np.log(J))
+        H, dilation_at = strain.H[:, :, 0], strain.dilation[0]
+        dilation = dilation_at @ PROJECTION
+        with np.errstate(divide="ignore", invalid="ignore"):  # (I₁ − 3)/2 = tr H + |H|²/2
+            shear = H[0, 0] + H[1, 1] + H[2, 2] + (H**2).sum(axis=(0, 1)) / 2 - np.log1p(dilation_at)
+            shear *= self.mu_mpa[:, None]
         own = self.lame_mpa / 2 * self.volume_mm3 * (dilation**2 @ np.array([1.0, 1 / 3, 1 / 3, 1 / 3]))
         return float(self._jacobian @ (shear @ WEIGHTS) + own.sum())
 
@@ -256,6 +275,13 @@ class TangentParts:
         own = du[self.body.nodes]  # (e, a, i)
         change = sum(np.einsum("eak,ea->ek", self.pressing[i], own[:, :, i]) for i in range(3))
         return self.bulk * change
+
+
+def plus_unit(A: FloatArray, scale: FloatArray | float) -> FloatArray:
+    """A + scale I, in place, of matrices (3, 3, ...)."""
+    for i in range(3):
+        A[i, i] += scale
+    return A
 
 
 def cofactors(F: FloatArray) -> FloatArray:

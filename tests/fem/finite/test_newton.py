@@ -1,0 +1,119 @@
+"""Equilibrium at finite strain: against the linear solver, against itself, and refused where there is none."""
+
+import numpy as np
+import pytest
+
+from fem.discretization.grid import Grid
+from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, StiffLoad
+from fem.finite.newton import UnreachableLoadError, find_equilibrium, solve_rest
+from fem.finite.rubber_body import RubberBody
+from fem.finite.solving import solve_finite
+from fem.finite.system import FiniteSystem
+from fem.linear.refactored import RepeatedFactor
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Block, Load, Probe, Scene, SceneError
+from geometry.design import Material
+
+PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
+LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
+BODY = RubberBody(Grid(x=LINE, y=LINE, z=np.array([0.0, 6.0, 10.0])), [Material()])
+PROBES = (
+    Probe(name="middle", kind="mean", center_mm=(7.5, 7.5), size_mm=(2.0, 2.0)),
+    Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
+)
+
+
+def loads_of(kind: str, mpa: float) -> list[FiniteLoad]:
+    return {
+        "dead": [DeadLoad(**PAD, traction_mpa=(0.1 * mpa, 0.0, -mpa))],
+        "follower": [FollowerLoad(**PAD, pressure_mpa=mpa, traction_mpa=(0.1 * mpa, 0.0))],
+        "stiff": [StiffLoad(**PAD, force_n=(14.4 * mpa, 0.0, -144.0 * mpa))],
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
+def test_small_loads_give_the_tangent_s_answer(kind):
+    system = FiniteSystem(BODY, loads_of(kind, 1e-6))
+    found = find_equilibrium(system)
+    linear = solve_rest(system, RepeatedFactor(system.pattern))
+    assert np.allclose(system.moved(system.rest(), linear).u, found.state.u, rtol=1e-5, atol=1e-12)
+
+
+def test_small_loads_give_the_linear_solver_s_answer():
+    """Another element, another grid: both are right to their estimates."""
+    scene = Scene(
+        body=Block(size_mm=(15.0, 15.0, 10.0)),
+        loads=(Load(**PAD, traction_mpa=(1e-6, 0.0, -1e-5)),),
+        probes=PROBES,
+        tolerance=5e-3,
+    )
+    finite = solve_finite(scene)
+    linear, _ = solve_scene(scene)
+    assert finite.error_estimate <= 5e-3
+    for name, u in linear.probes.items():
+        assert np.linalg.norm(finite.probes[name] - u) < 1e-2 * np.linalg.norm(u)
+    assert np.isclose(finite.energy_mj, linear.energy_mj, rtol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
+def test_equilibrium_needs_few_iterations_and_holds_its_loads(kind):
+    system = FiniteSystem(BODY, loads_of(kind, 1.5))
+    found = find_equilibrium(system)
+    assert found.steps == 1
+    assert found.iterations <= 6
+    assert found.residual <= 1e-9
+    internal, _, _ = BODY.internal_forces(found.state.u[None])
+    base = BODY.basis.doflocs[2] == 0.0
+    pushed = system.nodal_loads(found.state, 1.0).sum(axis=0) + system.force_n.sum(axis=0)
+    assert np.allclose(internal[0, base].sum(axis=0), -pushed, atol=1e-6)
+
+
+def test_a_plate_stays_rigid_and_its_moments_balance():
+    system = FiniteSystem(BODY, [StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))])
+    state = find_equilibrium(system).state
+    x = BODY.basis.doflocs.T[system.plates.node] + state.u[system.plates.node]
+    rest = BODY.basis.doflocs.T[system.plates.node]
+    assert np.allclose(
+        np.linalg.norm(x[:, None] - x[None], axis=-1), np.linalg.norm(rest[:, None] - rest[None], axis=-1)
+    )
+    internal, _, _ = BODY.internal_forces(state.u[None])
+    arm = x - (np.array([7.5, 7.5, 10.0]) + state.shift[0])
+    moment = np.cross(arm, internal[0, system.plates.node]).sum(axis=0)
+    assert np.allclose(moment, [0.0, 60.0, 20.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["dead", "stiff"])
+def test_work_of_the_loads_is_stored(kind):
+    """The work is a cubic's integral over the one load step: right to 1 % at a shortening of 10 %."""
+    found = find_equilibrium(FiniteSystem(BODY, loads_of(kind, 1.0)))
+    assert abs(found.energy_imbalance) < 1e-2
+    many = find_equilibrium(FiniteSystem(BODY, loads_of(kind, 1.0)), first_step=0.125)
+    assert many.steps > 3
+    assert abs(many.energy_imbalance) < 1e-4
+    assert np.allclose(many.state.u, found.state.u, atol=1e-8)
+
+
+def test_a_load_without_equilibrium_is_refused_in_one_line():
+    with pytest.raises(UnreachableLoadError, match=r"no equilibrium above 0\.\d+ of the load") as refused:
+        find_equilibrium(FiniteSystem(BODY, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -20.0))]))
+    assert "stiff plate" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_plates_that_touch_are_refused():
+    halves = [
+        StiffLoad(center_mm=(x, 7.5), size_mm=(6.0, 12.0), force_n=(0.0, 0.0, -1.0)) for x in (4.5, 10.5)
+    ]
+    with pytest.raises(SceneError, match="part them"):
+        FiniteSystem(BODY, halves)
+
+
+def test_a_load_off_the_grid_s_lines_is_refused():
+    with pytest.raises(SceneError, match="no line at x = 1 mm"):
+        FiniteSystem(BODY, [StiffLoad(center_mm=(7.5, 7.5), size_mm=(13.0, 12.0), force_n=(0.0, 0.0, -1.0))])
+
+
+def test_both_solvers_agree():
+    system = FiniteSystem(BODY, loads_of("follower", 1.0))
+    one, two = (find_equilibrium(system, RepeatedFactor(system.pattern, solver)).state.u for solver in ("pardiso", "superlu"))
+    assert np.allclose(one, two, atol=1e-9)

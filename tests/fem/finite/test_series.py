@@ -1,0 +1,53 @@
+"""Power series in the load: against Newton's method, about the body at rest and under a preload."""
+
+import numpy as np
+import pytest
+
+from fem.discretization.grid import Grid
+from fem.finite.loads import StiffLoad
+from fem.finite.newton import find_equilibrium
+from fem.finite.rubber_body import RubberBody
+from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.finite.system import FiniteSystem
+from geometry.design import Material
+
+LINE = np.array([-15.0, -13.5, -7.5, -1.5, 0.0, 1.5, 7.5, 13.5, 15.0])
+BODY = RubberBody(Grid(x=LINE, y=LINE[:5], z=np.array([0.0, 6.0, 10.0])), [Material()])
+PRELOAD_N = np.array([[0.0, 0.0, -144.0], [0.0, 0.0, -144.0]])
+LOADS_N = np.array([[20.0, 10.0, -180.0], [-15.0, 30.0, -60.0]])
+
+
+def system_under(forces_n: np.ndarray) -> FiniteSystem:
+    plates = [
+        StiffLoad(center_mm=(x, -7.5), size_mm=(12.0, 12.0), force_n=tuple(force.tolist()))
+        for x, force in zip((-7.5, 7.5), forces_n, strict=True)
+    ]
+    return FiniteSystem(BODY, list(plates))
+
+
+@pytest.mark.parametrize("preload_n", [np.zeros((2, 3)), PRELOAD_N], ids=["rest", "preload"])
+def test_partial_sums_converge_to_equilibrium_at_their_order(preload_n):
+    """The error of the sum to order k falls as sᵏ⁺¹ with the load s."""
+    base = BaseState.of(system_under(preload_n))
+    loads = np.zeros((1, 2, 2, 3))
+    loads[0, 0] = LOADS_N - preload_n
+    series = load_series(base, loads, orders=5)
+    shares = (0.25, 0.125)
+    truth = [find_equilibrium(system_under(preload_n + s * loads[0, 0])).state for s in shares]
+    for order in (1, 2, 3, 4):
+        errors = []
+        for s, state in zip(shares, truth, strict=True):
+            powers = s ** np.arange(1, order + 1)
+            u = base.state.u + np.tensordot(powers, series.u[:order, 0], 1)
+            turn = quaternion_rotations(np.tensordot(powers, series.half_spin[:order, 0], 1)) @ base.state.rotation
+            errors.append(np.abs(u - state.u).max())
+            assert np.allclose(turn, state.rotation, atol=2.0 * errors[-1])
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(order + 1, abs=0.35)
+
+
+def test_samples_are_expanded_alike_alone_and_together():
+    base = BaseState.of(system_under(np.zeros((2, 3))))
+    loads = np.random.default_rng(2).normal(size=(3, 2, 2, 3)) * 20.0
+    together = load_series(base, loads, orders=3)
+    alone = load_series(base, loads[1:2], orders=3)
+    assert np.allclose(together.u[:, 1], alone.u[:, 0], rtol=1e-10, atol=1e-14)
