@@ -100,8 +100,8 @@ def bonded_nodes(body: RubberBody, rectangle: Rectangle) -> NDArray[np.int64]:
 class FollowingFaces:
     """Element faces of the top under pressure: their nodal forces and the stiffness of these.
 
-    Per unit of pressure the forces on the face's nodes are −∫ φₐ x,ξ × x,η dξ dη, x the deformed positions; boxes of the
-    top face are numbered by the grid, so that normals point up at rest.
+    Per unit of pressure the forces on a face's nodes are −∫ φₐ x,ξ × x,η dξ dη, x the deformed positions; at rest the
+    normals x,ξ × x,η point up.
     """
 
     def __init__(self, body: RubberBody, rectangles: list[Rectangle], pressures_mpa: FloatArray) -> None:

@@ -1,8 +1,9 @@
 """Equilibrium under growing loads by Newton's method, in steps as large as converge.
 
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
-tangent takes it from there. A state whose tangent has an eigenvalue below 0 is unstable, and is not taken. With the pressure of the displacements instead, nearly incompressible rubber needs twice
-as many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100.
+tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
+many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100. A state whose
+tangent has an eigenvalue below 0 is unstable, and is not taken.
 """
 
 from dataclasses import dataclass, field
@@ -61,7 +62,9 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(system: FiniteSystem, factor: RepeatedFactor | None = None, first_step: float = 1.0) -> Equilibrium:
+def find_equilibrium(
+    system: FiniteSystem, factor: RepeatedFactor | None = None, first_step: float = 1.0
+) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
@@ -122,9 +125,7 @@ class _Tried:
     converged: bool
 
 
-def _equilibrium_at(
-    system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, path: _Path
-) -> _Tried:
+def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
@@ -171,8 +172,8 @@ def _refusal(system: FiniteSystem, share: float, worst: State) -> str:
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
     return (
-        f"no equilibrium above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
-        f"gives way (smallest J {least:.2g}): {mend}."
+        f"no equilibrium above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} "
+        f"mm gives way (smallest J {least:.2g}): {mend}."
     )
 
 

@@ -1,8 +1,9 @@
 """Boxes of neo-Hookean rubber: internal forces, tangent stiffness and energy of quadratic hexahedra.
 
-The law is W = μ/2 (I₁ − 3) − μ ln J + λ/2 (J − 1)², which at small strain is Hooke's law of Lamé's λ and μ. Displacements
-are Q2; the pressure p = λ (J − 1) is linear within an element and jumps between elements (Q2/P1disc), so that it is
-found element by element and nearly incompressible rubber does not lock. With P = ∂W/∂F, J = det F and cof F = J F⁻ᵀ,
+The law is W = μ/2 (I₁ − 3) − μ ln J + λ/2 (J − 1)², which at small strain is Hooke's law of Lamé's λ and μ.
+Displacements are Q2; the pressure p = λ (J − 1) is linear within an element and jumps between elements (Q2/P1disc), so
+that it is found element by element and nearly incompressible rubber does not lock. With P = ∂W/∂F, J = det F and
+cof F = J F⁻ᵀ,
 
     ∫ [μ F + (p − μ/J) cof F] : ∇v = external forces     for all v,
     ∫ [λ (J − 1) − p] q = 0                              for all q linear in an element.
@@ -160,7 +161,7 @@ class RubberBody:
         return plus_unit(P, pressure + over * strain.dilation)
 
     def divergence(self, P: FloatArray) -> FloatArray:
-        """Nodal forces ∫ P : ∇v of stresses (3, 3, m, n_elements, n_points), which it overwrites, (m, n_nodes, 3) [N]."""
+        """Nodal forces ∫ P : ∇v, (m, n_nodes, 3) [N], of stresses (3, 3, m, n_elements, n_points); overwrites these."""
         states = P.shape[2]
         for d, lean in enumerate(self.grid.lean):
             if lean:
@@ -271,7 +272,7 @@ class TangentParts:
         return K
 
     def pressure_change(self, du: FloatArray) -> FloatArray:
-        """λ M⁻¹ Bᵀ du, the change of pressures with displacements (n_nodes, 3), shape (n_elements, 4); after `blocks`."""
+        """λ M⁻¹ Bᵀ du, the change (n_elements, 4) of pressures with displacements (n_nodes, 3); after `blocks`."""
         own = du[self.body.nodes]  # (e, a, i)
         change = sum(np.einsum("eak,ea->ek", self.pressing[i], own[:, :, i]) for i in range(3))
         return self.bulk * change

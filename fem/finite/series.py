@@ -43,7 +43,9 @@ class BaseState:
             If the loads have no potential: tangents of series are symmetric.
         """
         if not system.symmetric:
-            raise ValueError("series are expanded about dead loads and forces on plates only: moments and pressures turn.")
+            raise ValueError(
+                "series are expanded about dead loads and forces on plates only: moments and pressures turn."
+            )
         factor = RepeatedFactor(system.pattern)
         state = find_equilibrium(system, factor).state
         misfit = system.misfit(state, 1.0)

@@ -33,7 +33,9 @@ class State:
 class Misfit:
     """How far a state is from equilibrium."""
 
-    unbalanced: FloatArray  #: loads less internal forces on the unknowns, with the volumes' pressures, (n_blocks, 3) [N]
+    unbalanced: (
+        FloatArray  #: loads less internal forces on the unknowns, with the volumes' pressures, (n_blocks, 3) [N]
+    )
     held: FloatArray  #: internal forces less loads at every node, (n_nodes, 3) [N]
     pressures: FloatArray  #: those that the volumes ask for, (n_elements, 4) [MPa]
     least_j: float  #: least ratio of volumes

@@ -1,4 +1,4 @@
-"""Neo-Hookean boxes: stresses of known deformations, forces as slopes of the energy, tangents as slopes of the forces."""
+"""Neo-Hookean boxes: stresses of known deformations, forces as slopes of the energy, tangents as slopes of forces."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def homogeneous(rubber_body: RubberBody, F: np.ndarray) -> np.ndarray:
 
 
 def test_bar_in_tension_follows_the_closed_form():
-    """Stretch λ₁ with free sides: μ (a − 1/a) + λ (J − 1) λ₁ a = 0 gives the side stretch a, and P = μ (λ₁ − 1/λ₁) + λ (J − 1) a²."""
+    """Stretch s with free sides: μ (a − 1/a) + λ (J − 1) s a = 0 for the sides' a, and P = μ (s − 1/s) + λ (J − 1) a²."""
     lame, mu = RUBBER.lame_mpa
     for stretch in (0.6, 0.9, 1.4, 2.0):
 

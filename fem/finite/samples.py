@@ -1,0 +1,175 @@
+"""Thousands of finite-strain samples of an array with stiff pads: series about a few uniform preloads, summed by
+reduced rank extrapolation.
+
+A sample takes the preload nearest to the middle of its pressures, so that no pad is far from it; one factor and one set
+of stresses at the preload then serve every sample and every order. What the coarse grid gets wrong at small strain is
+put right by the linear response of a fine one.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fem.discretization.grid import Grid
+from fem.finite.loads import FiniteLoad, StiffLoad
+from fem.finite.rubber_body import RubberBody
+from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.finite.system import FiniteSystem
+from geometry.design import SensorDesign
+from geometry.errors import DesignError
+from geometry.layout import ELECTRODES, FloatArray, unit_centres, upper_electrodes
+
+PRELOADS_MPA = (0.0, 1.0, 2.0, 3.0)  #: uniform pressures about which samples are expanded
+ORDERS = 6  #: of the series; with the nearest preload 0.001 % up to 3 MPa, 0.03 % at 5 MPa and 30 % strain (3 × 3)
+AT_ONCE = 4  #: samples expanded together, which bounds the memory
+#: lines of the grid between a unit's edges, as shares of the gap beside the pad, of the pad, and of the height
+GAP, PAD, HEIGHT = (1.0,), (0.5, 1.0), (0.2, 0.8, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FiniteSamples:
+    """Answers to m samples of loads on an array of k units."""
+
+    displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
+    shift_mm: FloatArray  #: of the pads' middles, (m, k, 3)
+    rotation: FloatArray  #: of the pads, (m, k, 3, 3)
+    series_error: FloatArray  #: last change of the sums with the order, relative, (m,)
+    preload: FloatArray  #: pressure about which each was expanded, (m,) [MPa]
+
+
+@dataclass(eq=False)
+class SampleSolver:
+    """Finite-strain response of an array of one rubber whose pads are rigid plates.
+
+    Parameters
+    ----------
+    design : SensorDesign
+    fine_compliance : array, shape (6 k, 3 k), optional
+        Linear motions of the pads by a fine grid per newton on them, shifts (k, 3) then spins times half the pad's size
+        [mm/N]; None leaves the coarse grid's.
+    orders : int
+    """
+
+    design: SensorDesign
+    fine_compliance: FloatArray | None = None
+    orders: int = ORDERS
+    _bases: dict[float, BaseState] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.design.is_homogeneous:
+            raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
+        self.body = RubberBody(array_grid(self.design), [self.design.matrix_material])
+        self.area_mm2 = self.design.pad.size_mm**2
+
+    def base(self, preload_mpa: float) -> BaseState:
+        """The equilibrium under a uniform pressure on all pads, found once."""
+        if preload_mpa not in self._bases:
+            self._bases[preload_mpa] = BaseState.of(self._system(preload_mpa))
+        return self._bases[preload_mpa]
+
+    def _system(self, preload_mpa: float) -> FiniteSystem:
+        size, offset = self.design.pad.size_mm, (self.design.pad.offset_x_mm, self.design.pad.offset_y_mm)
+        loads: list[FiniteLoad] = [
+            StiffLoad(
+                center_mm=(float(x + offset[0]), float(y + offset[1])),
+                size_mm=(size, size),
+                force_n=(0.0, 0.0, -preload_mpa * self.area_mm2),
+            )
+            for x, y in unit_centres(self.design)
+        ]
+        return FiniteSystem(self.body, loads)
+
+    def displacements(self, force_n: FloatArray) -> FiniteSamples:
+        """Displacements of the electrodes under forces on the pads.
+
+        Parameters
+        ----------
+        force_n : array, shape (m, k, 3)
+            Along x, y, z; z negative pushes down [N].
+
+        Returns
+        -------
+        FiniteSamples
+
+        Raises
+        ------
+        UnreachableLoadError
+            If a uniform preload near a sample has no equilibrium.
+        """
+        pressure = -force_n[..., 2] / self.area_mm2
+        middle = (pressure.min(axis=1) + pressure.max(axis=1)) / 2
+        levels = np.array(PRELOADS_MPA)
+        nearest = levels[np.abs(middle[:, None] - levels).argmin(axis=1)]
+        m, k = force_n.shape[:2]
+        shift, half_spin = np.empty((2, m, k, 3))
+        rotation, error = np.empty((m, k, 3, 3)), np.empty(m)
+        for level in np.unique(nearest):
+            base = self.base(float(level))
+            for own in np.array_split(mine := np.flatnonzero(nearest == level), max(1, -(-len(mine) // AT_ONCE))):
+                shift[own], half_spin[own], error[own] = self._summed(base, force_n[own])
+                rotation[own] = quaternion_rotations(half_spin[own]) @ base.state.rotation
+        if self.fine_compliance is not None:
+            extra = force_n.reshape(m, -1) @ (self.fine_compliance - self._coarse_compliance()).T
+            moves, spins = extra.reshape(m, 2, k, 3).swapaxes(0, 1)
+            shift = shift + moves
+            rotation = quaternion_rotations(spins / self.design.pad.size_mm) @ rotation
+        arm = upper_electrodes(self.design.unit)
+        arm[:, 2] = 0.0
+        arm[:, :2] -= [self.design.pad.offset_x_mm, self.design.pad.offset_y_mm]
+        moved = shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, arm) - arm
+        assert moved.shape == (m, k, len(ELECTRODES), 3)
+        return FiniteSamples(
+            displacement_mm=moved, shift_mm=shift, rotation=rotation, series_error=error, preload=nearest
+        )
+
+    def _coarse_compliance(self) -> FloatArray:
+        k = self.design.n_units
+        return self.base(0.0).compliance()[:, : 3 * k]
+
+    def _summed(self, base: BaseState, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Shifts and half spins (m, k, 3) of samples, and the relative change of the last order (m,)."""
+        loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
+        loads[:, 0] = force_n - base.system.force_n
+        series = load_series(base, loads, self.orders)
+        size = self.design.pad.size_mm
+        terms = np.stack([series.shift, series.half_spin * size], axis=-2)  # half spin · size = spin · half size
+        flat = terms.reshape(self.orders, len(force_n), -1).swapaxes(0, 1)
+        summed = np.array([rank_reduced_sum(own) for own in flat])
+        before = np.array([rank_reduced_sum(own[:-1]) for own in flat])
+        rest = np.stack([base.state.shift, np.zeros_like(base.state.shift)], axis=-2).ravel()
+        error = np.linalg.norm(summed - before, axis=1) / np.linalg.norm(summed + rest, axis=1)
+        parts = summed.reshape(terms.shape[1:])
+        return base.state.shift + parts[..., 0, :], parts[..., 1, :] / size, error
+
+
+def rank_reduced_sum(terms: FloatArray) -> FloatArray:
+    """Sum of a series of vectors (orders, n) by reduced rank extrapolation.
+
+    Notes
+    -----
+    Of all weighted means Σ γⱼ Sⱼ of the partial sums that one is taken for which the same mean of the terms, Σ γⱼ uⱼ,
+    is least (Sidi, Vector Extrapolation Methods, 2017, ch. 1); for terms of one geometric series it is exact.
+
+    Examples
+    --------
+    >>> rank_reduced_sum(np.array([[1.0, 2.0], [-0.5, -1.0], [0.25, 0.5]])).round(9)
+    array([0.66666667, 1.33333333])
+    """
+    products = terms @ terms.T
+    scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
+    scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
+    weights = np.linalg.solve(scaled, 1 / scale) / scale
+    return (weights / weights.sum()) @ np.cumsum(terms, axis=0)
+
+
+def array_grid(design: SensorDesign) -> Grid:
+    """The whole slab: a few boxes a unit, with lines along the pads' edges."""
+    pitch, size, height = design.array.pitch_mm, design.pad.size_mm, design.unit.height_mm
+    lines = []
+    for count, offset in ((design.array.cols, design.pad.offset_x_mm), (design.array.rows, design.pad.offset_y_mm)):
+        low, high = pitch / 2 + offset - size / 2, pitch / 2 + offset + size / 2
+        own = [low * share for share in GAP] + [low + size * share for share in PAD]
+        own += [high + (pitch - high) * share for share in GAP]
+        unit = np.unique(np.round(own, 9))
+        lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
+    return Grid(x=lines[0], y=lines[1], z=height * np.array([0.0, *HEIGHT]))
