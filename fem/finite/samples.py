@@ -9,6 +9,7 @@ put right by the linear response of a fine one.
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid
 from fem.finite.loads import FiniteLoad, StiffLoad
@@ -19,11 +20,14 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import ELECTRODES, FloatArray, unit_centres, upper_electrodes
 
-PRELOADS_MPA = (0.0, 1.0, 2.0, 3.0)  #: uniform pressures about which samples are expanded
-ORDERS = 6  #: of the series; with the nearest preload 0.001 % up to 3 MPa, 0.03 % at 5 MPa and 30 % strain (3 × 3)
+#: uniform pressures about which samples are expanded; about 3 MPa, pads under little load converge slowly
+PRELOADS_MPA = (0.0, 1.0, 2.0)
+MAX_ORDERS = 10  #: of a series
+TOLERANCE = 3e-4  #: relative change of a sample's sum by the last order, at which its series ends
 AT_ONCE = 4  #: samples expanded together, which bounds the memory
-#: lines of the grid between a unit's edges, as shares of the gap beside the pad, of the pad, and of the height
-GAP, PAD, HEIGHT = (1.0,), (0.5, 1.0), (0.2, 0.8, 1.0)
+#: lines of the grid within a unit, as shares of the gap beside the pad, of the pad, and of the height; a thin layer at
+#: the clamped base matters as much as one at the pads
+GAP, PAD, HEIGHT = (1.0,), (0.2, 0.5, 0.8, 1.0), (0.2, 0.8, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +38,7 @@ class FiniteSamples:
     shift_mm: FloatArray  #: of the pads' middles, (m, k, 3)
     rotation: FloatArray  #: of the pads, (m, k, 3, 3)
     series_error: FloatArray  #: last change of the sums with the order, relative, (m,)
+    orders: NDArray[np.int64]  #: of the series, (m,)
     preload: FloatArray  #: pressure about which each was expanded, (m,) [MPa]
 
 
@@ -47,12 +52,13 @@ class SampleSolver:
     fine_compliance : array, shape (6 k, 3 k), optional
         Linear motions of the pads by a fine grid per newton on them, shifts (k, 3) then spins times half the pad's size
         [mm/N]; None leaves the coarse grid's.
-    orders : int
+    tolerance : float
+        See `TOLERANCE`.
     """
 
     design: SensorDesign
     fine_compliance: FloatArray | None = None
-    orders: int = ORDERS
+    tolerance: float = TOLERANCE
     _bases: dict[float, BaseState] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -99,15 +105,19 @@ class SampleSolver:
         pressure = -force_n[..., 2] / self.area_mm2
         middle = (pressure.min(axis=1) + pressure.max(axis=1)) / 2
         levels = np.array(PRELOADS_MPA)
-        nearest = levels[np.abs(middle[:, None] - levels).argmin(axis=1)]
+        far = np.abs(pressure[:, :, None] - levels).max(axis=1)  # (m, levels)
+        preload = levels[np.abs(middle[:, None] - levels).argmin(axis=1)]
         m, k = force_n.shape[:2]
         shift, half_spin = np.empty((2, m, k, 3))
-        rotation, error = np.empty((m, k, 3, 3)), np.empty(m)
-        for level in np.unique(nearest):
-            base = self.base(float(level))
-            for own in np.array_split(mine := np.flatnonzero(nearest == level), max(1, -(-len(mine) // AT_ONCE))):
-                shift[own], half_spin[own], error[own] = self._summed(base, force_n[own])
-                rotation[own] = quaternion_rotations(half_spin[own]) @ base.state.rotation
+        rotation, error, orders = np.empty((m, k, 3, 3)), np.empty(m), np.empty(m, dtype=np.int64)
+        for number, level in enumerate(levels):
+            mine = np.flatnonzero(preload == level)
+            mine = mine[np.argsort(far[mine, number])]  # those that need as many orders go together
+            base = self.base(float(level)) if len(mine) else None
+            for own in np.array_split(mine, max(1, -(-len(mine) // AT_ONCE))):
+                if base is not None and len(own):
+                    shift[own], half_spin[own], error[own], orders[own] = self._summed(base, force_n[own])
+                    rotation[own] = quaternion_rotations(half_spin[own]) @ base.state.rotation
         if self.fine_compliance is not None:
             extra = force_n.reshape(m, -1) @ (self.fine_compliance - self._coarse_compliance()).T
             moves, spins = extra.reshape(m, 2, k, 3).swapaxes(0, 1)
@@ -119,27 +129,36 @@ class SampleSolver:
         moved = shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, arm) - arm
         assert moved.shape == (m, k, len(ELECTRODES), 3)
         return FiniteSamples(
-            displacement_mm=moved, shift_mm=shift, rotation=rotation, series_error=error, preload=nearest
+            displacement_mm=moved, shift_mm=shift, rotation=rotation, series_error=error, orders=orders, preload=preload
         )
 
     def _coarse_compliance(self) -> FloatArray:
         k = self.design.n_units
         return self.base(0.0).compliance()[:, : 3 * k]
 
-    def _summed(self, base: BaseState, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Shifts and half spins (m, k, 3) of samples, and the relative change of the last order (m,)."""
+    def _summed(self, base: BaseState, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+        """Shifts and half spins (m, k, 3) of samples, the relative change of the last order (m,), and the orders."""
+        size = self.design.pad.size_mm
+        rest = np.stack([base.state.shift, np.zeros_like(base.state.shift)], axis=-2).ravel()
+        sums: list[FloatArray] = []
+        changes: list[FloatArray] = []
+
+        def settled(shifts: list[FloatArray], half_spins: list[FloatArray]) -> bool:
+            # half spin · size = spin · half size, a length
+            terms = np.stack([np.array(shifts), np.array(half_spins) * size], axis=-2)
+            flat = terms.reshape(*terms.shape[:2], -1).swapaxes(0, 1)
+            sums.append(np.array([rank_reduced_sum(own) for own in flat]))
+            if len(sums) == 1:
+                return False
+            size_now = np.linalg.norm(sums[-1] + rest, axis=1)
+            changes.append(np.linalg.norm(sums[-1] - sums[-2], axis=1) / np.where(size_now > 0, size_now, 1.0))
+            return bool((changes[-1] <= self.tolerance).all())
+
         loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
         loads[:, 0] = force_n - base.system.force_n
-        series = load_series(base, loads, self.orders)
-        size = self.design.pad.size_mm
-        terms = np.stack([series.shift, series.half_spin * size], axis=-2)  # half spin · size = spin · half size
-        flat = terms.reshape(self.orders, len(force_n), -1).swapaxes(0, 1)
-        summed = np.array([rank_reduced_sum(own) for own in flat])
-        before = np.array([rank_reduced_sum(own[:-1]) for own in flat])
-        rest = np.stack([base.state.shift, np.zeros_like(base.state.shift)], axis=-2).ravel()
-        error = np.linalg.norm(summed - before, axis=1) / np.linalg.norm(summed + rest, axis=1)
-        parts = summed.reshape(terms.shape[1:])
-        return base.state.shift + parts[..., 0, :], parts[..., 1, :] / size, error
+        load_series(base, loads, MAX_ORDERS, settled)
+        parts = sums[-1].reshape(*force_n.shape[:2], 2, 3)
+        return base.state.shift + parts[..., 0, :], parts[..., 1, :] / size, changes[-1], len(sums)
 
 
 def rank_reduced_sum(terms: FloatArray) -> FloatArray:
@@ -156,6 +175,8 @@ def rank_reduced_sum(terms: FloatArray) -> FloatArray:
     array([0.66666667, 1.33333333])
     """
     products = terms @ terms.T
+    if not products[-1, -1] > 0:
+        return np.asarray(terms.sum(axis=0))
     scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
     scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
     weights = np.linalg.solve(scaled, 1 / scale) / scale

@@ -6,6 +6,7 @@ Computers & Structures 53 (1994) 1181). Products and one division are all it tak
 1/J in its stress. Many samples share the factor and are expanded together.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from fem.linear.refactored import RepeatedFactor
 from geometry.layout import FloatArray
 
 Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
+Stop = Callable[[Terms, Terms], bool]  #: whether shifts and half spins of the plates so far, from s¹ on, suffice
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,9 @@ class LoadSeries:
     half_spin: FloatArray  #: vector part of the quaternion of each plate's further rotation, (orders, m, k, 3)
 
 
-def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
+def load_series(
+    base: BaseState, loads: FloatArray, orders: int, stop: Stop = lambda shifts, half_spins: False
+) -> LoadSeries:
     """Series of the response to loads on the plates, of many samples at once.
 
     Parameters
@@ -94,6 +98,9 @@ def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
     loads : array, shape (m, 2, k, 3)
         Forces and moments over half-widths on the plates of m samples, less those of the base state [N].
     orders : int
+        At most.
+    stop : function, optional
+        Called after every order but the last; True ends the series there.
 
     Returns
     -------
@@ -103,7 +110,7 @@ def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
     -----
     Rotations are R = I + 2 q₀ [v] + 2 [v]², q₀² = 1 − |v|²: a series of v gives that of R by products and a root.
     """
-    return _Expansion(base, len(loads)).expand(loads, orders)
+    return _Expansion(base, len(loads)).expand(loads, orders, stop)
 
 
 class _Expansion:
@@ -124,7 +131,7 @@ class _Expansion:
         self.arm: Terms = [self.system.plates.turned(base.state.rotation)[None]]
         self.force: Terms = [base.plate_forces[None]]
 
-    def expand(self, loads: FloatArray, orders: int) -> LoadSeries:
+    def expand(self, loads: FloatArray, orders: int, stop: Stop) -> LoadSeries:
         base, system, body = self.base, self.system, self.body
         rotation = np.broadcast_to(base.state.rotation, (self.m, self.k, 3, 3))
         n = len(system.free)
@@ -149,6 +156,8 @@ class _Expansion:
             u[:, system.plates.node] += known_arm
             found.append((u, p, z[:, n : n + self.k], v))
             self.v.append(v)
+            if stop([terms[2] for terms in found], self.v[1:]):
+                break
             self.arm.append(known_arm + self._turned(2 * skew(v)))
             self.q0.append(self._root(order))
         u, p, shift, half_spin = (np.array(part) for part in zip(*found, strict=True))

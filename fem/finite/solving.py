@@ -136,7 +136,7 @@ def _seen(probe: Probe, body: RubberBody, u: FloatArray) -> FloatArray:
     if probe.kind == "mean":
         integral = body.basis.patch_integrals(np.array([probe.rectangle]))
         return np.asarray(integral @ u)[0] / integral.sum()
-    x, y, z = probe.position_mm or ()
+    x, y, z = probe.position_mm or (0.0, 0.0, 0.0)
     place = (x - body.grid.lean[0] * z, y - body.grid.lean[1] * z, z)
     X, Y, Z = (
         line_values(line, 2, np.clip(np.array([at]), line[0], line[-1]))[0]

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, FollowingFaces, StiffLoad, skew
+from fem.finite.loads import FiniteLoad, FollowerLoad, FollowingFaces, StiffLoad, skew
 from fem.finite.plates import Plates, rotations
 from fem.finite.rubber_body import N_NODES, PAIRS, RubberBody, TangentParts
 from fem.linear.refactored import BlockPattern
@@ -31,7 +31,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """How far a state is from equilibrium."""
+    """Forces that a state leaves unbalanced."""
 
     unbalanced: (
         FloatArray  #: loads less internal forces on the unknowns, with the volumes' pressures, (n_blocks, 3) [N]
@@ -73,7 +73,7 @@ class FiniteSystem:
             body, [load.rectangle for load in following], np.array([load.pressure_mpa for load in following])
         )
         self.dead = np.zeros((body.n_nodes, 3))  #: nodal forces at full load [N]
-        for load in (*following, *(load for load in loads if isinstance(load, DeadLoad))):
+        for load in (load for load in loads if not isinstance(load, StiffLoad)):
             own = body.basis.patch_integrals(np.array([load.rectangle])).toarray()[0]
             traction = np.zeros(3)
             traction[: len(load.traction_mpa)] = load.traction_mpa
@@ -127,7 +127,7 @@ class FiniteSystem:
         return du
 
     def gathered(self, forces: FloatArray, rotation: FloatArray) -> FloatArray:
-        """What nodal forces (..., n_nodes, 3) do on the unknowns, (..., n_blocks, 3) [N]."""
+        """Forces on the unknowns (..., n_blocks, 3) of nodal forces (..., n_nodes, 3) [N]."""
         sums, moments = self.plates.resultants(forces[..., self.plates.node, :], rotation)
         return np.concatenate([forces[..., self.free, :], sums, moments / self.plates.half_mm[:, None]], axis=-2)
 
@@ -146,7 +146,7 @@ class FiniteSystem:
         return out
 
     def misfit(self, state: State, share: float) -> "Misfit":
-        """How far one state is from equilibrium at a share of the full load."""
+        """Forces that one state leaves unbalanced at a share of the full load."""
         internal, p, least = self.body.internal_forces(state.u[None])
         loads = self.nodal_loads(state, share)
         on_unknowns = self.loads_on(state, share)
@@ -218,7 +218,8 @@ class FiniteSystem:
             for found in [np.unique(of_element[e][of_element[e] >= 0])]
         ]
         touch = np.concatenate(touches) if touches else np.zeros((0, 2), dtype=np.int64)
-        self._touching, self._touched = touch.T
+        self._touching: IntArray = touch[:, 0]
+        self._touched: IntArray = touch[:, 1]
         self._bonded = of_element[self._touching] == self._touched[:, None]
         same = [np.flatnonzero(self._touching == e) for e in np.unique(self._touching)]
         met = [np.stack(np.meshgrid(s, s, indexing="ij")).reshape(2, -1) for s in same]

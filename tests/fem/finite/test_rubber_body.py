@@ -28,7 +28,7 @@ def homogeneous(rubber_body: RubberBody, F: np.ndarray) -> np.ndarray:
 
 
 def test_bar_in_tension_follows_the_closed_form():
-    """Stretch s with free sides: μ (a − 1/a) + λ (J − 1) s a = 0 for the sides' a, and P = μ (s − 1/s) + λ (J − 1) a²."""
+    """Stretch s, sides a: free of stress where μ (a − 1/a) + λ (J − 1) s a = 0; P = μ (s − 1/s) + λ (J − 1) a²."""
     lame, mu = RUBBER.lame_mpa
     for stretch in (0.6, 0.9, 1.4, 2.0):
 
