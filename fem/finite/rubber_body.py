@@ -273,9 +273,20 @@ class TangentParts:
 
     def pressure_change(self, du: FloatArray) -> FloatArray:
         """λ M⁻¹ Bᵀ du, the change (n_elements, 4) of pressures with displacements (n_nodes, 3); after `blocks`."""
-        own = du[self.body.nodes]  # (e, a, i)
-        change = sum(np.einsum("eak,ea->ek", self.pressing[i], own[:, :, i]) for i in range(3))
-        return self.bulk * change
+        return self.pressure_changes(du[None])[0]
+
+    def pressure_changes(self, du: FloatArray) -> FloatArray:
+        """The same of m displacements (m, n_nodes, 3), shape (m, n_elements, 4)."""
+        own = du[:, self.body.nodes].transpose(3, 1, 0, 2)  # (i, e, m, a)
+        change = sum(own[i] @ self.pressing[i] for i in range(3))
+        return self.bulk * change.transpose(1, 0, 2)
+
+    def pressed(self, p: FloatArray) -> FloatArray:
+        """B p, the nodal forces (m, n_nodes, 3) of pressures (m, n_elements, 4); after `blocks`."""
+        m = len(p)
+        own = np.stack([p.transpose(1, 0, 2) @ self.pressing[i].swapaxes(1, 2) for i in range(3)])  # (i, e, m, a)
+        flat = own.transpose(1, 3, 0, 2).reshape(-1, 3 * m)
+        return np.ascontiguousarray((self.body._gather @ flat).reshape(-1, 3, m).transpose(2, 0, 1))
 
 
 def plus_unit(A: FloatArray, scale: FloatArray | float) -> FloatArray:

@@ -1,9 +1,8 @@
-"""Thousands of finite-strain samples of an array with stiff pads: series about a few uniform preloads, summed by
-reduced rank extrapolation.
+"""Thousands of finite-strain samples of an array with stiff pads, from two equilibria under uniform preloads.
 
-A sample takes the preload nearest to the middle of its pressures, so that no pad is far from it; one factor and one set
-of stresses at the preload then serve every sample and every order. What the coarse grid gets wrong at small strain is
-put right by the linear response of a fine one.
+A sample begins with two orders of the series about the preload nearest to the middle of its pressures, so that no pad
+is far from it, and is then relaxed by that preload's tangent: one factor serves every sample. What the coarse grid gets
+wrong at small strain is put right by the linear response of a fine one.
 """
 
 from dataclasses import dataclass, field
@@ -13,21 +12,22 @@ from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid
 from fem.finite.loads import FiniteLoad, StiffLoad
+from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, load_series, quaternion_rotations
 from fem.finite.system import FiniteSystem
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import ELECTRODES, FloatArray, unit_centres, upper_electrodes
+from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
-#: uniform pressures about which samples are expanded; about 3 MPa, pads under little load converge slowly
-PRELOADS_MPA = (0.0, 1.0, 2.0)
-MAX_ORDERS = 10  #: of a series
-TOLERANCE = 3e-4  #: relative change of a sample's sum by the last order, at which its series ends
-AT_ONCE = 4  #: samples expanded together, which bounds the memory
+PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
+ORDERS = 2  #: of the series that samples begin with; more cost as much as the iterations that they save
+TOLERANCE = 2e-4  #: relative change of the pads' motion by an iteration at which a sample ends
+MAX_ITERATIONS = 20
+AT_ONCE = 4  #: samples solved together, which bounds the memory
 #: lines of the grid within a unit, as shares of the gap beside the pad, of the pad, and of the height; a thin layer at
 #: the clamped base matters as much as one at the pads
-GAP, PAD, HEIGHT = (1.0,), (0.2, 0.5, 0.8, 1.0), (0.2, 0.8, 1.0)
+GAP, PAD, HEIGHT = (1.0,), (0.2, 0.5, 0.8, 1.0), (0.2, 0.5, 0.8, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,9 +37,9 @@ class FiniteSamples:
     displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
     shift_mm: FloatArray  #: of the pads' middles, (m, k, 3)
     rotation: FloatArray  #: of the pads, (m, k, 3, 3)
-    series_error: FloatArray  #: last change of the sums with the order, relative, (m,)
-    orders: NDArray[np.int64]  #: of the series, (m,)
-    preload: FloatArray  #: pressure about which each was expanded, (m,) [MPa]
+    change: FloatArray  #: of the pads' motion by the last iteration, relative, (m,); infinite where none converged
+    iterations: NDArray[np.int64]  #: (m,)
+    preload: FloatArray  #: pressure from which each was solved, (m,) [MPa]
 
 
 @dataclass(eq=False)
@@ -108,16 +108,16 @@ class SampleSolver:
         far = np.abs(pressure[:, :, None] - levels).max(axis=1)  # (m, levels)
         preload = levels[np.abs(middle[:, None] - levels).argmin(axis=1)]
         m, k = force_n.shape[:2]
-        shift, half_spin = np.empty((2, m, k, 3))
-        rotation, error, orders = np.empty((m, k, 3, 3)), np.empty(m), np.empty(m, dtype=np.int64)
+        shift, rotation = np.empty((m, k, 3)), np.empty((m, k, 3, 3))
+        change, iterations = np.empty(m), np.empty(m, dtype=np.int64)
         for number, level in enumerate(levels):
             mine = np.flatnonzero(preload == level)
-            mine = mine[np.argsort(far[mine, number])]  # those that need as many orders go together
-            base = self.base(float(level)) if len(mine) else None
-            for own in np.array_split(mine, max(1, -(-len(mine) // AT_ONCE))):
-                if base is not None and len(own):
-                    shift[own], half_spin[own], error[own], orders[own] = self._summed(base, force_n[own])
-                    rotation[own] = quaternion_rotations(half_spin[own]) @ base.state.rotation
+            mine = mine[np.argsort(far[mine, number])]  # those that need as many iterations go together
+            for first in range(0, len(mine), AT_ONCE):
+                own = mine[first : first + AT_ONCE]
+                found = self._relaxed(self.base(float(level)), force_n[own])
+                shift[own], rotation[own], change[own] = found.shift, found.rotation, found.change
+                iterations[own] = found.iterations
         if self.fine_compliance is not None:
             extra = force_n.reshape(m, -1) @ (self.fine_compliance - self._coarse_compliance()).T
             moves, spins = extra.reshape(m, 2, k, 3).swapaxes(0, 1)
@@ -127,38 +127,29 @@ class SampleSolver:
         arm[:, 2] = 0.0
         arm[:, :2] -= [self.design.pad.offset_x_mm, self.design.pad.offset_y_mm]
         moved = shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, arm) - arm
-        assert moved.shape == (m, k, len(ELECTRODES), 3)
         return FiniteSamples(
-            displacement_mm=moved, shift_mm=shift, rotation=rotation, series_error=error, orders=orders, preload=preload
+            displacement_mm=moved,
+            shift_mm=shift,
+            rotation=rotation,
+            change=change,
+            iterations=iterations,
+            preload=preload,
         )
 
     def _coarse_compliance(self) -> FloatArray:
         k = self.design.n_units
         return self.base(0.0).compliance()[:, : 3 * k]
 
-    def _summed(self, base: BaseState, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-        """Shifts and half spins (m, k, 3) of samples, the relative change of the last order (m,), and the orders."""
-        size = self.design.pad.size_mm
-        rest = np.stack([base.state.shift, np.zeros_like(base.state.shift)], axis=-2).ravel()
-        sums: list[FloatArray] = []
-        changes: list[FloatArray] = []
-
-        def settled(shifts: list[FloatArray], half_spins: list[FloatArray]) -> bool:
-            # half spin · size = spin · half size, a length
-            terms = np.stack([np.array(shifts), np.array(half_spins) * size], axis=-2)
-            flat = terms.reshape(*terms.shape[:2], -1).swapaxes(0, 1)
-            sums.append(np.array([rank_reduced_sum(own) for own in flat]))
-            if len(sums) == 1:
-                return False
-            size_now = np.linalg.norm(sums[-1] + rest, axis=1)
-            changes.append(np.linalg.norm(sums[-1] - sums[-2], axis=1) / np.where(size_now > 0, size_now, 1.0))
-            return bool((changes[-1] <= self.tolerance).all())
-
+    def _relaxed(self, base: BaseState, force_n: FloatArray) -> Relaxed:
         loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
         loads[:, 0] = force_n - base.system.force_n
-        load_series(base, loads, MAX_ORDERS, settled)
-        parts = sums[-1].reshape(*force_n.shape[:2], 2, 3)
-        return base.state.shift + parts[..., 0, :], parts[..., 1, :] / size, changes[-1], len(sums)
+        series = load_series(base, loads, ORDERS)
+        # half spin · size = spin · half size, a length
+        terms = np.stack([series.shift, series.half_spin * self.design.pad.size_mm], axis=-2)
+        flat = terms.reshape(ORDERS, len(force_n), -1).swapaxes(0, 1)
+        weights = np.array([rank_reduced_weights(own) for own in flat])
+        relaxation = Relaxation(base, loads)
+        return relaxation.relax(relaxation.start(series, weights), MAX_ITERATIONS, self.tolerance)
 
 
 def rank_reduced_sum(terms: FloatArray) -> FloatArray:
@@ -174,13 +165,18 @@ def rank_reduced_sum(terms: FloatArray) -> FloatArray:
     >>> rank_reduced_sum(np.array([[1.0, 2.0], [-0.5, -1.0], [0.25, 0.5]])).round(9)
     array([0.66666667, 1.33333333])
     """
+    return np.asarray(rank_reduced_weights(terms) @ terms)
+
+
+def rank_reduced_weights(terms: FloatArray) -> FloatArray:
+    """Weights (orders,) of the terms in their `rank_reduced_sum`."""
     products = terms @ terms.T
     if not products[-1, -1] > 0:
-        return np.asarray(terms.sum(axis=0))
+        return np.ones(len(terms))
     scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
     scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
-    weights = np.linalg.solve(scaled, 1 / scale) / scale
-    return (weights / weights.sum()) @ np.cumsum(terms, axis=0)
+    shares = np.linalg.solve(scaled, 1 / scale) / scale
+    return np.cumsum(shares[::-1])[::-1] / shares.sum()  # a term is in every later partial sum
 
 
 def array_grid(design: SensorDesign) -> Grid:

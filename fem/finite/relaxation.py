@@ -1,0 +1,124 @@
+"""Equilibrium of many samples by the one tangent of a base state: a modified Newton iteration, accelerated.
+
+The tangent stays, so that an iteration costs one evaluation of the forces and one solve with a factor that is there.
+Alone such iterations diverge at large loads; Anderson's acceleration takes of the last ones the combination whose
+change is least (Walker & Ni, SIAM J. Numer. Anal. 49 (2011) 1715). Pressures are iterates of their own, as in
+`newton.py`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.finite.rubber_body import N_PRESSURES
+from fem.finite.series import BaseState, LoadSeries, quaternion_rotations
+from fem.finite.system import State
+from geometry.layout import FloatArray
+
+IntArray = NDArray[np.int64]
+
+DEPTH = 6  #: earlier iterates that are combined
+PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where changes are measured
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """Samples after their last iteration."""
+
+    shift: FloatArray  #: of the plates, (m, k, 3) [mm]
+    rotation: FloatArray  #: of the plates, (m, k, 3, 3)
+    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where no iterate was left
+    iterations: IntArray  #: (m,)
+
+
+class Relaxation:
+    """Iterates of m samples as vectors: free displacements, shifts and half spins times size of plates, pressures."""
+
+    def __init__(self, base: BaseState, loads: FloatArray) -> None:
+        self.base, self.system, self.body = base, base.system, base.system.body
+        self.m, self.k, self.n = len(loads), self.system.plates.count, len(self.system.free)
+        self.loads = loads.reshape(self.m, -1, 3).copy()
+        self.loads[:, : self.k] += self.system.force_n
+        self.n_motions = 3 * self.system.n_blocks
+
+    def start(self, series: LoadSeries, weights: FloatArray) -> FloatArray:
+        """Vectors of the sums of a series with weights (m, orders) on its terms."""
+        base, size = self.base.state, 2 * self.system.plates.half_mm[:, None]
+        u = base.u[self.system.free] + np.einsum("mo,omni->mni", weights, series.u[:, :, self.system.free])
+        shift = base.shift + np.einsum("mo,omki->mki", weights, series.shift)
+        spin = np.einsum("mo,omki->mki", weights, series.half_spin) * size
+        p = base.p + np.einsum("mo,omej->mej", weights, series.p)
+        return np.hstack([part.reshape(self.m, -1) for part in (u, shift, spin, p)])
+
+    def state(self, x: FloatArray) -> State:
+        """The deformed bodies of vectors (m, n)."""
+        blocks = x[:, : self.n_motions].reshape(len(x), -1, 3)
+        shift = blocks[:, self.n : self.n + self.k]
+        half_spin = blocks[:, self.n + self.k :] / (2 * self.system.plates.half_mm[:, None])
+        rotation = quaternion_rotations(half_spin) @ self.base.state.rotation
+        u = np.zeros((len(x), self.body.n_nodes, 3))
+        u[:, self.system.free] = blocks[:, : self.n]
+        u[:, self.system.plates.node] = self.system.plates.displacements(shift, rotation)
+        p = x[:, self.n_motions :].reshape(len(x), -1, N_PRESSURES)
+        return State(u=u, p=p, shift=shift, rotation=rotation)
+
+    def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
+        """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
+        state, parts = self.state(x), self.base.parts
+        strain = self.body.strain(state.u)
+        missing = self.body.dilated(strain.dilation) - state.p
+        with np.errstate(divide="ignore", invalid="ignore"):
+            forces = self.body.divergence(self.body.stress(strain, state.p)) + parts.pressed(missing)
+        unbalanced = -self.system.gathered(forces, state.rotation)
+        unbalanced[:, self.n :] += self.loads[samples]
+        z = self.base.solve(unbalanced)
+        nodal = self.system.nodal_change(self.base.state.rotation[None], z)
+        pressures = missing + parts.pressure_changes(nodal)
+        return np.hstack([z.reshape(len(x), -1), pressures.reshape(len(x), -1)])
+
+    def relax(self, x: FloatArray, iterations: int, tolerance: float) -> Relaxed:
+        """Iterate until the plates' motion changes by less than a tolerance, relative, or so many times.
+
+        A sample that has settled stays as it is, whatever the others need. Where forces are no longer numbers, because
+        an element was turned inside out, a sample ends with a change of infinity.
+        """
+        weight = np.ones(x.shape[1])
+        weight[self.n_motions :] = PRESSURE_MM_PER_MPA
+        plates = slice(3 * self.n, self.n_motions)
+        x, change, count = x.copy(), np.full(self.m, np.inf), np.zeros(self.m, dtype=np.int64)
+        places: list[list[FloatArray]] = [[] for _ in range(self.m)]
+        changes: list[list[FloatArray]] = [[] for _ in range(self.m)]
+        going = np.arange(self.m)
+        for _ in range(iterations):
+            asked = self.change(x[going], going)
+            for sample, g in zip(going, asked, strict=True):
+                count[sample] += 1
+                change[sample] = np.inf
+                if not np.isfinite(g).all():
+                    continue
+                places[sample] = [*places[sample][-DEPTH:], x[sample].copy()]
+                changes[sample] = [*changes[sample][-DEPTH:], g]
+                step = g - _combined(places[sample], changes[sample], weight)
+                x[sample] += step
+                size = float(np.linalg.norm(x[sample, plates]))
+                change[sample] = float(np.linalg.norm(step[plates])) / (size or 1.0)
+            going = going[np.isfinite(change[going]) & (change[going] > tolerance)]
+            if not len(going):
+                break
+        state = self.state(x)
+        return Relaxed(shift=state.shift, rotation=state.rotation, change=change, iterations=count)
+
+
+def _combined(places: list[FloatArray], changes: list[FloatArray], weight: FloatArray) -> FloatArray:
+    """Step back from the last iterate plus its change to the combination whose change is least."""
+    if len(places) < 2:
+        return np.zeros_like(places[-1])
+    differences = np.stack([changes[-1] - earlier for earlier in changes[:-1]])
+    weighted = differences * weight
+    products = weighted @ weighted.T
+    scale = 1 / np.sqrt(np.maximum(products.diagonal(), 1e-300))
+    scaled = products * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    share = scale * np.linalg.solve(scaled, scale * (weighted @ (weight * changes[-1])))
+    steps = np.stack([places[-1] - earlier for earlier in places[:-1]])
+    return np.asarray(share @ (differences + steps))
