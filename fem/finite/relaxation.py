@@ -19,6 +19,7 @@ from geometry.layout import FloatArray
 IntArray = NDArray[np.int64]
 
 DEPTH = 6  #: earlier iterates that are combined
+MAX_GROWTH = 2.0  #: of the change that is asked for, before a step is halved
 PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where changes are measured
 
 
@@ -80,8 +81,8 @@ class Relaxation:
     def relax(self, x: FloatArray, iterations: int, tolerance: float) -> Relaxed:
         """Iterate until the plates' motion changes by less than a tolerance, relative, or so many times.
 
-        A sample that has settled stays as it is, whatever the others need. Where forces are no longer numbers, because
-        an element was turned inside out, a sample ends with a change of infinity.
+        A sample that has settled stays as it is, whatever the others need. A step that lets the forces grow, or turns
+        an element inside out, is halved. A sample that does not settle ends with a change above the tolerance.
         """
         weight = np.ones(x.shape[1])
         weight[self.n_motions :] = PRESSURE_MM_PER_MPA
@@ -89,21 +90,29 @@ class Relaxation:
         x, change, count = x.copy(), np.full(self.m, np.inf), np.zeros(self.m, dtype=np.int64)
         places: list[list[FloatArray]] = [[] for _ in range(self.m)]
         changes: list[list[FloatArray]] = [[] for _ in range(self.m)]
+        last_size = np.full(self.m, np.inf)
         going = np.arange(self.m)
         for _ in range(iterations):
             asked = self.change(x[going], going)
             for sample, g in zip(going, asked, strict=True):
                 count[sample] += 1
-                change[sample] = np.inf
-                if not np.isfinite(g).all():
+                size = float(np.linalg.norm(g * weight))
+                if not np.isfinite(size) or size > MAX_GROWTH * last_size[sample]:
+                    if not places[sample]:  # not even the start is a state
+                        change[sample] = np.inf
+                        going = going[going != sample]
+                        continue
+                    x[sample] = (x[sample] + places[sample][-1]) / 2
+                    change[sample] = np.inf
                     continue
+                last_size[sample] = size
                 places[sample] = [*places[sample][-DEPTH:], x[sample].copy()]
                 changes[sample] = [*changes[sample][-DEPTH:], g]
                 step = g - _combined(places[sample], changes[sample], weight)
                 x[sample] += step
-                size = float(np.linalg.norm(x[sample, plates]))
-                change[sample] = float(np.linalg.norm(step[plates])) / (size or 1.0)
-            going = going[np.isfinite(change[going]) & (change[going] > tolerance)]
+                length = float(np.linalg.norm(x[sample, plates]))
+                change[sample] = float(np.linalg.norm(step[plates])) / (length or 1.0)
+            going = going[change[going] > tolerance]
             if not len(going):
                 break
         state = self.state(x)

@@ -246,6 +246,6 @@ def quaternion_rotations(half_spin: FloatArray) -> FloatArray:
     >>> quaternion_rotations(np.array([0.0, 0.0, np.sqrt(0.5)])).round(12) @ np.array([1.0, 0.0, 0.0])
     array([0., 1., 0.])
     """
-    q0 = np.sqrt(1 - (half_spin**2).sum(axis=-1))[..., None, None]
+    q0 = np.sqrt(np.maximum(1 - (half_spin**2).sum(axis=-1), 0.0))[..., None, None]
     V = skew(half_spin)
     return np.eye(3) + 2 * q0 * V + 2 * V @ V

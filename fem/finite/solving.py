@@ -10,7 +10,7 @@ from fem.discretization.grid import Attractor, Grid, graded_lines
 from fem.discretization.lagrange import line_values
 from fem.discretization.richardson import richardson_factor
 from fem.finite.loads import DeadLoad, FiniteLoad
-from fem.finite.newton import Equilibrium, find_equilibrium
+from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem
 from fem.scene.scene import Probe, Scene, SceneError
@@ -53,7 +53,8 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
     Returns
     -------
     FiniteSolution
-        Refined until the estimate meets the tolerance or a finer grid would pass `MAX_UNKNOWNS`: look at the estimate.
+        Refined until the estimate meets the tolerance, a finer grid would pass `MAX_UNKNOWNS`, or a finer grid's
+        elements collapse at a singular edge: look at the estimate.
 
     Raises
     ------
@@ -73,14 +74,20 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
     found: list[Probes] = []
     steps: list[str] = []
     estimate = np.inf
-    last: tuple[RubberBody, Equilibrium, int] | None = None
+    last: tuple[Equilibrium, int] | None = None
     for before, level in pairwise((0, *LEVELS)):
         body = RubberBody(finite_grid(scene, loads, level), [scene.material])
         if last is not None and 3 * body.n_nodes > MAX_UNKNOWNS:
             break
         system = FiniteSystem(body, list(loads))
-        equilibrium = find_equilibrium(system)
-        last = body, equilibrium, system.n_unknowns
+        try:
+            equilibrium = find_equilibrium(system)
+        except UnreachableLoadError as error:
+            if not np.isfinite(estimate):  # with one grid or none there is no estimate to give
+                raise
+            steps.append(f"level {level}: {error} The answer is that of the grid before.")
+            break
+        last = equilibrium, system.n_unknowns
         found.append(probes_of(scene, body, equilibrium.state.u))
         if before:
             estimate = richardson_factor(before, level, RATE) * largest_error(found[-2], found[-1])
@@ -91,7 +98,7 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
         if estimate <= scene.tolerance:
             break
     assert last is not None
-    _, equilibrium, unknowns = last
+    equilibrium, unknowns = last
     return FiniteSolution(
         probes=found[-1],
         energy_mj=equilibrium.stored_mj,
