@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.finite.rubber_body import N_PRESSURES
-from fem.finite.series import BaseState, LoadSeries, quaternion_rotations
+from fem.finite.series import BaseState, quaternion_rotations
 from fem.finite.system import State
 from geometry.layout import FloatArray
 
@@ -43,14 +43,16 @@ class Relaxation:
         self.loads[:, : self.k] += self.system.force_n
         self.n_motions = 3 * self.system.n_blocks
 
-    def start(self, series: LoadSeries, weights: FloatArray) -> FloatArray:
-        """Vectors of the sums of a series with weights (m, orders) on its terms."""
-        base, size = self.base.state, 2 * self.system.plates.half_mm[:, None]
-        u = base.u[self.system.free] + np.einsum("mo,omni->mni", weights, series.u[:, :, self.system.free])
-        shift = base.shift + np.einsum("mo,omki->mki", weights, series.shift)
-        spin = np.einsum("mo,omki->mki", weights, series.half_spin) * size
-        p = base.p + np.einsum("mo,omej->mej", weights, series.p)
-        return np.hstack([part.reshape(self.m, -1) for part in (u, shift, spin, p)])
+    @property
+    def rest(self) -> FloatArray:
+        """The vector (n,) of the base state."""
+        base = self.base.state
+        spin = np.zeros_like(base.shift)
+        return np.concatenate([part.ravel() for part in (base.u[self.system.free], base.shift, spin, base.p)])
+
+    def start(self) -> FloatArray:
+        """Vectors (m, n) of the base's tangent at once."""
+        return self.rest + self.change(np.tile(self.rest, (self.m, 1)), np.arange(self.m))
 
     def state(self, x: FloatArray) -> State:
         """The deformed bodies of vectors (m, n)."""
@@ -98,11 +100,7 @@ class Relaxation:
                 count[sample] += 1
                 size = float(np.linalg.norm(g * weight))
                 if not np.isfinite(size) or size > MAX_GROWTH * last_size[sample]:
-                    if not places[sample]:  # not even the start is a state
-                        change[sample] = np.inf
-                        going = going[going != sample]
-                        continue
-                    x[sample] = (x[sample] + places[sample][-1]) / 2
+                    x[sample] = (x[sample] + (places[sample][-1] if places[sample] else self.rest)) / 2
                     change[sample] = np.inf
                     continue
                 last_size[sample] = size

@@ -1,8 +1,8 @@
 """Thousands of finite-strain samples of an array with stiff pads, from two equilibria under uniform preloads.
 
-A sample begins with three orders of the series about the preload nearest to the middle of its pressures, so that no pad
-is far from it, and is then relaxed by that preload's tangent: one factor serves every sample. What the coarse grid gets
-wrong at small strain is put right by the linear response of a fine one.
+A sample begins at the preload nearest to the middle of its pressures, so that no pad is far from it, and is relaxed by
+that preload's tangent: one factor serves every sample. What the coarse grid gets wrong at small strain is put right by
+the linear response of a fine one.
 """
 
 from dataclasses import dataclass, field
@@ -14,14 +14,13 @@ from fem.discretization.grid import Grid
 from fem.finite.loads import FiniteLoad, StiffLoad
 from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.rubber_body import RubberBody
-from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.finite.series import BaseState, quaternion_rotations
 from fem.finite.system import FiniteSystem
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
-ORDERS = 3  #: of the series that samples begin with
 TOLERANCE = 2e-4  #: relative change of the pads' motion by an iteration at which a sample ends
 MAX_ITERATIONS = 20
 AT_ONCE = 4  #: samples solved together, which bounds the memory
@@ -143,40 +142,8 @@ class SampleSolver:
     def _relaxed(self, base: BaseState, force_n: FloatArray) -> Relaxed:
         loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
         loads[:, 0] = force_n - base.system.force_n
-        series = load_series(base, loads, ORDERS)
-        # half spin · size = spin · half size, a length
-        terms = np.stack([series.shift, series.half_spin * self.design.pad.size_mm], axis=-2)
-        flat = terms.reshape(ORDERS, len(force_n), -1).swapaxes(0, 1)
-        weights = np.array([rank_reduced_weights(own) for own in flat])
         relaxation = Relaxation(base, loads)
-        return relaxation.relax(relaxation.start(series, weights), MAX_ITERATIONS, self.tolerance)
-
-
-def rank_reduced_sum(terms: FloatArray) -> FloatArray:
-    """Sum of a series of vectors (orders, n) by reduced rank extrapolation.
-
-    Notes
-    -----
-    Of all weighted means Σ γⱼ Sⱼ of the partial sums that one is taken for which the same mean of the terms, Σ γⱼ uⱼ,
-    is least (Sidi, Vector Extrapolation Methods, 2017, ch. 1); for terms of one geometric series it is exact.
-
-    Examples
-    --------
-    >>> rank_reduced_sum(np.array([[1.0, 2.0], [-0.5, -1.0], [0.25, 0.5]])).round(9)
-    array([0.66666667, 1.33333333])
-    """
-    return np.asarray(rank_reduced_weights(terms) @ terms)
-
-
-def rank_reduced_weights(terms: FloatArray) -> FloatArray:
-    """Weights (orders,) of the terms in their `rank_reduced_sum`."""
-    products = terms @ terms.T
-    if not products[-1, -1] > 0:
-        return np.ones(len(terms))
-    scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
-    scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
-    shares = np.linalg.solve(scaled, 1 / scale) / scale
-    return np.cumsum(shares[::-1])[::-1] / shares.sum()  # a term is in every later partial sum
+        return relaxation.relax(relaxation.start(), MAX_ITERATIONS, self.tolerance)
 
 
 def array_grid(design: SensorDesign) -> Grid:

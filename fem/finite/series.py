@@ -223,11 +223,11 @@ class _Expansion:
         """Complete this order's terms by what is linear in its displacements; returns the pressures."""
         H, C, D, inverse, pressure, s, stress = known
         dF = self.body.gradient(u)
-        dC = bilinear_cofactors(self.F[0], dF)
         dJ = np.einsum("ij...,ij...->...", self.cof[0], dF)
         dp = self.body.dilated(dJ)
         if last:
             return pressure + dp
+        dC = bilinear_cofactors(self.F[0], dF)
         d_inverse = -(self.inverse[0] ** 2) * dJ
         ds = dp @ PRESSURES.T - self.mu * d_inverse
         stress += self.mu * dF + self.s[0] * dC + ds * self.cof[0]
@@ -238,6 +238,33 @@ class _Expansion:
         self.s.append(s + ds)
         self.force.append(self.body.divergence(stress)[:, self.system.plates.node])
         return pressure + dp
+
+
+def rank_reduced_sum(terms: FloatArray) -> FloatArray:
+    """Sum of a series of vectors (orders, n) by reduced rank extrapolation.
+
+    Notes
+    -----
+    Of all weighted means Σ γⱼ Sⱼ of the partial sums that one is taken for which the same mean of the terms, Σ γⱼ uⱼ,
+    is least (Sidi, Vector Extrapolation Methods, 2017, ch. 1); for terms of one geometric series it is exact.
+
+    Examples
+    --------
+    >>> rank_reduced_sum(np.array([[1.0, 2.0], [-0.5, -1.0], [0.25, 0.5]])).round(9)
+    array([0.66666667, 1.33333333])
+    """
+    return np.asarray(rank_reduced_weights(terms) @ terms)
+
+
+def rank_reduced_weights(terms: FloatArray) -> FloatArray:
+    """Weights (orders,) of the terms in their `rank_reduced_sum`."""
+    products = terms @ terms.T
+    if not products[-1, -1] > 0:
+        return np.ones(len(terms))
+    scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
+    scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
+    shares = np.linalg.solve(scaled, 1 / scale) / scale
+    return np.cumsum(shares[::-1])[::-1] / shares.sum()  # a term is in every later partial sum
 
 
 def quaternion_rotations(half_spin: FloatArray) -> FloatArray:

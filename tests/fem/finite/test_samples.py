@@ -7,7 +7,7 @@ import pytest
 
 from fem.finite.loads import StiffLoad
 from fem.finite.newton import find_equilibrium
-from fem.finite.samples import SampleSolver, array_grid, rank_reduced_sum
+from fem.finite.samples import SampleSolver, array_grid
 from fem.finite.system import FiniteSystem
 from geometry.design import Array, Material, SensorDesign
 from geometry.errors import DesignError
@@ -53,12 +53,6 @@ def test_lines_follow_pads_and_units():
     grid = array_grid(replace(PAIR, pad=replace(PAIR.pad, offset_x_mm=1.0, size_mm=10.0)))
     for place in (-15.0, -11.5, -1.5, 0.0, 3.5, 13.5, 15.0):
         assert np.abs(grid.x - place).min() < 1e-9
-
-
-def test_geometric_series_are_summed_exactly():
-    direction = np.array([1.0, -2.0, 0.5])
-    terms = np.array([direction * ratio for ratio in (1.0, -1.5, 2.25)])  # diverges; its sum is 1 / (1 + 1.5)
-    assert np.allclose(rank_reduced_sum(terms), direction / 2.5)
 
 
 def test_pillars_of_another_rubber_are_refused():
