@@ -27,9 +27,8 @@ PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where ch
 class Relaxed:
     """Samples after their last iteration."""
 
-    shift: FloatArray  #: of the plates, (m, k, 3) [mm]
-    rotation: FloatArray  #: of the plates, (m, k, 3, 3)
-    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where no iterate was left
+    state: State
+    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where the last step was halved
     iterations: IntArray  #: (m,)
 
 
@@ -113,8 +112,11 @@ class Relaxation:
             going = going[change[going] > tolerance]
             if not len(going):
                 break
-        state = self.state(x)
-        return Relaxed(shift=state.shift, rotation=state.rotation, change=change, iterations=count)
+        for sample in going:
+            if places[sample]:  # where it came closest
+                sizes = [float(np.linalg.norm(g * weight)) for g in changes[sample]]
+                x[sample] = places[sample][int(np.argmin(sizes))]
+        return Relaxed(state=self.state(x), change=change, iterations=count)
 
 
 def _combined(places: list[FloatArray], changes: list[FloatArray], weight: FloatArray) -> FloatArray:

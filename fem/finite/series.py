@@ -49,7 +49,11 @@ class BaseState:
                 "series are expanded about dead loads and forces on plates only: moments and pressures turn."
             )
         factor = RepeatedFactor(system.pattern)
-        state = find_equilibrium(system, factor).state
+        return cls.about(system, find_equilibrium(system, factor).state, factor)
+
+    @classmethod
+    def about(cls, system: FiniteSystem, state: State, factor: RepeatedFactor) -> "BaseState":
+        """Any state with its tangent, which `factor` is left with; series want an equilibrium."""
         misfit = system.misfit(state, 1.0)
         blocks, parts = system.tangent(state, 1.0, misfit.held)
         factor.factor(blocks)
