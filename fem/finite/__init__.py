@@ -1,8 +1,8 @@
 """Rubber at finite strain: boxes of neo-Hookean rubber under dead, following and stiff loads.
 
-In: a scene's body and loads of a kind each (`loads.py`). Out: displacements with an estimate of their error
-(`solving.py`, open it first). In the order of the data: `rubber_body.py` (elements, stresses and tangents), `loads.py`,
-`plates.py` (rigid plates), `system.py` (body, loads and plates as one system of equations), `newton.py` (its solution,
-step by step), `solving.py` (grids, probes and estimates), `series.py` and `samples.py` (thousands of loads on one
-body).
+In: a scene's body with loads of `loads.py`, or a design and the forces on its pads. Out: displacements with an estimate
+of their error (`solving.py`: open it first), or those of thousands of samples (`samples.py`). In the order of the data:
+`loads.py`, `rubber_body.py` (elements: stresses, tangents), `plates.py` (rigid plates), `system.py` (body, loads and
+plates as one system of equations), `newton.py` (its solution, step by step), `series.py` (the response as a power
+series in the load), `relaxation.py` (many samples by one tangent).
 """
