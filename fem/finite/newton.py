@@ -19,7 +19,7 @@ from geometry.layout import FloatArray
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 9  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
 MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
-MIN_STEP = 1 / 256  #: of the load, before it is refused
+MIN_STEP = 1 / 32  #: of the load, before it is refused
 DAMPINGS = 4  #: times that a change which turns an element inside out is halved
 
 

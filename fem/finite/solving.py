@@ -19,7 +19,7 @@ from geometry.layout import FloatArray
 
 RATE = 1.6  #: power of the level by which probes converge, assumed in the estimate: plates' edges are singular
 LEVELS = (1, 2, 3, 4)  #: of refinement
-MAX_UNKNOWNS = 250_000  #: of a grid that is still solved: about a minute and 3 GB
+MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 GB
 EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of lines: loads' edges and the body's faces
 
 
