@@ -19,8 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.discretization.grid import Grid
-from fem.discretization.hexahedra import GridBasis
+from fem.discretization.grid import Grid, GridBasis
 from fem.discretization.lagrange import gauss_points, shape_functions
 from geometry.design import Material
 from geometry.layout import FloatArray
