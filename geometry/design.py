@@ -11,9 +11,12 @@ from typing import Any
 from geometry.errors import DesignError
 
 
-def quantity(default: Any, meaning: str) -> Any:
-    """A dataclass field with its meaning, which also becomes the comment in the design file."""
-    return field(default=default, metadata={"meaning": meaning})
+def quantity(default: Any, meaning: str, optional: bool = False) -> Any:
+    """A dataclass field with its meaning, which also becomes the comment in the design file.
+
+    Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
+    """
+    return field(default=default, metadata={"meaning": meaning, "optional": optional})
 
 
 def require_numbers(values: Any) -> None:
@@ -71,6 +74,8 @@ class Unit:
         return self.span_mm + max(self.oblique_width_mm, self.electrode_mm)
 
 
+PAD_KINDS = ("soft", "stiff")
+MIN_GAP = 0.02  #: between stiff pads, of the pitch
 MAX_UNITS = 255  #: along x or y: what a board's frames can state
 
 
@@ -96,10 +101,13 @@ class Pad:
     size_mm: float = quantity(12.0, "side of the contact pad; 12 covers both upper electrodes")
     offset_x_mm: float = quantity(0.0, "pad centre along x, from the unit's centre")
     offset_y_mm: float = quantity(0.0, "pad centre along y, from the unit's centre")
+    kind: str = quantity("soft", "soft: uniform traction; stiff: a rigid plate bonded to the rubber", optional=True)
 
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "size_mm")
+        if self.kind not in PAD_KINDS:
+            raise DesignError(f"kind={self.kind!r} must be one of {', '.join(PAD_KINDS)}; of the contact pad.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +174,12 @@ class SensorDesign:
                 f"pad size_mm={self.pad.size_mm:g} with its offset reaches {reach_mm:g} mm from the unit's "
                 f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
                 "shrink the pad or raise pitch_mm."
+            )
+        if self.pad.kind == "stiff" and reach_mm > (1 - MIN_GAP) * pitch_mm / 2:
+            raise DesignError(
+                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end at least "
+                f"{MIN_GAP * pitch_mm / 2:g} mm before its unit's share of the slab ({pitch_mm / 2:g} mm from the "
+                "centre); shrink the pad or raise pitch_mm."
             )
 
     @property

@@ -1,6 +1,6 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def whole_design(text: str, source: object) -> SensorDesign:
     design = design_from_dict(table, str(source))
     if base not in (None, "paper"):
         raise DesignError(f'{source}: extends = {base!r} is unknown; it can only be "paper".')
-    missing = [] if base else _missing(asdict(design), table)
+    missing = [] if base else _missing(design, table)
     if missing:
         raise DesignError(
             f"{source}: lacks {len(missing)} of a design's keys, such as {missing[0]}: was it cut off? Give all that "
@@ -83,13 +83,14 @@ def whole_design(text: str, source: object) -> SensorDesign:
     return design
 
 
-def _missing(whole: dict[str, Any], given: dict[str, Any], where: str = "") -> list[str]:
+def _missing(whole: Any, given: dict[str, Any], where: str = "") -> list[str]:
     found = []
-    for key, value in whole.items():
-        if isinstance(value, dict):
-            found += _missing(value, given.get(key, {}), f" in [{key}]")
-        elif key not in given:
-            found.append(f"{key}{where}")
+    for spec in fields(whole):
+        value = getattr(whole, spec.name)
+        if is_dataclass(value):
+            found += _missing(value, given.get(spec.name, {}), f" in [{spec.name}]")
+        elif spec.name not in given and not spec.metadata.get("optional"):
+            found.append(f"{spec.name}{where}")
     return found
 
 

@@ -17,7 +17,7 @@ from geometry.design import SensorDesign, quantity, require_numbers, require_pos
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
 from geometry.mesher import run_apart
-from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
+from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.files import cache_folder, digest, keep, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, say_made_anew, sealed
 from geometry.surface import Surface, check_surface
@@ -30,6 +30,8 @@ METHOD = 2  #: raise when the same settings give another kind of mesh, so that c
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  #: of a tetrahedron, by its corners
+#: Corners of a prism's faces, anticlockwise from outside: base, top, −y, +x, +y, −x
+QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +95,7 @@ class MeshTask:
     outline: Prism
     prisms: Sequence[Prism]  #: where they cut each other, the last one counts
     region: NDArray[np.int64]  #: (len(prisms) + 1,): of what lies in no prism, then of each prism
+    outlined: int = 0  #: how many prisms, the first ones, have faces to be followed though no region of their own
     surfaces: Sequence[Surface]  #: that faces of the mesh follow; they may cut each other
     volumes_mm3: dict[str, tuple[int, float]]  #: names of parts whose volume is known, their regions and volumes
     volume_tolerance: float  #: relative, of these; the body's own is exact but for rounding
@@ -103,7 +106,8 @@ class MeshTask:
 
 def mesh_cache_key(design: SensorDesign, settings: MeshSettings) -> str:
     """Hash of all that a sensor's mesh depends on, but for the mesher's own chance."""
-    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings)
+    plates = [design.pad] if design.pad.kind == "stiff" else []
+    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings, *plates)
 
 
 def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
@@ -167,7 +171,8 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     for name, surface in surfaces.items():
         check_surface(surface, solids[name].volume, name)
 
-    prisms = [] if design.is_homogeneous else pillar_prisms(design)
+    pillars = [] if design.is_homogeneous else pillar_prisms(design)
+    under_plates = pad_prisms(design, settings.edge_top_mm) if design.pad.kind == "stiff" else []
     # wanted edge lengths live on a coarse background mesh, a little larger than the body, in layers of a tenth
     x, y, h = design.slab_mm
     sides = (np.array([-side / 2 - 1.0, side / 2 + 1.0]) for side in (x, y))
@@ -175,15 +180,22 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     depth = np.clip(1.0 - background.p[2] / h, 0.0, 1.0)
     return MeshTask(
         outline=slab_prism(design),
-        prisms=prisms,
-        region=np.array([0, *[1] * len(prisms)]),
-        surfaces=list(surfaces.values()),
-        volumes_mm3={"the pillars": (1, solids["array"].volume)} if prisms else {},
+        prisms=[*under_plates, *pillars],
+        region=np.array([0, *[0] * len(under_plates), *[1] * len(pillars)]),
+        outlined=len(under_plates),
+        surfaces=[*surfaces.values(), *(prism_surface(prism) for prism in under_plates)],
+        volumes_mm3={"the pillars": (1, solids["array"].volume)} if pillars else {},
         volume_tolerance=2e-3,
         background=background,
         edge_mm=settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**GRADING,
         envelope_mm=settings.envelope_mm,
     )
+
+
+def prism_surface(prism: Prism) -> Surface:
+    """The faces of a prism as twelve triangles."""
+    triangles = [corners for a, b, c, d in QUADS for corners in ((a, b, c), (a, c, d))]
+    return Surface(prism.corners(), np.array(triangles, dtype=np.int32))
 
 
 def tetrahedralized(task: MeshTask) -> TetMesh:
@@ -210,7 +222,7 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     points, cells = fill(task, envelope_mm)
     points, cells = _used(points, cells[task.outline.holds(points[cells].mean(axis=1))])
     prism = prisms_at(points[cells].mean(axis=1), task.prisms)
-    faces, sides = interfaces(cells, task.region[prism])
+    faces, sides = interfaces(cells, np.where(prism <= task.outlined, -prism, task.region[prism]))
     for number, each in enumerate(task.prisms, start=1):
         points = snap_to_prism(points, faces[(prism[sides] == number).any(axis=1)], each, 2 * envelope_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)

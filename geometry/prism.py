@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -103,6 +103,17 @@ def pillar_prisms(design: SensorDesign) -> list[Prism]:
         )
         for centre in np.pad(unit_centres(design), ((0, 0), (0, 1)))
         for (base, top), section in shapes
+    ]
+
+
+def pad_prisms(design: SensorDesign, depth_mm: float) -> list[Prism]:
+    """A layer of the slab under every pad."""
+    height, size = design.unit.height_mm, design.pad.size_mm
+    depth_mm = min(depth_mm, height / 2)
+    return [
+        Prism(base_mm=(*middle, height - depth_mm), top_mm=(*middle, height), section_mm=(size, size))
+        for x0, y0, x1, y1 in pad_squares(design).tolist()
+        for middle in [((x0 + x1) / 2, (y0 + y1) / 2)]
     ]
 
 

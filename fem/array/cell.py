@@ -15,7 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from fem.array.plate import Plate, without_plate
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.grid import Grid, GridBasis, grid_body
 from fem.discretization.mirrors import QUARTER, Parity, flipped_rectangles, images, parities, sign
@@ -202,7 +204,7 @@ class CondensedCell:
         )
 
 
-def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> CondensedCell:
+def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray, plate: Plate | None = None) -> CondensedCell:
     """Condense a meshed cell, whatever its mesh.
 
     Parameters
@@ -212,13 +214,16 @@ def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Con
     ports : PortModes
     rectangles : array, shape (k, 4)
         x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed [mm].
+    plate : Plate, optional
+        Bonded to the top face, off the side faces. A force spread over its own rectangle is then one on its middle.
 
     Notes
     -----
     S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
-    the side faces, which follow the port modes Φ, and I the others, all pressures included.
+    the side faces, which follow the port modes Φ, and I the others, all pressures included. With a plate B holds what
+    is bonded to it as well, Φ its motions, and these are then eliminated (`plate.without_plate`).
     """
-    parts = condensation(body, ports, rectangles)
+    parts = condensation(body, ports, rectangles, plate)
     S, L, C, residual = _eliminate(body, parts)
     return CondensedCell(
         ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
@@ -231,22 +236,45 @@ class Condensation:
 
     inner: NDArray[np.int64]  #: I, numbers of unknowns
     outer: NDArray[np.int64]  #: B
+    n_ports: int  #: columns of Φ that are port modes; those after them are motions of a plate
     K_II: sp.csr_matrix
     K_IB: sp.csr_matrix
     K_BB: sp.csr_matrix
-    modes: FloatArray  #: Φ, (len(outer), n_modes·3)
+    modes: FloatArray  #: Φ, (len(outer), n_ports) or 6 more columns
     loads: FloatArray  #: f, (unknowns, k·3)
 
+    @property
+    def has_plate(self) -> bool:
+        return self.modes.shape[1] > self.n_ports
+
     @classmethod
-    def of(cls, body: ElasticBody, at_ports: NDArray[np.int64], modes: FloatArray, loads: FloatArray) -> "Condensation":
-        """`at_ports` are the displacement degrees of freedom that follow the `modes`, shape (len(at_ports), n)."""
-        on_port = np.zeros(body.matrix.shape[0], dtype=bool)
-        on_port[np.searchsorted(body.free, at_ports)] = True
-        inner, outer = np.flatnonzero(~on_port), np.flatnonzero(on_port)
+    def of(
+        cls,
+        body: ElasticBody,
+        at_ports: NDArray[np.int64],
+        modes: FloatArray,
+        loads: FloatArray,
+        plate: Plate | None = None,
+        parity: Parity | None = None,
+    ) -> "Condensation":
+        """Split a system of which some displacement degrees of freedom follow modes, and those at a plate its motions.
+
+        Shapes: `at_ports` (n,), `modes` (n, n_ports). Of the motions only those of the parity count, if one is given.
+        """
+        n_ports = modes.shape[1]
+        at_modes = at_ports
+        if plate is not None:
+            at_plate, motions = plate.followers(body.free, body.basis.doflocs, parity)
+            at_modes, place = np.unique(np.concatenate([at_ports, at_plate]), return_inverse=True)
+            modes = block_diag(modes, motions)[np.argsort(place)]
+        on_mode = np.zeros(body.matrix.shape[0], dtype=bool)
+        on_mode[np.searchsorted(body.free, at_modes)] = True
+        inner, outer = np.flatnonzero(~on_mode), np.flatnonzero(on_mode)
         of_inner = body.matrix[inner]
         return cls(
             inner=inner,
             outer=outer,
+            n_ports=n_ports,
             K_II=of_inner[:, inner].tocsr(),
             K_IB=of_inner[:, outer],
             K_BB=body.matrix[outer][:, outer],
@@ -255,7 +283,9 @@ class Condensation:
         )
 
 
-def condensation(body: ElasticBody, ports: PortModes, rectangles: FloatArray) -> Condensation:
+def condensation(
+    body: ElasticBody, ports: PortModes, rectangles: FloatArray, plate: Plate | None = None
+) -> Condensation:
     """Split a whole cell's system; parameters as in `condense`."""
     nodes = body.basis.doflocs
     on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
@@ -264,18 +294,22 @@ def condensation(body: ElasticBody, ports: PortModes, rectangles: FloatArray) ->
     modes = np.zeros((len(at_ports), ports.n_modes, 3))
     modes[np.arange(len(at_ports)), :, at_ports % 3] = ports.values(nodes[:, number].T)[place]
     loads = body.loads(patch_means(body.basis, rectangles).T.toarray())
-    return Condensation.of(body, at_ports, modes.reshape(len(at_ports), -1), loads)
+    return Condensation.of(body, at_ports, modes.reshape(len(at_ports), -1), loads, plate)
 
 
 def condense_by_parity(
-    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, rectangles: FloatArray
+    basis: GridBasis,
+    stiffness: sp.csr_matrix,
+    ports: PortModes,
+    rectangles: FloatArray,
+    plate: Plate | None = None,
 ) -> CondensedCell:
     """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
 
     A displacement splits into four parities, each a problem of the quarter with its own conditions on the mirror planes
     (`fem.discretization.mirrors`); four quarters cost far less than one whole. Where the grid is the same in x and y,
     parity (−1, 1) is (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole
-    cell. Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
+    cell, a plate only in its middle. Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
     """
     k = len(rectangles)
     square = _is_square(basis.grid)
@@ -283,7 +317,7 @@ def condense_by_parity(
         rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
     means = _image_means(basis, rectangles)
     parts = {
-        parity: _parity_part(basis, stiffness, ports, means, parity)
+        parity: _parity_part(basis, stiffness, ports, means, parity, plate)
         for parity in parities(QUARTER)
         if not (square and parity == (-1, 1))
     }
@@ -300,7 +334,12 @@ def condense_by_parity(
 
 
 def _parity_part(
-    basis: GridBasis, stiffness: sp.csr_matrix, ports: PortModes, means: FloatArray, parity: Parity
+    basis: GridBasis,
+    stiffness: sp.csr_matrix,
+    ports: PortModes,
+    means: FloatArray,
+    parity: Parity,
+    plate: Plate | None,
 ) -> CondensedCell:
     """The share of a cell's matrices that displacements of one parity have; `means` of `_image_means`."""
     nodes = basis.doflocs
@@ -314,7 +353,8 @@ def _parity_part(
     # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
     signs = np.stack([signs for _, signs in images(QUARTER, parity)])
     gathered = np.einsum("nqki,qi->nki", means, signs).reshape(len(means), -1)
-    S, L, C, residual = _eliminate(body, Condensation.of(body, at_ports, modes, body.loads(gathered)))
+    parts = Condensation.of(body, at_ports, modes, body.loads(gathered), plate, parity)
+    S, L, C, residual = _eliminate(body, parts)
     return CondensedCell(
         ports=ports,
         stiffness=4 * (share.T @ (share.T @ S).T),
@@ -342,12 +382,15 @@ def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
 
 
 def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """S, L and C of `condense`, and the residual of the first rectangle's solves."""
+    """S, L and C of `condense`, and the residual of some of the solves: the first rectangle's, or a plate's motions."""
     factor = factorized(parts.K_II, definite=body.n_pressure == 0)
     n, loads = parts.modes.shape[1], parts.loads
-    product = schur_product(factor, np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]]))
+    rhs = np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]])
+    product = schur_product(factor, rhs)
     S = parts.modes.T @ (parts.K_BB @ parts.modes) - product[:n, :n]
     L = parts.modes.T @ loads[parts.outer] - product[:n, n:]
     C = product[n:, n:]
-    _, residual = checked_solve(parts.K_II, factor, loads[parts.inner][:, :3])
+    _, residual = checked_solve(parts.K_II, factor, rhs[:, parts.n_ports :][:, :3])
+    if parts.has_plate:
+        S, L, C, *_ = without_plate(S, L, C, parts.n_ports)
     return (S + S.T) / 2, L, (C + C.T) / 2, residual

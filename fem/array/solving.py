@@ -52,6 +52,8 @@ def array_response(
 
     Raises
     ------
+    DesignError
+        If a closed form is asked for stiff pads.
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
@@ -86,6 +88,8 @@ def solve_response(
     With `cached` a condensed cell may come from the cache, and is left there: arrays of another size are made of it.
     """
     settings = (settings or ResponseSettings()).suited(design)
+    if settings.method != "cells" and design.pad.kind == "stiff":
+        raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
     if settings.method == "layer":
         return layer_response(design)
     if settings.method == "halfspace":

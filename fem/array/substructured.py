@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -19,9 +20,10 @@ from skfem import MeshTet
 from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
+from fem.array.plate import Plate
 from fem.array.response import ArrayResponse
 from fem.discretization.elasticity import ElasticBody, taylor_hood
-from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_stiffness
+from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from fem.discretization.richardson import richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
@@ -77,13 +79,26 @@ GRID_STAGES = ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9))
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
-GRID_RATE = 3.0  #: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured
+#: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured with soft pads
+GRID_RATE = {"soft": 3.0, "stiff": 2.5}
 LEVEL_ERROR = 0.35  #: fraction of the extrapolation's step kept as the error estimate, for rates from 2.3 to 4
 #: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
 #: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
 PORT_ERROR = 0.7
-#: weights of attractors of a cell's grid; side and base count at the rim of the array
-PAD_EDGE, TOP, ELECTRODE_EDGE, SIDE, BASE = 1.0, 1.5, 0.3, 0.5, 1.0
+
+
+class Weights(NamedTuple):
+    """Weights of the attractors of a cell's grid; side and base count at the rim of the array."""
+
+    pad_edge: float
+    top: float
+    electrode_edge: float
+    side: float
+    base: float
+
+
+#: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
+WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 0.0, 0.3, 0.7)}
 FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
 #: numbers of a cell's functionals: forces on its pad, mean displacements of its electrodes
 PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
@@ -214,7 +229,7 @@ def _cell_of_stage(
         return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
 
     if design.is_homogeneous:
-        cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE))
+        cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE[design.pad.kind]))
         if not cell.is_definite:  # the coarse level may not know the highest modes
             cell = two
         answer = array_of(cell)
@@ -295,13 +310,29 @@ def condensed_cell(
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     start = perf_counter()
     if design.is_homogeneous:
-        basis = GridBasis(cell_grid(design, int(level)))
+        quarter = cell_grid(design, int(level))
+        basis = GridBasis(quarter if is_mirrored(design) else whole_grid(quarter))
         meshed = perf_counter() - start
-        return condense_by_parity(basis, grid_stiffness(basis, [design.matrix_material]), ports, rectangles), meshed
+        stiffness = grid_stiffness(basis, [design.matrix_material])
+        if is_mirrored(design):
+            return condense_by_parity(basis, stiffness, ports, rectangles, pad_plate(design)), meshed
+        return condense(grid_body(basis, stiffness), ports, rectangles, pad_plate(design)), meshed
     alone = lone_unit(design)
     mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
     meshed = perf_counter() - start
-    return condense(elastic_body(alone, mesh), ports, rectangles), meshed
+    return condense(elastic_body(alone, mesh), ports, rectangles, pad_plate(design)), meshed
+
+
+def is_mirrored(design: SensorDesign) -> bool:
+    """True if a cell of one rubber is its own mirror image: it is unless a plate lies off its middle."""
+    return design.pad.kind == "soft" or design.pad.offset_x_mm == design.pad.offset_y_mm == 0.0
+
+
+def pad_plate(design: SensorDesign) -> Plate | None:
+    """The plate on a cell's pad, None for soft pads."""
+    if design.pad.kind == "soft":
+        return None
+    return Plate(pad_squares(lone_unit(design))[0], design.unit.height_mm)
 
 
 def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
@@ -320,16 +351,25 @@ def cell_grid(design: SensorDesign, level: int) -> Grid:
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
     alone = lone_unit(design)
     length = min(height, design.pad.size_mm)
+    weights = WEIGHTS[design.pad.kind]
     lines = []
     for axis in (0, 1):
         pad_edges = np.unique(np.round(np.abs(pad_squares(alone)[:, axis::2]), 9))
         electrode_edges = np.unique(np.round(np.abs(electrode_squares(alone)[:, axis::2]), 9))
-        weights = dict.fromkeys(electrode_edges.tolist(), ELECTRODE_EDGE) | dict.fromkeys(pad_edges.tolist(), PAD_EDGE)
-        attractors = [Attractor(sign * place, length, weight) for place, weight in weights.items() for sign in (-1, 1)]
-        attractors.append(Attractor(half, length, SIDE))
+        places = dict.fromkeys(electrode_edges.tolist(), weights.electrode_edge)
+        places |= dict.fromkeys(pad_edges.tolist(), weights.pad_edge)
+        attractors = [Attractor(sign * place, length, weight) for place, weight in places.items() for sign in (-1, 1)]
+        attractors.append(Attractor(half, length, weights.side))
         lines.append(graded_lines([0.0, half, *pad_edges], attractors, level))
-    z = graded_lines([0.0, height], [Attractor(height, length, TOP), Attractor(0.0, length, BASE)], level)
+    z = graded_lines(
+        [0.0, height], [Attractor(height, length, weights.top), Attractor(0.0, length, weights.base)], level
+    )
     return Grid(x=lines[0], y=lines[1], z=z)
+
+
+def whole_grid(quarter: Grid) -> Grid:
+    """The grid of a cell from that of its quarter."""
+    return Grid(x=mirrored(quarter.x), y=mirrored(quarter.y), z=quarter.z)
 
 
 def mirrored(lines: FloatArray) -> FloatArray:

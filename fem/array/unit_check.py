@@ -19,7 +19,7 @@ from fem.array.substructured import ELECTRODE_MEANS, PADS, lone_unit, refined_ce
 from fem.discretization.patch import patch_means
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
+from geometry.errors import DesignError, FileFormatError
 from geometry.layout import ELECTRODES, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
@@ -71,6 +71,8 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
+    if design.pad.kind == "stiff":
+        raise DesignError('stiff pads are not compared with other tools yet: give [pad] kind = "soft".')
     alone = lone_unit(design)
     progress("mesh")
     mesh, mesh_path, meshed_before = sensor_mesh(alone, suited_settings(alone))

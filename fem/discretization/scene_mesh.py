@@ -16,10 +16,9 @@ from fem.discretization.elasticity import IntArray
 from fem.discretization.indicator import cell_sizes
 from fem.scene.scene import Scene
 from geometry.layout import FloatArray
-from geometry.mesh import MeshTask, cached_mesh, tetrahedralized
+from geometry.mesh import MeshTask, cached_mesh, prism_surface, tetrahedralized
 from geometry.prism import Prism, prisms_at
 from geometry.storage.files import digest
-from geometry.surface import Surface
 
 METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
 EDGES_ACROSS = 2.5  #: edges across the thinnest extent of the body, before any refinement
@@ -29,15 +28,6 @@ GROWTH = 0.6  #: of wanted edges with the distance from a prism
 ENVELOPE_SHARE = 0.05  #: of the thinnest extent of anything: how far the mesher may move a surface
 WEDGE_SHARE = 0.02  #: the same where prisms cut each other, whose wedges are rounded off and cannot be snapped back
 VOLUME_TOLERANCE = 1e-3  #: relative, of what the prisms inside hold together; the body's own is exact
-
-#: Corners of a prism's faces, anticlockwise from outside: base, top, −y, +x, +y, −x
-QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-
-
-def prism_surface(prism: Prism) -> Surface:
-    """The faces of a prism as twelve triangles."""
-    triangles = [corners for a, b, c, d in QUADS for corners in ((a, b, c), (a, c, d))]
-    return Surface(prism.corners(), np.array(triangles, dtype=np.int32))
 
 
 def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, PortModes, condensation
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import cell_grid, elastic_body, lone_unit, mirrored
+from fem.array.plate import Plate, without_plate
+from fem.array.substructured import cell_grid, elastic_body, lone_unit, pad_plate, whole_grid
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.elements import Elements
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
 from fem.fields.stress import CornerStress, corner_stress
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material, SensorDesign
@@ -45,7 +46,12 @@ class CellInterior:
 
 
 def cell_interior(
-    body: ElasticBody, region: NDArray[np.int64], material: list[Material], ports: PortModes, rectangles: FloatArray
+    body: ElasticBody,
+    region: NDArray[np.int64],
+    material: list[Material],
+    ports: PortModes,
+    rectangles: FloatArray,
+    plate: Plate | None = None,
 ) -> CellInterior:
     """Condense a meshed cell and keep its inside; parameters as in `cell.condense`.
 
@@ -54,7 +60,7 @@ def cell_interior(
     u_I = K_II⁻¹ (f_I − K_IB Φ q) in the notation of `cell.condense`. The same solutions give S, L and C, so that cells
     coupled by them meet exactly the displacements that are shown.
     """
-    parts = condensation(body, ports, rectangles)
+    parts = condensation(body, ports, rectangles, plate)
     n = parts.modes.shape[1]
     factor = factorized(parts.K_II, definite=body.n_pressure == 0)
     rhs = np.hstack([-(parts.K_IB @ parts.modes), parts.loads[parts.inner]])
@@ -65,6 +71,12 @@ def cell_interior(
     S = parts.modes.T @ (parts.K_BB @ parts.modes) - rhs[:, :n].T @ inner[:, :n]
     L = parts.modes.T @ parts.loads[parts.outer] + rhs[:, :n].T @ inner[:, n:]
     C = rhs[:, n:].T @ inner[:, n:]
+    if parts.has_plate:
+        S, L, C, by_ports, by_loads = without_plate(S, L, C, parts.n_ports)
+        moved = solution[:, parts.n_ports : n]
+        solution = np.hstack([
+            solution[:, : parts.n_ports] - moved @ by_ports, solution[:, n:] + moved @ by_loads
+        ])  # fmt: skip
     cell = CondensedCell(
         ports=ports,
         stiffness=(S + S.T) / 2,
@@ -229,11 +241,11 @@ def solve_array_field(
     pitch, height = design.array.pitch_mm, design.unit.height_mm
     alone = lone_unit(design)
     rectangles = pad_squares(alone) if rectangles_mm is None else rectangles_mm
+    plate = pad_plate(design) if rectangles_mm is None else None
     if design.is_homogeneous:
         progress("cell")
         quarter = cell_grid(design, GRID_LEVEL)
-        grid = Grid(x=mirrored(quarter.x), y=mirrored(quarter.y), z=quarter.z)
-        basis = GridBasis(grid)
+        basis = GridBasis(whole_grid(quarter))
         body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
         region, degree = np.zeros(basis.element_dofs.shape[1], dtype=np.int64), GRID_DEGREE
     else:
@@ -243,7 +255,7 @@ def solve_array_field(
         body = elastic_body(alone, mesh)
         region, degree = mesh.region.astype(np.int64), MESH_DEGREE
     ports = PortModes(pitch / 2, height, degree, degree)
-    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles)
+    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles, plate)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled)

@@ -1,0 +1,78 @@
+"""A rigid plate bonded to a pad: the rubber under it follows six rigid motions.
+
+Its motions are condensed away with the inside of its cell. What is left has the form of any condensed cell, so that
+arrays, files and pictures need not know of plates.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.discretization.mirrors import Parity
+from geometry.layout import FloatArray
+
+#: parity of each motion about x = 0 and y = 0: translations along x, y, z, then rotations about x, y, z
+PARITIES: tuple[Parity, ...] = ((-1, 1), (1, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
+ON_PLATE = 1e-9  #: of the plate's side: how far rounding may take a node off it
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A rigid rectangle bonded to the top face; forces and moments act on the middle of its underside."""
+
+    rectangle_mm: FloatArray  #: (4,): x0, y0, x1, y1
+    height_mm: float  #: of the top face
+
+    @property
+    def middle_mm(self) -> FloatArray:
+        """Middle of the underside, shape (3,)."""
+        x0, y0, x1, y1 = self.rectangle_mm
+        return np.array([(x0 + x1) / 2, (y0 + y1) / 2, self.height_mm])
+
+    def holds(self, nodes_mm: FloatArray) -> NDArray[np.bool_]:
+        """Which nodes (3, n) are bonded to it, shape (n,)."""
+        x0, y0, x1, y1 = self.rectangle_mm
+        slack = ON_PLATE * (x1 - x0)
+        x, y, z = nodes_mm
+        inside = (x > x0 - slack) & (x < x1 + slack) & (y > y0 - slack) & (y < y1 + slack)
+        return inside & (z > self.height_mm - slack)
+
+    def followers(
+        self, free: NDArray[np.int64], nodes_mm: FloatArray, parity: Parity | None = None
+    ) -> tuple[NDArray[np.int64], FloatArray]:
+        """Free degrees of freedom that follow the plate, shape (n,), and its motions there, (n, 6 or fewer).
+
+        `free` numbers degrees of freedom node·3 + axis of nodes (3, n_nodes). Only motions of a parity count, if one is
+        given: of the quarter that it is a problem of.
+        """
+        at_plate = free[self.holds(nodes_mm)[free // 3]]
+        number, place = np.unique(at_plate // 3, return_inverse=True)
+        kept = [motion for motion, own in enumerate(PARITIES) if parity in (None, own)]
+        return at_plate, self.motions(nodes_mm[:, number])[place, at_plate % 3][:, kept]
+
+    def motions(self, nodes_mm: FloatArray) -> FloatArray:
+        """Displacement of nodes (3, n) by each motion, shape (n, 3, 6): translations, then small rotations [1, mm].
+
+        u = d + θ × (x − m) about the middle m.
+        """
+        arm = nodes_mm.T - self.middle_mm
+        moved = np.zeros((len(arm), 3, 6))
+        moved[:, :, :3] = np.eye(3)
+        moved[:, :, 3:] = np.cross(np.eye(3), arm[:, None, :]).swapaxes(1, 2)
+        return moved
+
+
+def without_plate(
+    S: FloatArray, L: FloatArray, C: FloatArray, n_ports: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Let a cell's plate settle: S, L and C of its ports from those of its ports and, after them, its motions.
+
+    The plate moves by r = R f − Q q, with R = S_rr⁻¹ L_r and Q = S_rr⁻¹ S_rq, in the notation of `cell.CondensedCell`;
+    Q and R come after S, L and C.
+    """
+    q, r = slice(None, n_ports), slice(n_ports, None)
+    follows: Any = np.linalg.solve(S[r, r], np.hstack([S[r, q], L[r]]))
+    by_ports, by_loads = follows[:, :n_ports], follows[:, n_ports:]
+    return S[q, q] - S[q, r] @ by_ports, L[q] - S[q, r] @ by_loads, C + L[r].T @ by_loads, by_ports, by_loads
