@@ -14,7 +14,8 @@ from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.patch import PatchError, patch_integrals, patch_means
 from fem.linear.linear_solver import SolverError
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Scene, SceneError
+from fem.scene.checks import SceneError
+from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution
 

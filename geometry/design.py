@@ -110,16 +110,27 @@ class Pad:
             raise DesignError(f"kind={self.kind!r} must be one of {', '.join(PAD_KINDS)}; of the contact pad.")
 
 
+MODELS = ("linear", "neo-hookean")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A linear elastic, isotropic material; the paper's rubber by default."""
+    """An isotropic rubber; the paper's by default.
 
+    Its `model` is linear elasticity, or the neo-Hookean W = μ/2 (I₁ − 3) − μ ln J + λ/2 (J − 1)² of the same small
+    strains.
+    """
+
+    # first, so that a design file never ends with a key that it may lack
+    model: str = quantity("linear", "linear: small strain; neo-hookean: finite strain", optional=True)
     young_mpa: float = quantity(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
 
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "young_mpa")
+        if self.model not in MODELS:
+            raise DesignError(f"model={self.model!r} must be one of {', '.join(MODELS)}; of the rubber.")
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -162,6 +173,11 @@ class SensorDesign:
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "resistivity_ohm_mm")
+        if self.pillar_material.model != self.matrix_material.model:
+            raise DesignError(
+                f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}: give "
+                "both the same model."
+            )
         pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
         if pitch_mm < footprint_mm:
             raise DesignError(

@@ -57,6 +57,7 @@ def array_response(
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
+    _require_linear(design)
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)
     path = cache_folder() / f"response-{cache_key}.nc"
@@ -77,6 +78,15 @@ def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
 
 
+def _require_linear(design: SensorDesign) -> None:
+    model = design.matrix_material.model
+    if model != "linear":
+        raise DesignError(
+            f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both of its "
+            "materials, or solve it as a scene."
+        )
+
+
 def solve_response(
     design: SensorDesign,
     settings: ResponseSettings | None = None,
@@ -87,6 +97,7 @@ def solve_response(
 
     With `cached` a condensed cell may come from the cache, and is left there: arrays of another size are made of it.
     """
+    _require_linear(design)
     settings = (settings or ResponseSettings()).suited(design)
     if settings.method != "cells" and design.pad.kind == "stiff":
         raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")

@@ -27,7 +27,8 @@ from fem.discretization.lagrange import (
     term_scales,
 )
 from fem.discretization.mirrors import Mirror, folded_integrals, folded_point, held_components, parities
-from fem.scene.scene import Probe, Rectangle, Region, Scene, regions_at
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Probe, Region, Scene, regions_at
 from geometry.design import Material
 from geometry.layout import FloatArray
 
@@ -198,7 +199,7 @@ class BoxSystem:
     def loads(self) -> FloatArray:
         """Nodal forces of the scene's loads on what is solved, shape (n_unknowns,)."""
         forces = np.zeros((self.n_nodes, 3))
-        for load in self.scene.loads:
+        for load in self.scene.dead_loads:
             forces += self.share * self._integrals(load.rectangle) * np.array(load.traction_mpa)
         return np.where(self.held, 0.0, forces).ravel()
 

@@ -20,7 +20,8 @@ from fem.discretization.grid import Grid, geometric_line
 from fem.discretization.lagrange import line_integral, line_nodes, line_values, reference_matrices
 from fem.discretization.mirrors import Mirror, Parity, folded_integrals, folded_point, held_components
 from fem.linear.factors import SolverError
-from fem.scene.scene import Probe, Rectangle, Region, Scene, regions_at
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Probe, Region, Scene, regions_at
 from geometry.layout import FloatArray
 
 RATIO = 0.15  #: of the distances of neighbouring layers; Schwab, *p- and hp-finite element methods*, 1998

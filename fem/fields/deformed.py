@@ -16,7 +16,8 @@ from fem.methods.box_field import VTK_PLACES, picture_field
 from fem.methods.cell_scene import forces_on_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.scene import Rectangle, Scene, Sensor
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import HEXAHEDRON, QUADRATIC_TETRAHEDRON, QUADRILATERAL, TRIQUADRATIC_HEXAHEDRON, Field
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres, upper_electrodes

@@ -1,9 +1,5 @@
-"""Loads at finite strain on rectangles of the top face: dead, following and stiff.
+"""Loads on the grid: nodes bonded to a plate, faces under a following pressure."""
 
-Directions are the axes' and do not turn, but for the pressure of a `FollowerLoad`. All grow from 0 in proportion.
-"""
-
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,73 +7,11 @@ from numpy.typing import NDArray
 
 from fem.discretization.lagrange import gauss_points, shape_functions
 from fem.finite.rubber_body import RubberBody
-from fem.scene.scene import LARGEST_MPA, Rectangle, SceneError, require_extents, require_vectors
+from fem.scene.checks import SceneError
+from fem.scene.loads import Rectangle
 from geometry.layout import FloatArray
-from geometry.prism import Pair, Triple
 
-CENTER = "centre of the loaded rectangle of the top face at rest: x, y, in mm"
-SIZE = "extent of the loaded rectangle at rest along x and y, in mm"
 ON_LINE = 1e-9  #: of the body's extent: how far rounding may put a line off a rectangle's edge
-
-
-@dataclass(frozen=True, kw_only=True)
-class _OnRectangle:
-    """A load on a rectangle of the top face."""
-
-    center_mm: Pair = field(metadata={"meaning": CENTER})
-    size_mm: Pair = field(metadata={"meaning": SIZE})
-
-    def __post_init__(self) -> None:
-        require_vectors(self, {"center_mm": 2, "size_mm": 2})
-        require_extents(self, "size_mm")
-
-    @property
-    def rectangle(self) -> Rectangle:
-        (x, y), (a, b) = self.center_mm, self.size_mm
-        return x - a / 2, y - b / 2, x + a / 2, y + b / 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeadLoad(_OnRectangle):
-    """A uniform traction per area at rest, whose direction stays: on soft rubber it ends at about half of E."""
-
-    traction_mpa: Triple = field(metadata={"meaning": "traction along x, y, z, in MPa; z negative pushes down"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowerLoad(_OnRectangle):
-    """A pressure along the deformed surface's normal, per deformed area, and a dead tangential traction.
-
-    It has no potential: how far it moves the body may depend on the way to it, and its stiffness is not symmetric.
-    """
-
-    pressure_mpa: float
-    traction_mpa: Pair = field(default=(0.0, 0.0), metadata={"meaning": "traction along x and y, in MPa at rest"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"traction_mpa": 2}, LARGEST_MPA)
-        if not (isinstance(self.pressure_mpa, float | int) and abs(self.pressure_mpa) <= LARGEST_MPA):
-            raise SceneError(f"pressure_mpa={self.pressure_mpa!r} must be a finite number; above 0 it pushes.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class StiffLoad(_OnRectangle):
-    """A rigid plate bonded to a rectangle, loaded at the middle of its underside."""
-
-    force_n: Triple = field(metadata={"meaning": "force along x, y, z, in N; z negative pushes down"})
-    moment_nmm: Triple = field(default=(0.0, 0.0, 0.0), metadata={"meaning": "moment about x, y, z, in N mm"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"force_n": 3, "moment_nmm": 3}, LARGEST_MPA)
-
-
-FiniteLoad = DeadLoad | FollowerLoad | StiffLoad
 
 
 def bonded_nodes(body: RubberBody, rectangle: Rectangle) -> NDArray[np.int64]:

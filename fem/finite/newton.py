@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fem.finite.loads import FollowerLoad
 from fem.finite.system import FiniteSystem, Misfit, State
 from fem.linear.factors import SolverError
 from fem.linear.refactored import RepeatedFactor
+from fem.scene.loads import FollowerLoad
 from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium

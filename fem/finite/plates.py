@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.finite.loads import StiffLoad, bonded_nodes, skew
+from fem.finite.loads import bonded_nodes, skew
 from fem.finite.rubber_body import RubberBody
-from fem.scene.scene import SceneError
+from fem.scene.checks import SceneError
+from fem.scene.loads import StiffLoad
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid
-from fem.finite.loads import FiniteLoad, StiffLoad
 from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, quaternion_rotations
 from fem.finite.system import FiniteSystem, State, at_state
 from fem.linear.refactored import RepeatedFactor
+from fem.scene.loads import Load, StiffLoad
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
@@ -77,7 +77,7 @@ class SampleSolver:
 
     def _system(self, preload_mpa: float) -> FiniteSystem:
         size, offset = self.design.pad.size_mm, (self.design.pad.offset_x_mm, self.design.pad.offset_y_mm)
-        loads: list[FiniteLoad] = [
+        loads: list[Load] = [
             StiffLoad(
                 center_mm=(float(x + offset[0]), float(y + offset[1])),
                 size_mm=(size, size),

@@ -1,7 +1,5 @@
 """Scenes at finite strain: grids, probes and the estimate of their error. Open this file first."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -9,12 +7,12 @@ import numpy as np
 from fem.discretization.grid import Attractor, Grid, graded_lines
 from fem.discretization.lagrange import line_values
 from fem.discretization.richardson import richardson_factor
-from fem.finite.loads import DeadLoad, FiniteLoad
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem
-from fem.scene.scene import Probe, Scene, SceneError
-from fem.scene.solution import Probes, largest_error
+from fem.scene.checks import SceneError
+from fem.scene.scene import Probe, Scene
+from fem.scene.solution import FiniteSolution, Probes, Stopwatch, largest_error
 from geometry.layout import FloatArray
 
 RATE = 1.6  #: power of the level by which probes converge, assumed in the estimate: plates' edges are singular
@@ -23,32 +21,13 @@ MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 
 EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of lines: loads' edges and the body's faces
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FiniteSolution:
-    """Answer to a scene at finite strain."""
-
-    probes: Probes
-    energy_mj: float  #: stored in the rubber
-    work_mj: float  #: of the loads, to about 1 %; NaN where they have no potential
-    residual: float  #: unbalanced forces, relative to the loads
-    least_j: float  #: least ratio of deformed to original volume at any Gauss point
-    iterations: int  #: of Newton's method on the finest grid
-    load_steps: int  #: on the finest grid
-    unknowns: int  #: of the finest grid
-    error_estimate: float  #: largest relative error over the probes, as estimated
-    is_stable: bool | None  #: whether the finest tangent is definite; None where it is not symmetric
-    steps: tuple[str, ...]  #: one line for every grid
-
-
-def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> FiniteSolution:
+def solve_finite(scene: Scene) -> FiniteSolution:
     """Displacement of a scene's probes at finite strain, its rubber neo-Hookean.
 
     Parameters
     ----------
     scene : Scene
-        A body of one rubber; its probes, its tolerance and, if no others are given, its tractions as dead loads.
-    loads : sequence of loads, optional
-        In place of the scene's.
+        A body of one rubber, whatever its model; its loads, its probes and its tolerance.
 
     Returns
     -------
@@ -59,27 +38,23 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
     Raises
     ------
     SceneError
-        If the body has more than one rubber, or a load is not wholly on its top.
+        If the body has more than one rubber.
     UnreachableLoadError
         If there is no equilibrium at the full load, with the load that was reached.
     """
     if any(material != scene.material for _, material in scene.regions):
         raise SceneError("finite strain takes bodies of one rubber so far: give pillars and inclusions the matrix's.")
-    if loads is None:
-        loads = [
-            DeadLoad(center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=load.traction_mpa)
-            for load in scene.loads
-        ]
-    _require_on_top(scene, loads)
+    watch = Stopwatch()
     found: list[Probes] = []
     steps: list[str] = []
     estimate = np.inf
     last: tuple[Equilibrium, int] | None = None
     for before, level in pairwise((0, *LEVELS)):
-        body = RubberBody(finite_grid(scene, loads, level), [scene.material])
+        body = RubberBody(finite_grid(scene, level), [scene.material])
         if last is not None and 3 * body.n_nodes > MAX_UNKNOWNS:
             break
-        system = FiniteSystem(body, list(loads))
+        system = FiniteSystem(body, list(scene.loads))
+        watch.spent("assemble")
         try:
             equilibrium = find_equilibrium(system)
         except UnreachableLoadError as error:
@@ -87,6 +62,7 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
                 raise
             steps.append(f"level {level}: {error} The answer is that of the grid before.")
             break
+        watch.spent("solve")
         last = equilibrium, system.n_unknowns
         found.append(probes_of(scene, body, equilibrium.state.u))
         if before:
@@ -109,16 +85,16 @@ def solve_finite(scene: Scene, loads: Sequence[FiniteLoad] | None = None) -> Fin
         load_steps=equilibrium.steps,
         unknowns=unknowns,
         error_estimate=estimate,
-        is_stable=equilibrium.is_stable,
+        seconds=watch.seconds,
         steps=tuple(steps),
     )
 
 
-def finite_grid(scene: Scene, loads: Sequence[FiniteLoad], level: int) -> Grid:
+def finite_grid(scene: Scene, level: int) -> Grid:
     """Grid with lines along the loads' edges, crowding there and at the body's faces."""
     outline, height = scene.outline, scene.height_mm
     lean = (float(outline.lean[0]), float(outline.lean[1]))
-    rectangles = np.array([load.rectangle for load in loads]).reshape(-1, 4)
+    rectangles = np.array([load.rectangle for load in scene.loads]).reshape(-1, 4)
     lines = []
     sizes = [*rectangles[:, 2] - rectangles[:, 0], *rectangles[:, 3] - rectangles[:, 1]]
     length = float(min([height, *outline.section_mm, *sizes]))
@@ -150,14 +126,3 @@ def _seen(probe: Probe, body: RubberBody, u: FloatArray) -> FloatArray:
         for line, at in zip(body.grid.lines, place, strict=True)
     )
     return np.einsum("i,j,k,ijkc->c", X, Y, Z, u.reshape(len(X), len(Y), len(Z), 3), optimize=True)
-
-
-def _require_on_top(scene: Scene, loads: Sequence[FiniteLoad]) -> None:
-    x0, y0, x1, y1 = scene.top_mm
-    for number, load in enumerate(loads, start=1):
-        a0, b0, a1, b1 = load.rectangle
-        if max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) > scene.rounding_mm:
-            raise SceneError(
-                f"load {number} covers x {a0:g} to {a1:g}, y {b0:g} to {b1:g} mm, not wholly on the body's top face, "
-                f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g}: move or shrink it."
-            )

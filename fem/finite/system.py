@@ -10,10 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.finite.loads import FiniteLoad, FollowerLoad, FollowingFaces, StiffLoad, skew
+from fem.finite.loads import FollowingFaces, skew
 from fem.finite.plates import Plates, rotations
 from fem.finite.rubber_body import N_NODES, PAIRS, RubberBody, TangentParts
 from fem.linear.refactored import BlockPattern
+from fem.scene.loads import FollowerLoad, Load, StiffLoad
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -64,7 +65,7 @@ class FiniteSystem:
     pressures or with moments, whose axes do not turn.
     """
 
-    def __init__(self, body: RubberBody, loads: list[FiniteLoad]) -> None:
+    def __init__(self, body: RubberBody, loads: list[Load]) -> None:
         self.body, self.loads = body, tuple(loads)
         stiff = [load for load in loads if isinstance(load, StiffLoad)]
         following = [load for load in loads if isinstance(load, FollowerLoad)]

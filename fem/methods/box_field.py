@@ -116,7 +116,7 @@ def picture_field(scene: Scene, plan: Plan) -> Field:
     for parity in parities(plan.mirrors):
         body = grid_body(basis, stiffness, parity)
         forces = np.zeros((basis.N, 3))
-        for load in scene.loads:
+        for load in scene.dead_loads:
             integrals = folded_integrals(integral, np.array(load.rectangle), plan.mirrors, parity)
             forces += part.share * integrals * np.array(load.traction_mpa)
         factor = factorized(body.matrix, definite=True)

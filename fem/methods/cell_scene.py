@@ -8,7 +8,9 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.substructured import condensed_cell, mesh_stages
 from fem.discretization.richardson import richardson_factor
 from fem.methods.plan import Plan
-from fem.scene.scene import Rectangle, Scene, SceneError, Sensor
+from fem.scene.checks import SceneError
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
 from geometry.layout import FloatArray, unit_centres
 
@@ -73,9 +75,9 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
 
 def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
     """Forces of the loads on each cell, (n_units, k, 3) [N], at the k rectangles of cells that `local` then numbers."""
-    loads = [split_by_cells(load.rectangle, body, local) for load in scene.loads]
+    loads = [split_by_cells(load.rectangle, body, local) for load in scene.dead_loads]
     newtons = np.zeros((body.design.n_units, len(local), 3))
-    for load, shares in zip(scene.loads, loads, strict=True):
+    for load, shares in zip(scene.dead_loads, loads, strict=True):
         whole = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
         for unit, rectangle, share in shares:
             newtons[unit, rectangle] += share * whole

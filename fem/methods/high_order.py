@@ -141,7 +141,7 @@ def _of_parity(
     """The part of an answer that has a parity. `C` is the body's own elastic tensor."""
     held = part.held(parity)
     load, newtons = np.zeros(part.shape), 0.0
-    for one in scene.loads:
+    for one in scene.dead_loads:
         newtons += np.abs(one.traction_mpa).sum() * one.size_mm[0] * one.size_mm[1]
         tractions = part.share * part.integrals(one.rectangle, parity) * np.array(one.traction_mpa)
         load[..., -1] += np.moveaxis(tractions, -1, 0)

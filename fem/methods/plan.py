@@ -12,7 +12,9 @@ import numpy as np
 
 from fem.discretization.graded_box import Level, box_part
 from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangles, parities
-from fem.scene.scene import Rectangle, Region, Scene, SceneError, Sensor
+from fem.scene.checks import SceneError
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES
 
@@ -58,7 +60,7 @@ def seconds_by_splitting(scene: Scene, regions: Sequence[Region]) -> float:
     return float(0.02 * boxes)
 
 
-Method = Literal["nothing", "grid", "cells", "tetrahedra"]
+Method = Literal["nothing", "grid", "cells", "tetrahedra", "finite"]
 
 SAVINGS = {
     "zero-load": "a scene without load is answered without a mesh",
@@ -72,6 +74,7 @@ SAVINGS = {
 ELEMENTS = {
     "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
     "Q4": "boxes of order 4, split where the probes need it, factored: whatever contrast, ν, shear and slenderness",
+    "Q2P": "quadratic hexahedra, the pressure linear in each and found there: neo-Hookean rubber does not lock",
     "TH": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
 }
 SOFT = 0.1  #: modulus of pillars over the matrix's, below which cells err more than they estimate: 1.4 % for 0.9 % at
@@ -132,6 +135,11 @@ def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False)
     keeps = frozenset(no_skip)
     for name in sorted(keeps - SAVINGS.keys()):
         raise SceneError(f"unknown saving '{name}'; known are {', '.join(SAVINGS)}.")
+    if scene.is_linear and scene.stiff_loads:
+        raise SceneError(
+            f"load {scene.loads.index(scene.stiff_loads[0]) + 1} is a stiff plate: scenes take these at finite strain "
+            'only so far; add model = "neo-hookean" to the material.'
+        )
     regions, decisions = _regions(scene, keeps)
     method, mesh = _method(scene, regions, keeps, field)
     decisions.append(mesh)
@@ -147,7 +155,8 @@ def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False)
             symmetry = _folded(mirrors)
         decisions.append(symmetry)
     elif method != "nothing":
-        element, why = "TH", ELEMENTS["TH"]
+        element = "Q2P" if method == "finite" else "TH"
+        why = ELEMENTS[element]
     if element:
         decisions.append(Decision(name="element", choice=element, reason=why))
     decisions.append(_field(scene, keeps, field))
@@ -184,6 +193,9 @@ def _method(scene: Scene, regions: list[Region], keeps: frozenset[str], field: b
 
     if scene.is_unloaded and not field and "zero-load" not in keeps:
         return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
+    if not scene.is_linear:
+        loads = ", ".join(sorted({load.kind for load in scene.loads}))
+        return "finite", Decision(name="mesh", choice="graded hexahedra", reason=f"finite strain under {loads} loads")
     is_sensor = isinstance(scene.body, Sensor)
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
     soft = units > 1 and _are_soft(scene)

@@ -4,12 +4,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from fem.finite.solving import solve_finite
 from fem.methods.box_refinement import solve_by_splitting
 from fem.methods.cell_scene import solve_by_cells
 from fem.methods.high_order import solve_by_order
 from fem.methods.plan import Plan, make_plan
 from fem.methods.tetrahedral import solve_on_tetrahedra
-from fem.scene.scene import Scene, SceneError
+from fem.scene.checks import SceneError
+from fem.scene.scene import Scene
 from fem.scene.solution import Solution, Stopwatch
 
 
@@ -44,6 +46,8 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     with_field = field or not plan.saves("field")
     if plan.method == "nothing":
         return unmoved(scene)
+    if plan.method == "finite":
+        return solve_finite(scene)
     if plan.method == "cells":
         return solve_by_cells(scene, plan)
     method = {"Qp": solve_by_order, "Q4": solve_by_splitting, "TH": solve_on_tetrahedra}[plan.element]

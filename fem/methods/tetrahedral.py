@@ -63,7 +63,7 @@ class BisectedTetrahedra:
         region = self._material_of[prism_of_cells(mesh, self.prisms)]
         body = taylor_hood(mesh, self.materials, region)
         no_loads = sp.csr_matrix((0, body.basis.N))
-        loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.loads else no_loads
+        loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
         forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
         rows = probe_rows(scene, body.basis)
         watch.spent("assemble")

@@ -1,72 +1,25 @@
-"""A scene as numbers: one elastic body, what presses it and what to report, refusing nonsense by name.
+"""A scene as numbers: one body of rubber, what presses it and what to report, refusing nonsense by name.
 
 Lengths in mm, moduli and tractions in MPa. The base z = 0 is clamped, the top face is loaded, every other face is free.
 Coordinates: a block extends from the origin corner, a pillar stands where its ends are, a unit and an array are centred
 on the origin as their design says.
 """
 
-import reprlib
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.scene.checks import LENGTHS_MM, SceneError, is_finite, require_extents, require_vectors, shown
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, Rectangle, StiffLoad, rectangle_of
 from geometry.design import Material, SensorDesign
-from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
 
-Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
-
-LENGTHS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
-LARGEST_MPA = 1e12  #: of a traction; energies go with its square
 ROUNDING = 1e-9  #: of a body's extent: how far rounding may put an edge past the face it lies on
-
-
-class SceneError(TriPillarError, ValueError):
-    """A scene that cannot be built or makes no sense."""
-
-
-def shown(value: Any) -> str:
-    """A value for a message: one line, cut where it is long."""
-    return f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
-
-
-def require_vectors(values: Any, lengths: dict[str, int], largest: float = LENGTHS_MM[1]) -> None:
-    """Turn the named fields into tuples of so many floats; refuse all else, and components beyond `largest`."""
-    for name, length in lengths.items():
-        value = getattr(values, name)
-        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
-        listed = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
-        if len(listed) != length or not all(_is_finite(number) for number in listed):
-            raise SceneError(f"{name}={shown(value)} must be {length} finite numbers; {meaning}.")
-        if not all(abs(number) <= largest for number in listed):
-            raise SceneError(f"{name}={shown(value)} must be at most {largest:g} in size; {meaning}.")
-        object.__setattr__(values, name, tuple(float(number) for number in listed))
-
-
-def require_extents(values: Any, *names: str) -> None:
-    """Refuse vectors of sizes that are not all above 0."""
-    for name in names:
-        value = getattr(values, name)
-        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
-        if not min(value) > 0:
-            raise SceneError(f"{name}={list(value)} must be above 0 along every axis; {meaning}.")
-        if not min(value) >= LENGTHS_MM[0]:
-            raise SceneError(f"{name}={list(value)} must be from {LENGTHS_MM[0]:g} to {LENGTHS_MM[1]:g}; {meaning}.")
-
-
-def _is_finite(value: Any) -> bool:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
-        return False
-    limit = sys.float_info.max
-    return bool(-limit <= value <= limit)  # so that NaN and endless integers are refused
-
-
 Region = tuple[Prism, Material]  #: a part of the body with a rubber of its own
 
 
@@ -160,24 +113,6 @@ def _require_upward(prism: Any) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Load:
-    """A uniform traction on a rectangle of the top face. Where loads overlap they add up."""
-
-    center_mm: Pair = field(metadata={"meaning": "centre of the loaded rectangle: x, y, in mm"})
-    size_mm: Pair = field(metadata={"meaning": "extent of the loaded rectangle along x and y, in mm"})
-    traction_mpa: Triple = field(metadata={"meaning": "traction along x, y, z, in MPa; z negative pushes down"})
-
-    def __post_init__(self) -> None:
-        require_vectors(self, {"center_mm": 2, "size_mm": 2})
-        require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
-        require_extents(self, "size_mm")
-
-    @property
-    def rectangle(self) -> Rectangle:
-        return _rectangle(self.center_mm, self.size_mm)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Probe:
     """A displacement to report: the mean over a rectangle of the top face, or that of a point."""
 
@@ -212,12 +147,7 @@ class Probe:
         """The rectangle of a mean probe."""
         if self.center_mm is None or self.size_mm is None:
             raise SceneError(f"probe '{self.name}' is a point: it has no rectangle.")
-        return _rectangle(self.center_mm, self.size_mm)
-
-
-def _rectangle(center_mm: Pair, size_mm: Pair) -> Rectangle:
-    (x, y), (a, b) = center_mm, size_mm
-    return x - a / 2, y - b / 2, x + a / 2, y + b / 2
+        return rectangle_of(self.center_mm, self.size_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +167,7 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("inclusions", "loads", "probes"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        if not _is_finite(self.tolerance) or not 0 < self.tolerance < 1:
+        if not is_finite(self.tolerance) or not 0 < self.tolerance < 1:
             raise SceneError(
                 f"tolerance={shown(self.tolerance)} must be a number above 0 and below 1: the relative error wanted "
                 "on the probes; write 1e-3."
@@ -258,6 +188,10 @@ class Scene:
                     f"inclusion {number} reaches from {_row(corners.min(axis=0))} to {_row(corners.max(axis=0))} mm, "
                     f"outside the block [0, 0, 0] to {_row(self.outline.corners().max(axis=0))}: move or shrink it."
                 )
+            if inclusion.material.model != self.material.model:
+                raise SceneError(
+                    f"inclusion {number} is not {self.material.model}, as the body is: give both one model."
+                )
         for (one, first), (two, second) in combinations(enumerate(self.inclusions, start=1), 2):
             if first.cuts(second, self.rounding_mm):
                 raise SceneError(f"inclusions {one} and {two} overlap: part or shrink them; they may touch.")
@@ -271,6 +205,7 @@ class Scene:
                 raise SceneError(f"two probes have the name {shown(name)}: give each a name of its own.")
         for number, load in enumerate(self.loads, start=1):
             self._require_on_top(f"load {number}", load.rectangle)
+        self._check_plates()
         for probe in self.probes:
             if probe.kind == "mean":
                 self._require_on_top(f"probe '{probe.name}'", probe.rectangle)
@@ -281,6 +216,16 @@ class Scene:
                     f"{_row(corners.min(axis=0))} to {_row(corners.max(axis=0))}"
                     f"{'' if self.outline.is_upright else ' along its oblique axis'}; move it inside."
                 )
+
+    def _check_plates(self) -> None:
+        for (one, first), (two, second) in combinations(enumerate(self.loads, start=1), 2):
+            if isinstance(first, StiffLoad) or isinstance(second, StiffLoad):
+                both = isinstance(first, StiffLoad) and isinstance(second, StiffLoad)
+                a, b = np.array(first.rectangle), np.array(second.rectangle)
+                overlap = (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])).min()
+                if overlap > (-self.rounding_mm if both else self.rounding_mm):
+                    allowed = "part them; touching plates would be a hinge" if both else "part them; they may touch"
+                    raise SceneError(f"loads {one} and {two} share a stiff plate's rectangle: {allowed}.")
 
     def _require_on_top(self, name: str, rectangle: Rectangle) -> None:
         x0, y0, x1, y1 = self.top_mm
@@ -308,7 +253,7 @@ class Scene:
     @property
     def top_mm(self) -> Rectangle:
         """The top face."""
-        return _rectangle(self.outline.top_mm[:2], self.outline.section_mm)
+        return rectangle_of(self.outline.top_mm[:2], self.outline.section_mm)
 
     @property
     def regions(self) -> list[Region]:
@@ -318,14 +263,36 @@ class Scene:
         return [(inclusion, inclusion.material) for inclusion in self.inclusions]
 
     @property
+    def is_linear(self) -> bool:
+        """True if the rubber is linear elastic: small strain."""
+        return self.material.model == "linear"
+
+    @property
+    def stiff_loads(self) -> tuple[StiffLoad, ...]:
+        return tuple(load for load in self.loads if isinstance(load, StiffLoad))
+
+    @property
+    def dead_loads(self) -> tuple[DeadLoad, ...]:
+        """The loads that are not stiff as small strain sees them: a pressure pushes along −z."""
+        return tuple(
+            DeadLoad(
+                center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=(*load.traction_mpa, -load.pressure_mpa)
+            )
+            if isinstance(load, FollowerLoad)
+            else load
+            for load in self.loads
+            if not isinstance(load, StiffLoad)
+        )
+
+    @property
     def load_rectangles_mm(self) -> FloatArray:
-        """Loaded rectangles, shape (n_loads, 4)."""
-        return self._on_top([load.rectangle for load in self.loads])
+        """Rectangles of `dead_loads`, shape (n_loads, 4)."""
+        return self._on_top([load.rectangle for load in self.dead_loads])
 
     @property
     def tractions_mpa(self) -> FloatArray:
-        """Traction of every load, shape (n_loads, 3)."""
-        return np.array([load.traction_mpa for load in self.loads], dtype=np.float64).reshape(-1, 3)
+        """Traction of every one of `dead_loads`, shape (n_loads, 3)."""
+        return np.array([load.traction_mpa for load in self.dead_loads], dtype=np.float64).reshape(-1, 3)
 
     @property
     def mean_probes(self) -> list[Probe]:
@@ -347,16 +314,17 @@ class Scene:
 
     @property
     def summed_tractions(self) -> dict[Rectangle, FloatArray]:
-        """Total traction of every loaded rectangle on which it is not zero."""
+        """Total traction of every rectangle of `dead_loads` on which it is not zero."""
         sums: dict[Rectangle, FloatArray] = {}
-        for load in self.loads:
+        for load in self.dead_loads:
             sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
         return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
 
     @property
     def is_unloaded(self) -> bool:
         """True if no load remains once those on equal rectangles are added up."""
-        return not self.summed_tractions
+        pushed = any(any(load.force_n + load.moment_nmm) for load in self.stiff_loads)
+        return not pushed and not self.summed_tractions
 
     def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
         """Rectangles without what rounding puts past the top face."""

@@ -3,9 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from fem.scene.scene import Block, Body, Inclusion, Load, Pillar, Probe, Scene, SceneError, Sensor, shown
+from fem.scene.checks import SceneError, shown
+from fem.scene.loads import LOAD_KINDS, Load
+from fem.scene.scene import Block, Body, Inclusion, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
 from geometry.design_file import design_from_dict
+from geometry.storage.files import stated
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 
 STRICT = StrictTables(SceneError)
@@ -16,7 +19,9 @@ BODY_KEYS = {
     "array": (),
 }
 MATERIAL_KEYS = ("young_mpa", "poisson")
-LOAD_KEYS = ("center_mm", "size_mm", "traction_mpa")
+RECTANGLE_KEYS = ("center_mm", "size_mm")
+LOAD_KEYS = {"dead": ("traction_mpa",), "follower": ("pressure_mpa",), "stiff": ("force_n",)}
+OTHER_LOAD_KEYS = {"dead": (), "follower": ("traction_mpa",), "stiff": ("moment_nmm",)}
 PRISM_KEYS = ("base_mm", "top_mm", "section_mm")
 PROBE_KEYS = {"mean": ("center_mm", "size_mm"), "point": ("position_mm",)}
 
@@ -41,7 +46,8 @@ def scene_from_dict(table: dict[str, Any], source: str = "the scene") -> Scene:
     """A scene from the nested tables of a TOML file.
 
     In bodies of kind unit and array the table `design` holds the keys of a design file; what it lacks is the paper's.
-    A table `material` there is the rubber of pillars and matrix alike, but for those that `design` gives itself.
+    A table `material` there is the rubber of pillars and matrix alike, but for those that `design` gives itself; its
+    model is that of all rubbers that state none.
 
     Raises
     ------
@@ -66,7 +72,7 @@ def _scene(table: dict[str, Any]) -> Scene:
     material = None
     if "material" in table or not is_sensor:
         rubber = _needed(table, "material", "; it holds young_mpa and poisson")
-        material = STRICT.filled("[material]", Material, rubber, MATERIAL_KEYS, MATERIAL_KEYS)
+        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model"), MATERIAL_KEYS)
 
     body: Body
     if is_sensor:
@@ -79,13 +85,12 @@ def _scene(table: dict[str, Any]) -> Scene:
 
     solve = STRICT.table(table, "solve")
     STRICT.require_keys(solve, ("tolerance",), " in [solve]")
+    material = material if material is not None else Material()
     return Scene(
         body=body,
-        material=material if material is not None else Material(),
-        inclusions=tuple(_inclusion(*entry) for entry in STRICT.entries(table, "inclusion")),
-        loads=tuple(
-            STRICT.filled(place, Load, entry, LOAD_KEYS, LOAD_KEYS) for place, entry in STRICT.entries(table, "load")
-        ),
+        material=material,
+        inclusions=tuple(_inclusion(*entry, material.model) for entry in STRICT.entries(table, "inclusion")),
+        loads=tuple(_load(*entry) for entry in STRICT.entries(table, "load")),
         probes=tuple(_probe(*entry) for entry in STRICT.entries(table, "probe")),
         **solve,
     )
@@ -100,15 +105,28 @@ def _needed(table: dict[str, Any], key: str, meaning: str) -> dict[str, Any]:
 def _design(table: dict[str, Any], material: Material | None) -> SensorDesign:
     """The design of a unit or an array; a common material fills the rubbers that the table does not give."""
     if material is not None:
-        rubber = {"young_mpa": material.young_mpa, "poisson": material.poisson}
-        table = {"pillar_material": rubber, "matrix_material": rubber} | table
+        for name in ("pillar_material", "matrix_material"):
+            own = STRICT.table(table, name)
+            table = table | {name: {"model": material.model} | own if own else stated(material)}
     return design_from_dict(table, "[design]")
 
 
-def _inclusion(place: str, entry: dict[str, Any]) -> Inclusion:
+def _load(place: str, entry: dict[str, Any]) -> Load:
+    kind = entry.get("kind", "dead")
+    if not isinstance(kind, str) or kind not in LOAD_KINDS:
+        raise SceneError(f"{place}: kind={shown(kind)} is unknown; it must be one of {', '.join(LOAD_KINDS)}.")
+    needed = (*RECTANGLE_KEYS, *LOAD_KEYS[kind])
+    given = {key: value for key, value in entry.items() if key != "kind"}
+    of_kind = f"{place} of kind {kind}" if "kind" in entry else place
+    STRICT.require_keys(given, (*needed, *OTHER_LOAD_KEYS[kind]), f" in {of_kind}", needed)
+    load: Load = STRICT.made(place, LOAD_KINDS[kind], **given)
+    return load
+
+
+def _inclusion(place: str, entry: dict[str, Any], model: str) -> Inclusion:
     keys = (*PRISM_KEYS, *MATERIAL_KEYS)
     STRICT.require_keys(entry, keys, f" in {place}", keys)
-    material = STRICT.made(place, Material, **{key: entry[key] for key in MATERIAL_KEYS})
+    material = STRICT.made(place, Material, **{key: entry[key] for key in MATERIAL_KEYS}, model=model)
     prism = {key: entry[key] for key in PRISM_KEYS}
     inclusion: Inclusion = STRICT.made(place, Inclusion, **prism, material=material)
     return inclusion

@@ -49,6 +49,21 @@ class Solution:
     field: Field | None = field(default=None, repr=False)  #: only when asked for
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FiniteSolution(Solution):
+    """Answer to a scene at finite strain; its energy is what the rubber stores, its residual the unbalanced forces'."""
+
+    work_mj: float  #: of the loads on the way, to about 1 %; NaN where they have no potential
+    least_j: float  #: least ratio of deformed to original volume at any Gauss point
+    iterations: int  #: of Newton's method on the finest grid
+    load_steps: int  #: on the finest grid
+
+    @property
+    def energy_imbalance(self) -> float:
+        """Work of the loads less stored energy, relative; NaN where the loads have no potential."""
+        return (self.work_mj - self.energy_mj) / self.energy_mj if self.energy_mj else 0.0
+
+
 def relative_errors(difference: Mapping[str, FloatArray], answer: Mapping[str, FloatArray]) -> dict[str, float]:
     """Length of each probe's difference, relative to the probe's displacement.
 
@@ -88,13 +103,27 @@ class Stopwatch:
 
 
 def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str, Any]:
-    """A solution as the object that `tripillar solve --json` prints; an error that nobody could estimate is null."""
+    """A solution as the object that `tripillar solve --json` prints; what nobody could tell is null."""
+
+    def known(value: float) -> float | None:
+        return float(value) if math.isfinite(value) else None
+
+    finite = {}
+    if isinstance(solution, FiniteSolution):
+        finite = {
+            "work_mj": known(solution.work_mj),
+            "energy_imbalance": known(solution.energy_imbalance),
+            "least_j": solution.least_j,
+            "iterations": solution.iterations,
+            "load_steps": solution.load_steps,
+        }
     return {
         "probes": {name: [float(u) for u in displacement] for name, displacement in solution.probes.items()},
         "energy_mj": float(solution.energy_mj),
         "residual": float(solution.residual),
         "dofs": int(solution.unknowns),
-        "error_estimate": float(solution.error_estimate) if math.isfinite(solution.error_estimate) else None,
+        "error_estimate": known(solution.error_estimate),
+        **finite,
         "seconds": {step: float(seconds) for step, seconds in solution.seconds.items()},
         "plan": [*plan_lines, *solution.steps],
     }

@@ -45,19 +45,19 @@ def digest(*parts: Any) -> str:
             sha.update(f"{part.dtype}{part.shape}".encode())
             sha.update(np.ascontiguousarray(part).data)  # no copy: data sets are large
         else:
-            sha.update(json.dumps(_plain(part), sort_keys=True).encode())
+            sha.update(json.dumps(stated(part), sort_keys=True).encode())
         sha.update(b"\0")
     return sha.hexdigest()[:16]
 
 
-def _plain(part: Any) -> Any:
+def stated(part: Any) -> Any:
     """Dataclasses as dictionaries, without optional quantities at their default: these came later than others."""
     if is_dataclass(part) and not isinstance(part, type):
         values = {each.name: getattr(part, each.name) for each in fields(part) if _is_stated(part, each)}
-        return {name: _plain(value) for name, value in values.items()}
+        return {name: stated(value) for name, value in values.items()}
     if isinstance(part, list | tuple):
-        return [_plain(each) for each in part]
-    return {name: _plain(value) for name, value in part.items()} if isinstance(part, dict) else part
+        return [stated(each) for each in part]
+    return {name: stated(value) for name, value in part.items()} if isinstance(part, dict) else part
 
 
 def _is_stated(part: Any, each: Any) -> bool:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.scene.scene import Block, Inclusion, Load, Pair, Pillar, Probe, Scene, Sensor, Triple
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Pair, Pillar, Probe, Scene, Sensor, Triple
 from geometry.design import Material, SensorDesign
 from geometry.layout import AXES, electrode_squares, pad_squares
 
@@ -24,7 +25,7 @@ def loaded(
         body=body,
         material=material,
         inclusions=regions,
-        loads=(Load(center_mm=center_mm, size_mm=size_mm, traction_mpa=traction_mpa),),
+        loads=(DeadLoad(center_mm=center_mm, size_mm=size_mm, traction_mpa=traction_mpa),),
         probes=tuple(Probe(name=name, kind="mean", center_mm=at, size_mm=size) for name, (at, size) in probed.items()),
     )
 
@@ -118,7 +119,7 @@ def response_scenes(design: SensorDesign | None = None) -> dict[str, Scene]:
     for place, unit in units.items():
         (x, y), side = ((squares[unit, :2] + squares[unit, 2:]) / 2).tolist(), design.pad.size_mm
         for axis, traction in zip(AXES, (np.eye(3) / side**2).tolist(), strict=True):
-            load = Load(center_mm=(x, y), size_mm=(side, side), traction_mpa=tuple(traction))
+            load = DeadLoad(center_mm=(x, y), size_mm=(side, side), traction_mpa=tuple(traction))
             found[f"response-{place}-{axis}"] = Scene(
                 body=Sensor(design=design), material=design.matrix_material, loads=(load,), probes=electrodes
             )

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Inclusion, Load, Scene
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Inclusion, Scene
 from fem.scene.solution import largest_error
 from geometry.storage.files import write_json
 from studies.bench.scenes import patch_scenes
@@ -18,7 +19,7 @@ from tripillar.terminal.tables import plain_table, show
 
 BLOCK = replace(patch_scenes()["block-normal-0.49"], tolerance=3e-3)
 PILLAR = Inclusion(base_mm=(13.0, 15.0, 0.0), top_mm=(17.0, 15.0, 10.0), section_mm=(2.0, 2.0), material=BLOCK.material)
-NO_LOAD = Load(center_mm=(15.0, 15.0), size_mm=(10.0, 10.0), traction_mpa=(0.0, 0.0, 0.0))
+NO_LOAD = DeadLoad(center_mm=(15.0, 15.0), size_mm=(10.0, 10.0), traction_mpa=(0.0, 0.0, 0.0))
 #: saving -> the scene that shows it
 SHOWN: dict[str, Scene] = {
     "zero-load": replace(BLOCK, loads=(NO_LOAD,)),

@@ -207,7 +207,7 @@ def meshed_again(times: int, tolerance: float) -> Judged:
 def pressed(mpa: float, tetrahedra: bool) -> Scene:
     """A block of boxes, or of tetrahedra, under a pressure."""
     scene = leaning_inclusion() if tetrahedra else block(RUBBER)
-    return replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, 0.0, -mpa)),))
+    return replace(scene, loads=(replace(scene.dead_loads[0], traction_mpa=(0.0, 0.0, -mpa)),))
 
 
 def scaled_load(scale: float, tetrahedra: bool) -> Judged:

@@ -9,7 +9,8 @@ import pytest
 from fem.methods.box_refinement import solve_by_splitting
 from fem.methods.high_order import solve_by_order
 from fem.methods.plan import Plan, make_plan
-from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
 from fem.scene.solution import Solution
 from geometry.design import Material
 
@@ -96,7 +97,7 @@ def pressed_block(
         body=Block(size_mm=size_mm),
         material=material,
         inclusions=inclusions,
-        loads=(Load(center_mm=(x / 2, y / 2), size_mm=(x, y), traction_mpa=traction_mpa),),
+        loads=(DeadLoad(center_mm=(x / 2, y / 2), size_mm=(x, y), traction_mpa=traction_mpa),),
         probes=(
             Probe(name="top", kind="mean", center_mm=(x / 2, y / 2), size_mm=(x, y)),
             Probe(name="middle", kind="point", position_mm=(0.4 * x, 0.6 * y, z / 2)),
@@ -125,7 +126,7 @@ def slender_oblique_pillar() -> Scene:
     return Scene(
         body=pillar,
         material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(Load(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
+        loads=(DeadLoad(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
         probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=pillar.section_mm),),
     )
 

@@ -15,7 +15,8 @@ from fem.linear.linear_solver import factorized
 from fem.methods.box_refinement import ORDER, first_mesh, marked
 from fem.methods.high_order import LEVELS
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Block, Inclusion, Load, Pillar, Probe, Scene
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
 from fem.scene.solution import largest_error
 from geometry.design import Material
 from tests.fem.scenes import assert_follows_bernoulli, plan_by, slender_oblique_pillar, solved_by
@@ -33,7 +34,7 @@ def patch(traction=(0.0, 0.0, -1.0), poisson=0.49, centre=(15.0, 15.0), **change
     scene = Scene(
         body=Block(size_mm=(30.0, 30.0, 10.0)),
         material=Material(poisson=poisson),
-        loads=(Load(center_mm=centre, size_mm=(10.0, 10.0), traction_mpa=traction),),
+        loads=(DeadLoad(center_mm=centre, size_mm=(10.0, 10.0), traction_mpa=traction),),
         probes=(mean("patch", centre, (10.0, 10.0)),),
     )
     return replace(scene, **changes)
@@ -47,7 +48,7 @@ def pressed(body: Block | Pillar, **kwargs: object) -> Scene:
     place = {"center_mm": (x, y), "size_mm": (share * a, share * b)}
     return Scene(
         body=body,
-        loads=(Load(**place, traction_mpa=(0.02, 0.0, -0.1)),),
+        loads=(DeadLoad(**place, traction_mpa=(0.02, 0.0, -0.1)),),
         probes=(Probe(name="patch", kind="mean", **place),),
         **kwargs,  # type: ignore[arg-type]
     )
@@ -58,7 +59,7 @@ def test_a_sheet_under_its_whole_face_follows_hooke(element):
     """With ν = 0 a fully loaded block is in uniaxial compression: u_z = −p h / E, exact on any grid."""
     block = patch(
         poisson=0.0,
-        loads=(Load(center_mm=(15.0, 15.0), size_mm=(30.0, 30.0), traction_mpa=(0.0, 0.0, -2.0)),),
+        loads=(DeadLoad(center_mm=(15.0, 15.0), size_mm=(30.0, 30.0), traction_mpa=(0.0, 0.0, -2.0)),),
         probes=(mean("top", (7.0, 12.0), (3.0, 5.0)), Probe(name="in", kind="point", position_mm=(3.0, 28.0, 5.0))),
         tolerance=1e-2,
     )
@@ -74,7 +75,7 @@ def test_flat_block_under_pressure_nears_confined_compression():
     scene = Scene(
         body=Block(size_mm=(120.0, 120.0, 4.0)),
         material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(Load(center_mm=(60.0, 60.0), size_mm=(120.0, 120.0), traction_mpa=(0.0, 0.0, -1.0)),),
+        loads=(DeadLoad(center_mm=(60.0, 60.0), size_mm=(120.0, 120.0), traction_mpa=(0.0, 0.0, -1.0)),),
         probes=(mean("mean", (60.0, 60.0), (2.0, 2.0)), Probe(name="point", kind="point", position_mm=(60, 60, 2))),
     )
     lame, mu = scene.material.lame_mpa
@@ -89,7 +90,7 @@ def test_a_slender_pillar_bends_like_timoshenko_s_beam(element):
     pillar = Scene(
         body=Pillar(section_mm=(1.0, 1.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 20.0)),
         material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(Load(center_mm=(0.0, 0.0), size_mm=(1.0, 1.0), traction_mpa=(1e-4, 0.0, 0.0)),),
+        loads=(DeadLoad(center_mm=(0.0, 0.0), size_mm=(1.0, 1.0), traction_mpa=(1e-4, 0.0, 0.0)),),
         probes=(mean("top", (0.0, 0.0), (1.0, 1.0)),),
     )
     force, G = 1e-4, 6.1 / 2.6
@@ -141,7 +142,7 @@ def test_folding_splits_around_an_inclusion_as_the_whole_does():
     place = {"center_mm": (6.0, 6.0), "size_mm": (5.0, 5.0)}
     probes = (Probe(name="patch", kind="mean", **place), Probe(name="point", kind="point", position_mm=(2.0, 9.0, 4.0)))
     for traction in ((0.0, 0.0, -0.1), (0.1, 0.0, 0.0)):
-        load = Load(**place, traction_mpa=traction)
+        load = DeadLoad(**place, traction_mpa=traction)
         scene = Scene(
             body=Block(size_mm=(12.0, 12.0, 6.0)), inclusions=(stiff,), loads=(load,), probes=probes, tolerance=5e-3
         )
@@ -239,7 +240,7 @@ def small_patch(size=4.0) -> Scene:
     return Scene(
         body=Block(size_mm=(10.0, 10.0, 4.0)),
         material=Material(young_mpa=6.1, poisson=0.49),
-        loads=(Load(center_mm=(5.0, 5.0), size_mm=(size, size), traction_mpa=(0.1, 0.0, -1.0)),),
+        loads=(DeadLoad(center_mm=(5.0, 5.0), size_mm=(size, size), traction_mpa=(0.1, 0.0, -1.0)),),
         probes=(mean("patch", (5.0, 5.0), (size, size)),),
     )
 
@@ -295,7 +296,7 @@ def test_hanging_nodes_hold_polynomials_of_the_elements_order(seed):
 def test_column_without_cross_contraction_follows_hooke_on_any_boxes(order):
     """At ν = 0 the clamped base holds nothing back: u = −p z / E exactly, whatever is split, hanging nodes included."""
     body = Block(size_mm=(3.0, 3.0, 3.0))
-    load = Load(center_mm=(1.5, 1.5), size_mm=(3.0, 3.0), traction_mpa=(0.0, 0.0, -0.2))
+    load = DeadLoad(center_mm=(1.5, 1.5), size_mm=(3.0, 3.0), traction_mpa=(0.0, 0.0, -0.2))
     inside = Probe(name="inside", kind="point", position_mm=(1.3, 0.4, 1.9))
     scene = Scene(body=body, material=Material(young_mpa=2.0, poisson=0.0), loads=(load,), probes=(inside,))
     system = BoxSystem(scene, (), (), random_mesh(0, rounds=3), {}, order)
@@ -340,7 +341,7 @@ def test_patch_a_hair_from_the_corner_is_solved():
     scene = Scene(
         body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
         material=Material(young_mpa=0.5351, poisson=0.4999),
-        loads=(Load(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
+        loads=(DeadLoad(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
         probes=(Probe(name="patch", kind="mean", **place),),
         tolerance=1e-2,
     )
@@ -370,7 +371,7 @@ def test_loaded_corner_of_nearly_incompressible_rubber_is_settled(hair_mm):
     scene = Scene(
         body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
         material=Material(young_mpa=0.5351, poisson=0.4999),
-        loads=(Load(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
+        loads=(DeadLoad(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
         probes=(Probe(name="patch", kind="mean", **place),),
         tolerance=2e-3,
     )

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from fem.scene.scene import Block, Inclusion, Pillar, Prism, SceneError, Sensor
+from fem.scene.checks import SceneError
+from fem.scene.scene import Block, Inclusion, Pillar, Prism, Sensor
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material
 from tests.fem.scenes import ARRAY, BLOCK, EXAMPLES, PILLAR

@@ -14,14 +14,15 @@ from fem.fields.stress import projected_pressure
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.box_field import VTK_PLACES
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Block, Inclusion, Load, Probe, Scene, Sensor
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
 from geometry.design import Array, Material, SensorDesign
 
 BLOCK = Scene(
     body=Block(size_mm=(12.0, 12.0, 6.0)),
     material=Material(),
-    loads=(Load(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
+    loads=(DeadLoad(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
     probes=(Probe(name="top", kind="mean", center_mm=(6.0, 6.0), size_mm=(6.0, 6.0)),),
     tolerance=2e-2,
 )
@@ -108,7 +109,7 @@ def mean_on_middle(part):
 def test_a_sensor_s_scene_is_its_array_under_the_same_load(pair_field):
     """The middle pad as a load of the scene: the same field as by the pads of the design."""
     design = SensorDesign(array=Array(rows=1, cols=2))
-    pressed = Load(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))
+    pressed = DeadLoad(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))
     seen = solve_scene_parts(Scene(body=Sensor(design=design), loads=(pressed,), probes=(MIDDLE,)), stress=False)
     expected = sensor_parts(pair_field, pair_field.state(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, -1.0]])), stress=False)
     for name, part in expected.items():
@@ -117,7 +118,7 @@ def test_a_sensor_s_scene_is_its_array_under_the_same_load(pair_field):
 
 def test_a_load_across_two_cells_is_shared_between_them():
     design = SensorDesign(array=Array(rows=1, cols=2))
-    across = Load(center_mm=(0.0, 0.0), size_mm=(6.0, 4.0), traction_mpa=(0.0, 0.0, -1.0))
+    across = DeadLoad(center_mm=(0.0, 0.0), size_mm=(6.0, 4.0), traction_mpa=(0.0, 0.0, -1.0))
     parts = solve_scene_parts(Scene(body=Sensor(design=design), loads=(across,), probes=(MIDDLE,)), stress=False)
     assert np.allclose([parts["pads"].points_mm[:, 0].min(), parts["pads"].points_mm[:, 0].max()], [-3.0, 3.0])
     matrix = parts["matrix"]

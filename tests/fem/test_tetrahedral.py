@@ -13,7 +13,8 @@ from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.methods.tetrahedral import with_edges_across
-from fem.scene.scene import Block, Inclusion, Load, Prism, Probe, Scene, Sensor
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
 from geometry.cad import unit_solid
@@ -273,7 +274,7 @@ def test_an_oblique_stiff_inclusion_is_where_it_was_put():
         Probe(name=name, kind="mean", center_mm=(x, 4.0), size_mm=(1.0, 1.0))
         for name, x in (("left", 4.0), ("end", 8.0), ("right", 11.0))
     ]
-    load = Load(center_mm=(6.0, 4.0), size_mm=(12.0, 8.0), traction_mpa=(0.0, 0.0, -1.0))
+    load = DeadLoad(center_mm=(6.0, 4.0), size_mm=(12.0, 8.0), traction_mpa=(0.0, 0.0, -1.0))
     scene = Scene(
         body=block, material=Material(), inclusions=(stiff,), loads=(load,), probes=tuple(probes), tolerance=0.1
     )

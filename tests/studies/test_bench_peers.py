@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.scene.scene import Block, Inclusion, Load, Probe, Scene
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Inclusion, Probe, Scene
 from fem.scene.solution import largest_error
 from geometry.design import Material
 from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
@@ -18,7 +19,7 @@ BLOCK = all_scenes()["block-normal-0.49"]
 COLUMN = Scene(
     body=Block(size_mm=(4.0, 6.0, 3.0)),
     material=Material(young_mpa=6.1, poisson=0.0),
-    loads=(Load(center_mm=(2.0, 3.0), size_mm=(4.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
+    loads=(DeadLoad(center_mm=(2.0, 3.0), size_mm=(4.0, 6.0), traction_mpa=(0.0, 0.0, -1.0)),),
     probes=(Probe(name="corner", kind="mean", center_mm=(1.0, 1.0), size_mm=(2.0, 2.0)),),
 )
 STIFF = Material(young_mpa=12.2, poisson=0.0)

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from fem.discretization.grid import Grid
-from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, StiffLoad
 from fem.finite.newton import find_equilibrium
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from geometry.design import Material
 from studies.bench.peers.felupe_peer import felupe_displacements
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
-LOADS: dict[str, FiniteLoad] = {
+LOADS: dict[str, Load] = {
     "dead": DeadLoad(**PAD, traction_mpa=(0.3, 0.1, -1.5)),
     "follower": FollowerLoad(**PAD, pressure_mpa=2.0, traction_mpa=(0.2, 0.1)),
     "stiff": StiffLoad(**PAD, force_n=(50.0, 15.0, -288.0), moment_nmm=(20.0, 40.0, 10.0)),

@@ -19,7 +19,8 @@ from decoupler.inverse.limits import exact_inverse
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Block, Load, Probe, Scene
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Block, Probe, Scene
 from geometry.design import Material, SensorDesign
 from geometry.layout import pillar_volumes
 from tripillar.doctor import Check
@@ -52,7 +53,7 @@ def check_answers() -> Iterator[Check]:
 def column_under_pressure() -> float:
     """A column with ν = 0 under σ on its whole top shortens by σ h/E, exactly."""
     material, size_mm, pressure_mpa = Material(young_mpa=6.1, poisson=0.0), (4.0, 4.0, 10.0), 1.0
-    load = Load(center_mm=(2.0, 2.0), size_mm=(4.0, 4.0), traction_mpa=(0.0, 0.0, -pressure_mpa))
+    load = DeadLoad(center_mm=(2.0, 2.0), size_mm=(4.0, 4.0), traction_mpa=(0.0, 0.0, -pressure_mpa))
     probe = Probe(name="top", kind="mean", center_mm=(2.0, 2.0), size_mm=(4.0, 4.0))
     scene = Scene(body=Block(size_mm=size_mm), material=material, loads=(load,), probes=(probe,))
     solution, _ = solve_scene(scene)

@@ -3,12 +3,11 @@
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.errors import NotWrittenError
-from geometry.storage.files import FULL, digest, explained
+from geometry.storage.files import FULL, digest, explained, stated
 from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all, kept_rows
 from tripillar.sweep.sampling import Sample, sample_at
@@ -33,7 +32,7 @@ def open_study(sweep: Sweep, journal: Path) -> "optuna.Study":
     _drop_torn_line(journal)
     study = optuna.create_study(
         storage=JournalStorage(JournalFileBackend(str(journal))),
-        study_name=digest("study", {**asdict(sweep), "samples": None}),
+        study_name=digest("study", {**stated(sweep), "samples": None}),
         load_if_exists=True,
     )
     # trials that a killed run left unfinished stay so: they may as well be those of another run, in progress now

@@ -1,7 +1,7 @@
 """The designs of a sweep: Sobol, Latin hypercube or grid."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from math import ceil, log2
 
@@ -11,7 +11,7 @@ from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
-from geometry.storage.files import digest
+from geometry.storage.files import digest, stated
 from tripillar.sweep.sweep_file import Judging, Sweep
 from tripillar.sweep.variables import value_of, with_values
 
@@ -52,7 +52,7 @@ def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
 
 def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
     """The design with a number for each variable."""
-    table = with_values(asdict(sweep.base), sweep.variables, numbers)
+    table = with_values(stated(sweep.base), sweep.variables, numbers)
     values = {variable.name: float(value_of(table, variable.name)) for variable in sweep.variables}
     try:
         design = design_from_dict(table, "not a design")

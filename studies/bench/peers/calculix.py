@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from skfem import MeshHex, MeshTet
 from skfem.mesh import Mesh
 
-from fem.scene.scene import Rectangle, Scene
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Scene
 from fem.scene.solution import Stopwatch
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender
@@ -110,7 +111,7 @@ def deck(scene: Scene, grid: QuadraticGrid) -> str:
         out.write(f"*SOLID SECTION, ELSET=PART{number}, MATERIAL=RUBBER{number}\n")
     out.write("*BOUNDARY\nBASE, 1, 3\n*STEP\n*STATIC, SOLVER=SPOOLES\n*CLOAD\n")
     forces = np.zeros((len(grid.points_mm), 3))
-    for load in scene.loads:
+    for load in scene.dead_loads:
         forces += np.outer(grid.weights(load.rectangle), load.traction_mpa)
     for node, axis in np.argwhere(forces != 0.0):
         out.write(f"{node + 1}, {axis + 1}, {forces[node, axis]:.12g}\n")

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, StiffLoad
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem, State
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from geometry.layout import FloatArray
 
 STEPS = 8  #: of the load; FElupe's Newton has the pressure as a field of its own, but no step control
 
 
-def felupe_displacements(body: RubberBody, loads: list[FiniteLoad], state: State) -> FloatArray:
+def felupe_displacements(body: RubberBody, loads: list[Load], state: State) -> FloatArray:
     """Displacements (n_nodes, 3) of a body of one rubber under the same loads [mm].
 
     Plates are not in FElupe: their nodes are moved as `state` says, and all others are solved for. The law is FElupe's

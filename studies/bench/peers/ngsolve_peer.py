@@ -205,7 +205,7 @@ class System:
         import ngsolve as ng
 
         f = ng.LinearForm(self.space)
-        for load in scene.loads:
+        for load in scene.dead_loads:
             f += _inside(load.rectangle) * ng.InnerProduct(ng.CF(load.traction_mpa), self.virtual) * ng.ds("top")
         f.Assemble()
         return f

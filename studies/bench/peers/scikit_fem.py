@@ -21,7 +21,8 @@ from skfem import (
 from skfem.element import Element
 from skfem.models.elasticity import linear_elasticity
 
-from fem.scene.scene import Rectangle, Scene
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Scene
 from fem.scene.solution import Stopwatch
 from studies.bench.harness import Contender
 from studies.bench.peers.grids import Solved, is_homogeneous_block, scene_lines
@@ -46,7 +47,7 @@ def solve_stock(scene: Scene, n: float, element: type[Element]) -> Solved:
         return LinearForm(lambda v, w: v[axis]).assemble(FacetBasis(mesh, ElementVector(element()), facets=facets))
 
     K = linear_elasticity(*scene.material.lame_mpa).assemble(basis)
-    f = sum(t * on(load.rectangle, a) for load in scene.loads for a, t in enumerate(load.traction_mpa) if t)
+    f = sum(t * on(load.rectangle, a) for load in scene.dead_loads for a, t in enumerate(load.traction_mpa) if t)
     watch.spent("assemble")
     system = condense(K, f, D=basis.get_dofs("base"))
     u = solve(*system)

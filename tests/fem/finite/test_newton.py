@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from fem.discretization.grid import Grid
-from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, StiffLoad
 from fem.finite.newton import UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
 from fem.finite.solving import solve_finite
 from fem.finite.system import FiniteSystem
 from fem.linear.refactored import RepeatedFactor
 from fem.methods.solving import solve_scene
-from fem.scene.scene import Block, Load, Probe, Scene, SceneError
+from fem.scene.checks import SceneError
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.scene.scene import Block, Probe, Scene
 from geometry.design import Material
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
@@ -23,7 +24,7 @@ PROBES = (
 )
 
 
-def loads_of(kind: str, mpa: float) -> list[FiniteLoad]:
+def loads_of(kind: str, mpa: float) -> list[Load]:
     return {
         "dead": [DeadLoad(**PAD, traction_mpa=(0.1 * mpa, 0.0, -mpa))],
         "follower": [FollowerLoad(**PAD, pressure_mpa=mpa, traction_mpa=(0.1 * mpa, 0.0))],
@@ -43,7 +44,7 @@ def test_small_loads_give_the_linear_solver_s_answer():
     """Another element, another grid: both are right to their estimates."""
     scene = Scene(
         body=Block(size_mm=(15.0, 15.0, 10.0)),
-        loads=(Load(**PAD, traction_mpa=(1e-6, 0.0, -1e-5)),),
+        loads=(DeadLoad(**PAD, traction_mpa=(1e-6, 0.0, -1e-5)),),
         probes=PROBES,
         tolerance=3e-2,
     )

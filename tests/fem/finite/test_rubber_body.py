@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 from fem.discretization.grid import Grid
-from fem.finite.loads import DeadLoad, FiniteLoad, FollowerLoad, StiffLoad
 from fem.finite.plates import rotations
 from fem.finite.rubber_body import RubberBody, cofactors
 from fem.finite.system import FiniteSystem
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from geometry.design import Material
 
 LINES = {"x": np.array([0.0, 1.0, 3.0, 4.0]), "y": np.array([0.0, 2.0, 2.5, 4.0]), "z": np.array([0.0, 1.5, 4.0])}
@@ -78,7 +78,7 @@ def test_cofactors_are_the_volume_times_the_inverse_s_transpose():
 
 
 MIDDLE = (2.0 + 4 * LEAN[0], 2.25 + 4 * LEAN[1])
-LOADS: dict[str, list[FiniteLoad]] = {
+LOADS: dict[str, list[Load]] = {
     "dead": [DeadLoad(center_mm=MIDDLE, size_mm=(1.7, 0.3), traction_mpa=(0.1, 0.2, -1.0))],
     "follower": [FollowerLoad(center_mm=MIDDLE, size_mm=(2.0, 0.5), pressure_mpa=1.0, traction_mpa=(0.3, 0.1))],
     "stiff": [StiffLoad(center_mm=MIDDLE, size_mm=(2.0, 0.5), force_n=(1.0, 2.0, -3.0), moment_nmm=(1.0, 2.0, 3.0))],

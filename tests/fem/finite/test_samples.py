@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.finite.loads import StiffLoad
 from fem.finite.newton import find_equilibrium
 from fem.finite.samples import SampleSolver, array_grid
 from fem.finite.system import FiniteSystem
+from fem.scene.loads import StiffLoad
 from geometry.design import Array, Material, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import unit_centres

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fem.discretization.grid import Grid
-from fem.finite.loads import StiffLoad
 from fem.finite.newton import find_equilibrium
 from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, load_series, quaternion_rotations, rank_reduced_sum
 from fem.finite.system import FiniteSystem
+from fem.scene.loads import StiffLoad
 from geometry.design import Material
 
 LINE = np.array([-15.0, -13.5, -7.5, -1.5, 0.0, 1.5, 7.5, 13.5, 15.0])

@@ -1,0 +1,88 @@
+"""Loads of a scene, each on a rectangle of the top face at rest: dead, following and stiff.
+
+Directions are the axes' and do not turn, but for the pressure of a `FollowerLoad`. All grow from 0 in proportion.
+"""
+
+from dataclasses import dataclass, field
+
+from fem.scene.checks import LARGEST_MPA, SceneError, is_finite, require_extents, require_vectors, shown
+from geometry.prism import Pair, Triple
+
+Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
+
+
+def rectangle_of(center_mm: Pair, size_mm: Pair) -> Rectangle:
+    """The rectangle of a centre and an extent."""
+    (x, y), (a, b) = center_mm, size_mm
+    return x - a / 2, y - b / 2, x + a / 2, y + b / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OnRectangle:
+    """A load on a rectangle of the top face."""
+
+    center_mm: Pair = field(metadata={"meaning": "centre of the loaded rectangle: x, y, in mm"})
+    size_mm: Pair = field(metadata={"meaning": "extent of the loaded rectangle along x and y, in mm"})
+
+    def __post_init__(self) -> None:
+        require_vectors(self, {"center_mm": 2, "size_mm": 2})
+        require_extents(self, "size_mm")
+
+    @property
+    def rectangle(self) -> Rectangle:
+        return rectangle_of(self.center_mm, self.size_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadLoad(_OnRectangle):
+    """A uniform traction per area at rest, whose direction stays; where such loads overlap they add up.
+
+    At finite strain it has no equilibrium beyond about half of Young's modulus: elements at its edges turn inside out.
+    """
+
+    kind = "dead"
+    traction_mpa: Triple = field(metadata={"meaning": "traction along x, y, z, in MPa; z negative pushes down"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowerLoad(_OnRectangle):
+    """A pressure along the deformed surface's normal, per deformed area, and a dead tangential traction.
+
+    It has no potential: how far it moves the body may depend on the way to it, and its stiffness is not symmetric.
+    Linear elasticity knows no deformed normal: there the pressure pushes along −z.
+    """
+
+    kind = "follower"
+    pressure_mpa: float
+    traction_mpa: Pair = field(default=(0.0, 0.0), metadata={"meaning": "traction along x and y, in MPa at rest"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_vectors(self, {"traction_mpa": 2}, LARGEST_MPA)
+        if not is_finite(self.pressure_mpa) or abs(self.pressure_mpa) > LARGEST_MPA:
+            raise SceneError(
+                f"pressure_mpa={shown(self.pressure_mpa)} must be a finite number of at most {LARGEST_MPA:g}; above 0 "
+                "it pushes."
+            )
+        object.__setattr__(self, "pressure_mpa", float(self.pressure_mpa))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StiffLoad(_OnRectangle):
+    """A rigid plate bonded to a rectangle, loaded at the middle of its underside."""
+
+    kind = "stiff"
+    force_n: Triple = field(metadata={"meaning": "force along x, y, z, in N; z negative pushes down"})
+    moment_nmm: Triple = field(default=(0.0, 0.0, 0.0), metadata={"meaning": "moment about x, y, z, in N mm"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_vectors(self, {"force_n": 3, "moment_nmm": 3}, LARGEST_MPA)
+
+
+Load = DeadLoad | FollowerLoad | StiffLoad
+LOAD_KINDS: dict[str, type[Load]] = {load.kind: load for load in (DeadLoad, FollowerLoad, StiffLoad)}
