@@ -82,7 +82,7 @@ def _require_linear(design: SensorDesign) -> None:
     model = design.matrix_material.model
     if model != "linear":
         raise DesignError(
-            f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both of its "
+            f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
             "materials, or solve it as a scene."
         )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fem.scene.checks import SceneError
+from fem.scene.loads import DeadLoad, FollowerLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Prism, Sensor
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material
@@ -50,6 +51,25 @@ def test_a_common_material_fills_the_rubbers_that_the_design_leaves_open():
     assert body.design.pillar_material == Material(young_mpa=61.0)  # [design] gives its own
 
 
+def test_kinds_of_loads_and_a_model_are_read_as_written():
+    """In linear scenes a pressure pushes along −z; plates are no tractions."""
+    stiff = 'kind = "stiff"\ncenter_mm = [5, 5]\nsize_mm = [4, 4]\nforce_n = [1, 2, -3]\nmoment_nmm = [0, 4, 0]\n'
+    follower = 'kind = "follower"\ncenter_mm = [25, 5]\nsize_mm = [4, 2]\npressure_mpa = 2\ntraction_mpa = [0.5, 0]\n'
+    text = BLOCK.replace("poisson = 0.49", 'poisson = 0.49\nmodel = "neo-hookean"')
+    scene = scene_from_toml(text + f"[[load]]\n{stiff}[[load]]\n{follower}")
+    assert (scene.is_linear, scene_from_toml(BLOCK).is_linear) == (False, True)
+    assert {material.model for _, material in scene.regions} == {"neo-hookean"}
+    assert [type(load) for load in scene.loads] == [DeadLoad, StiffLoad, FollowerLoad]
+    assert scene.stiff_loads[0].moment_nmm == (0.0, 4.0, 0.0)
+    assert scene.tractions_mpa.tolist() == [[0.0, 0.0, -1.0], [0.5, 0.0, -2.0]]
+    assert scene.load_rectangles_mm.tolist() == [[10.0, 10.0, 20.0, 20.0], [23.0, 4.0, 27.0, 6.0]]
+
+
+def test_a_common_model_fills_the_rubbers_that_state_none():
+    body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\nmodel = 'neo-hookean'\n").body
+    assert body.design.pillar_material == Material(young_mpa=61.0, model="neo-hookean")
+
+
 SWAPS = [
     ("[body]\n", "spam = 1\n[body]\n", "unknown key 'spam'"),
     ('kind = "block"', 'kind = "ball"', "[body]: kind='ball' is unknown; it must be one of block, pillar, unit, array"),
@@ -74,6 +94,13 @@ SWAPS = [
     ("[solve]", "[[solve]]", "'solve' must be one table"),
     ("traction_mpa", "pressure_mpa", "unknown key 'pressure_mpa' in [[load]] 1; known are center_mm, size_mm"),
     ("traction_mpa = [0.0, 0.0, -1.0]", "", "the key 'traction_mpa' is missing in [[load]] 1"),
+    ("poisson = 0.49", "poisson = 0.49\nmodel = 'ogden'", "[material]: model='ogden' must be one of linear"),
+    ("traction_mpa = [0", "kind = 'rigid'\ntraction_mpa = [0", "[[load]] 1: kind='rigid' is unknown; it must be one"),
+    ("traction_mpa = [0", "kind = 'stiff'\ntraction_mpa = [0", "unknown key 'traction_mpa' in [[load]] 1 of kind"),
+    ("traction_mpa = [0.0, 0.0, -1.0]", "kind = 'follower'", "the key 'pressure_mpa' is missing in [[load]] 1 of kind"),
+    ("traction_mpa = [0.0, 0.0, -1.0]", "kind = 'follower'\npressure_mpa = true", "pressure_mpa=True must be a finite"),
+    ("[[load]]", "[[load]]\nkind = 'stiff'\ncenter_mm = [9, 9]\nsize_mm = [4, 4]\nforce_n = [0, 0, -1]\n[[load]]",
+     "loads 1 and 2 share a stiff plate's rectangle"),
     ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = -1.0", "traction_mpa=-1 must be 3 finite numbers"),
     ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = [0.0, 0.0, inf]", "must be 3 finite numbers"),
     ("size_mm = [10.0, 10.0]", "size_mm = [10.0, 0.0]", "[[load]] 1: size_mm=[10.0, 0.0] must be above 0"),

@@ -15,7 +15,10 @@ def _numeric_keys(table: Table, prefix: str = "") -> dict[str, type]:
     keys: dict[str, type] = {}
     for key, value in table.items():
         name = prefix + key
-        keys |= _numeric_keys(value, f"{name}.") if isinstance(value, dict) else {name: type(value)}
+        if isinstance(value, dict):
+            keys |= _numeric_keys(value, f"{name}.")
+        elif isinstance(value, int | float):
+            keys[name] = type(value)
     return keys
 
 
