@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 VARIABLES = {
     "traction_mpa": (
         ("sample", "row", "col", "axis"),
-        {"units": "MPa", "note": "as applied: z < 0 pushes down"},
+        {"units": "MPa", "note": "force over the pad's area, as applied: z < 0 pushes down"},
     ),
     "force_n": (("sample", "row", "col", "axis"), {"units": "N", "note": "z > 0 is compression"}),
     "displacement_mm": (
@@ -73,7 +73,9 @@ class Samples:
 
     force_n: FloatArray  #: (n, rows, cols, 3): axes x, y, z [N]; Fz positive in compression
     resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y [Ω], as measured
-    traction_mpa: FloatArray | None = None  #: (n, rows, cols, 3): axes x, y, z [MPa]; z negative when pushing down
+    traction_mpa: FloatArray | None = (
+        None  #: (n, rows, cols, 3): force over pad area [MPa]; z negative when pushing down
+    )
     displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
     design: SensorDesign | None = None  #: None if it is not known

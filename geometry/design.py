@@ -191,7 +191,7 @@ class SensorDesign:
                 f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
                 "shrink the pad or raise pitch_mm."
             )
-        if self.pad.kind == "stiff" and reach_mm > (1 - MIN_GAP) * pitch_mm / 2:
+        if reach_mm > self.pad_room_mm:
             raise DesignError(
                 f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end at least "
                 f"{MIN_GAP * pitch_mm / 2:g} mm before its unit's share of the slab ({pitch_mm / 2:g} mm from the "
@@ -201,6 +201,11 @@ class SensorDesign:
     @property
     def n_units(self) -> int:
         return self.array.rows * self.array.cols
+
+    @property
+    def pad_room_mm(self) -> float:
+        """Largest distance of a pad's edge from its unit's centre [mm]; soft pads may touch, stiff ones may not."""
+        return self.array.pitch_mm / 2 * (1 - MIN_GAP if self.pad.kind == "stiff" else 1)
 
     @property
     def slab_mm(self) -> tuple[float, float, float]:

@@ -164,12 +164,20 @@ def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, datase
 
 def _design_differences(model: SensorDesign, data: SensorDesign) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
-    return [f"{name}: model {ours[name]:.10g}, data {theirs[name]:.10g}" for name in ours if ours[name] != theirs[name]]
+    return [
+        f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
+        for name in ours
+        if ours[name] != theirs[name]
+    ]
 
 
-def _flat(table: dict[str, Any], group: str = "") -> dict[str, float]:
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def _flat(table: dict[str, Any], group: str = "") -> dict[str, float | str]:
     """{"array": {"pitch_mm": 15}} -> {"array.pitch_mm": 15}."""
-    flat: dict[str, float] = {}
+    flat: dict[str, float | str] = {}
     for name, value in table.items():
         flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
     return flat

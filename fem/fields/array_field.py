@@ -155,6 +155,7 @@ class ArrayField:
     rectangles_mm: FloatArray  #: (k, 4): x0, y0, x1, y1 of what can be loaded on each cell; one, the pad, unless told
     interior: CellInterior = field(repr=False)
     coupled: CoupledArray = field(repr=False)
+    has_plates: bool = False  #: whether those are rigid plates
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
         """Load the pads.
@@ -162,7 +163,7 @@ class ArrayField:
         Parameters
         ----------
         traction_mpa : array, shape (n_units, 3)
-            Uniform traction on each unit's pad along x, y, z; z negative pushes down [MPa].
+            Force over area of each unit's pad along x, y, z; z negative pushes down [MPa].
 
         Raises
         ------
@@ -180,7 +181,7 @@ class ArrayField:
         return self.under(traction * self.design.pad.size_mm**2)
 
     def under(self, force_n: FloatArray) -> FieldState:
-        """Load every cell's rectangles: forces (n_units, k·3) spread evenly over each, along x, y, z [N]."""
+        """Load every cell's rectangles: forces (n_units, k·3) on each along x, y, z [N], even or by its plate."""
         port, _ = self.coupled.port_displacements(force_n[:, :, None])
         return FieldState(force_n=force_n, port_mm=port[:, :, 0])
 
@@ -258,7 +259,9 @@ def solve_array_field(
     interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles, plate)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
-    return ArrayField(design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled)
+    return ArrayField(
+        design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=plate is not None
+    )
 
 
 def indenter_tractions(

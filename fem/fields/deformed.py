@@ -86,11 +86,11 @@ class Part:
         )
 
 
-Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads
+Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads (plates where they are stiff)
 
 
 def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
-    """Pillars, matrix, electrodes and pads of a loaded array.
+    """Pillars, matrix, electrodes and pads of a loaded array; stiff pads are named plates.
 
     Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
     pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
@@ -101,7 +101,7 @@ def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> d
         "pillars": _on_units(array, state, pillar_surface(unit, apart_mm=APART_MM), stress, region=1),
         "matrix": _slab(array, state, stress),
         "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
-        "pads": _pads(array, state, stress),
+        "plates" if array.has_plates else "pads": _pads(array, state, stress),
     }
 
 

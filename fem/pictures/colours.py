@@ -20,7 +20,9 @@ SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of b
 BELOW = ("#053061", "#3f8ec0", "#ffffff")  #: from the least value to 0
 ABOVE = ("#ffffff", "#d6604d", "#67001f")  #: from 0 to the largest
 LOADED = ("#fcbba1", "#de2d26", "#67000d")  #: outlines of pads, from hardly loaded to the most
-COLOURED_NOT = ("matrix", "electrodes", "pads")  #: parts whose colour says nothing of a field
+#: titles of the bar of pads' outlines, by the part that is outlined: uniform traction, or what a plate passes on
+PAD_TITLES = {"pads": "traction on a pad [MPa]", "plates": "mean traction under a plate [MPa]"}
+COLOURED_NOT = ("matrix", "electrodes", *PAD_TITLES)  #: parts whose colour says nothing of a field
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,13 @@ def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
 
 
 def pads_bar(panels: Iterable[Parts]) -> Bar | None:
-    """The bar of the pads' outlines, from no traction to the largest; None where no pad is loaded."""
-    most = float(max((parts["pads"].strength_mpa.max() for parts in panels if "pads" in parts), default=0.0))
-    return Bar(title="traction on a pad [MPa]", low=0.0, high=most, colours=mixed(LOADED, SHADES)) if most else None
+    """The bar of the outlines of pads or plates, from no traction to the largest; None where none is loaded."""
+    most = {name: 0.0 for name in PAD_TITLES}
+    for parts in panels:
+        for name in parts.keys() & PAD_TITLES.keys():
+            most[name] = max(most[name], float(parts[name].strength_mpa.max()))
+    name = max(most, key=most.__getitem__)
+    return Bar(title=PAD_TITLES[name], low=0.0, high=most[name], colours=mixed(LOADED, SHADES)) if most[name] else None
 
 
 def shades(name: str | None, low: float, high: float) -> list[str]:

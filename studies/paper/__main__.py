@@ -11,7 +11,6 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from geometry.design import SensorDesign
 from geometry.storage.files import replacing, write_text
 from studies.paper import pictures
 from studies.paper.deformation import study_deformation
@@ -20,7 +19,15 @@ from studies.paper.report import Computed, as_html, as_markdown
 from studies.paper.results import Results, kept
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import JsonOption, VerbosityOption, progress_bars, show_json, wrote
+from tripillar.terminal.console import (
+    DesignOption,
+    JsonOption,
+    VerbosityOption,
+    chosen,
+    progress_bars,
+    show_json,
+    wrote,
+)
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 
@@ -33,13 +40,15 @@ PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 def write_report(
     out: Annotated[Path, typer.Option(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
     docs: Annotated[Path | None, typer.Option(help="Also put Markdown and pictures into this folder.")] = None,
+    design_file: DesignOption = None,
     json: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
     """Write the report; what was computed before from the same settings is reused."""
+    sensor = chosen(design_file)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is refused now, not minutes later
     with progress_bars(verbosity) as bars:
-        _, response = respond(SensorDesign(), bars)
+        _, response = respond(sensor, bars)
         design, asked, experiments = response.design, Asked(), Experiments()
         steps = 2 * len(asked.pitches_mm) + len(asked.wider_mm)
         advance = bars.begin("spacing", total=steps)

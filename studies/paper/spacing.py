@@ -140,7 +140,8 @@ def design_at(design: SensorDesign, pitch_mm: float) -> SensorDesign:
     if unit.footprint_mm > pitch_mm:
         spare = brentq(lambda span: replace(unit, span_mm=span).footprint_mm - pitch_mm, unit.span_mm / 4, unit.span_mm)
         unit = replace(unit, span_mm=float(np.floor(100 * spare) / 100))
-    pad = replace(design.pad, size_mm=min(design.pad.size_mm, pitch_mm))
+    share = 2 * design.pad_room_mm / design.array.pitch_mm
+    pad = replace(design.pad, size_mm=min(design.pad.size_mm, float(np.floor(100 * share * pitch_mm) / 100)))
     return replace(design, unit=unit, pad=pad, array=replace(design.array, pitch_mm=pitch_mm))
 
 

@@ -99,7 +99,7 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
         return PipelineResult(stages=stages, comparisons=[])
     stage, models = train_networks(response, out, bars)
     stages.append(stage)
-    stage, truth = respond(as_made(design), bars, SETTINGS)
+    stage, truth = respond(as_made(design), bars, SETTINGS[design.pad.kind])
     stages.append(replace(stage, name="as made"))
     comparisons = []
     for protocol in STUDIED:

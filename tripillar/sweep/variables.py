@@ -61,7 +61,9 @@ class Variable:
     def __post_init__(self) -> None:
         for key in (*self.key, *([] if self.of is None else [self.of])):
             if not isinstance(key, str) or key not in KEYS:
-                raise DesignError(f"unknown key {key!r}; known are {', '.join(KEYS)}.")
+                raise DesignError(
+                    f"unknown key {key!r}; known are {', '.join(KEYS)}. What is no number is set in [design]."
+                )
         if not self.key:
             raise DesignError("no key is given: write key = 'array.pitch_mm'.")
         if self.of in self.key:

@@ -159,18 +159,21 @@ def csv_of(design: SensorDesign, reading: Reading) -> str:
 def scene_of(design: SensorDesign, traction_mpa: FloatArray, chosen: int) -> str:
     """A scene file (TOML) of the same array under the same loads, for `tripillar solve` and `view`.
 
-    Its probe is the pad of the chosen unit.
+    Its probe is the pad of the chosen unit. Stiff pads hold the rubber where nothing loads them, too: each is there.
     """
     nested = "\n".join(
         f"[design.{line[1:]}" if line.startswith("[") else line for line in design_to_toml(design).splitlines()[1:]
     )
     centres = unit_centres(design) + np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
     square = f"size_mm = [{design.pad.size_mm!r}, {design.pad.size_mm!r}]"
-    tables = [
-        f"[[load]]\ncenter_mm = {centre.tolist()}\n{square}\ntraction_mpa = {traction.round(9).tolist()}\n"
-        for centre, traction in zip(centres, traction_mpa, strict=True)
-        if traction.any()
-    ]
+    tables = []
+    for centre, traction in zip(centres, traction_mpa, strict=True):
+        place = f"[[load]]\ncenter_mm = {centre.tolist()}\n{square}\n"
+        if design.pad.kind == "stiff":
+            force_n = traction * design.pad.size_mm**2
+            tables.append(f'{place}kind = "stiff"\nforce_n = {force_n.round(9).tolist()}\n')
+        elif traction.any():
+            tables.append(f"{place}traction_mpa = {traction.round(9).tolist()}\n")
     row, col = divmod(chosen, design.array.cols)
     probe = f'[[probe]]\nname = "pad of row {row}, col {col}"\nkind = "mean"\n'
     tables.append(f"{probe}center_mm = {centres[chosen].tolist()}\n{square}\n")

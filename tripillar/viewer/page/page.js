@@ -56,7 +56,7 @@ function hear(message) {
 
 function lay(given) {
   facts = given;
-  byId("array").textContent = `${facts.rows} × ${facts.cols} units, pitch ${facts.pitch_mm} mm`;
+  byId("array").textContent = `${facts.rows} × ${facts.cols} units, pitch ${facts.pitch_mm} mm${facts.pads === "stiff" ? ", stiff pads" : ""}`;
   byId("cap").textContent = facts.cap;
   byId("cone").textContent = `shear ≤ ${facts.friction} × pressure`;
   byId("decoupler").textContent = `decoupled forces, by ${facts.decoupler}`;

@@ -26,7 +26,7 @@ from tripillar.viewer.page.controls import (
     traction_of,
 )
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import PADS_BAR, ArrayScene, Superposition
+from tripillar.viewer.page.scene import ArrayScene, Superposition
 from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
@@ -84,6 +84,7 @@ class Page:
             "rows": array.rows,
             "cols": array.cols,
             "pitch_mm": array.pitch_mm,
+            "pads": self._design.pad.kind,
             "cap": 100 * numbers.CAP,
             "friction": FRICTION,
             "decoupler": self._subject.decoupler,
@@ -166,7 +167,7 @@ class Page:
         heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
         return numbers.beside_picture(controls["tab"], controls["pad"], reading) | heard | {
             "trouble": "" if feed is None else feed.trouble,
-            "legend": [numbers.legend(bar) for bar in (legend, PADS_BAR)],
+            "legend": [numbers.legend(bar) for bar in (legend, self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
             "state": {"controls": dict(controls), "traction_mpa": self._traction.ravel().round(4).tolist()},

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fem.fields.array_field import ArrayField, FieldState
 from fem.fields.deformed import APART_MM, Part, pillar_surface
-from fem.pictures.colours import QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
+from fem.pictures.colours import PAD_TITLES, QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
 from fem.pictures.deformation import draw_off_screen, place
 from fem.pictures.scenery import draw_scenery, unit_names
 from fem.scene.solution import QUADRILATERAL
@@ -36,10 +36,7 @@ MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#323b45"}  #: by whether it is dark; not so dark that dark pillars are lost
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
-#: of the pads' outlines, grey where unloaded
-PADS_BAR = Bar(
-    title="traction on a pad [MPa]", low=0.0, high=MAX_PRESSED_MPA, colours=mixed(("#93a1ad", "#d64541"), SHADES)
-)
+PAD_COLOURS = mixed(("#93a1ad", "#d64541"), SHADES)  #: of the pads' outlines, grey where unloaded
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 STEEPEST_DEG = 89.0  #: of the camera: straight from above there is no upright
 NEAREST, FARTHEST = 0.1, 5.0  #: of the distance from which all is seen
@@ -77,6 +74,8 @@ class ArrayScene:
         draw_off_screen()
         self._loads = loads
         field, design = loads.field, loads.field.design
+        title = PAD_TITLES["plates" if field.has_plates else "pads"]
+        self.pads_bar = Bar(title=title, low=0.0, high=MAX_PRESSED_MPA, colours=PAD_COLOURS)
         pillars, quads = pillar_surface(design.unit, SLICES, around=1, apart_mm=APART_MM)
         sides, faces, edges = cell_sides(design)
         outline = pad_outline(design)
@@ -187,8 +186,8 @@ class ArrayScene:
             self.pillars, scalars="shown", show_scalar_bar=False, ambient=AMBIENT, diffuse=1.0 - AMBIENT
         )
         plotter.add_mesh(
-            self._pads, scalars="strength", cmap=PADS_BAR.colours, clim=(PADS_BAR.low, PADS_BAR.high), line_width=2,
-            show_scalar_bar=False, lighting=False,
+            self._pads, scalars="strength", cmap=self.pads_bar.colours, clim=(self.pads_bar.low, self.pads_bar.high),
+            line_width=2, show_scalar_bar=False, lighting=False,
         )  # fmt: skip
         corners = np.array(
             list(product(*((-side / 2, side / 2) for side in design.slab_mm[:2]), (0, design.slab_mm[2])))
@@ -252,9 +251,9 @@ class Camera:
 
 def cell_sides(design: SensorDesign) -> tuple[FloatArray, Drawn, Drawn]:
     """Points of the cell, and its faces and edges that are seen of the array: tops, and sides at the array's ends."""
-    along = np.linspace(-0.5, 0.5, DIVISIONS + 1) * design.array.pitch_mm
+    x, y = (lines_along(design, axis) for axis in (0, 1))
     z = np.linspace(0.0, design.unit.height_mm, LEVELS + 1)
-    points = np.stack(np.meshgrid(along, along, z, indexing="ij"), axis=-1)
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     number = np.arange(points[..., 0].size).reshape(points.shape[:3])
     units = np.arange(design.n_units).reshape(design.array.rows, design.array.cols)
     faces = [(_quads(number[:, :, -1]), units.ravel())]
@@ -265,6 +264,16 @@ def cell_sides(design: SensorDesign) -> tuple[FloatArray, Drawn, Drawn]:
             edges += [(_lines(rim), there) for rim in (side[:, 0], side[:, -1])]
         edges += [(_lines(number[end, other]), units[[other], [end]]) for other in (0, -1)]
     return points.reshape(-1, 3), faces, edges
+
+
+def lines_along(design: SensorDesign, axis: int) -> FloatArray:
+    """Places along x or y where the cell's surfaces are cut, (DIVISIONS + 1,) [mm]: stiff pads stay plane."""
+    half = design.array.pitch_mm / 2
+    if design.pad.kind == "soft":
+        return np.linspace(-half, half, DIVISIONS + 1)
+    middle = (design.pad.offset_x_mm, design.pad.offset_y_mm)[axis]
+    edge = design.pad.size_mm / 2
+    return np.array([-half, *np.linspace(middle - edge, middle + edge, DIVISIONS - 1), half])
 
 
 def pad_outline(design: SensorDesign) -> FloatArray:

@@ -1,0 +1,120 @@
+"""Stiff pads from stage to stage: what each draws, writes, judges or refuses of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, simulate
+from decoupler import require_same_sensor
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.training.trainer import train
+from fem.array.solving import ResponseSettings, solve_response
+from fem.array.unit_check import meshed_response
+from fem.fields.array_field import solve_array_field
+from fem.fields.deformed import sensor_parts
+from fem.pictures.colours import pads_bar
+from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
+from geometry.errors import DesignError, FileFormatError
+from studies.pads import error_rows, map_row, with_pad
+from studies.paper.spacing import design_at
+from tests.fem.test_unit_check import structured
+from tripillar.pipeline.manufactured import as_made
+from tripillar.sweep.variables import Variable
+from tripillar.viewer.page import numbers
+from tripillar.viewer.page.scene import cell_sides
+
+PAIR = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
+TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def responses():
+    return {kind: solve_response(with_pad(PAIR, kind), ResponseSettings(tolerance=2e-2)) for kind in PAD_KINDS}
+
+
+def off_rigid(points_mm, moved_mm):
+    """Largest distance [mm] of displacements from those of the rigid motion, small rotations, that is nearest."""
+    arm = points_mm - points_mm.mean(axis=0)
+    motions = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), np.cross(np.eye(3), arm[:, None])], axis=1)
+    A = motions.swapaxes(1, 2).reshape(-1, 6)
+    return np.abs(A @ np.linalg.lstsq(A, moved_mm.ravel())[0] - moved_mm.ravel()).max()
+
+
+def test_plates_are_drawn_plane_and_carry_their_electrodes(monkeypatch):
+    """Each moves as a rigid body with both of its upper electrodes, loaded or not; on a coarse grid, too."""
+    monkeypatch.setattr("fem.fields.array_field.GRID_LEVEL", 1)
+    field = solve_array_field(PAIR)
+    parts = sensor_parts(field, field.state(TRACTION), stress=False)
+    assert list(parts)[-1] == "plates"  # of soft ones: pads
+    assert pads_bar([parts]).title == "mean traction under a plate [MPa]"
+    assert np.allclose(parts["plates"].traction_mpa, TRACTION[0])
+    unloaded = sensor_parts(field, field.state(TRACTION[::-1]), stress=False)
+    for shown in (parts, unloaded):
+        plate, electrodes = shown["plates"], shown["electrodes"]
+        side = np.sign(plate.points_mm[0, 0])
+        held = (electrodes.points_mm[:, 2] == 10.0) & (np.sign(electrodes.points_mm[:, 0]) == side)
+        points = np.vstack([plate.points_mm, electrodes.points_mm[held]])
+        moved = np.vstack([plate.displacement_mm, electrodes.displacement_mm[held]])
+        assert off_rigid(points, moved) < 1e-9 < 0.1 < np.ptp(moved[:, 2])  # it tilts
+
+
+def test_surfaces_of_the_page_are_cut_at_the_edges_of_plates():
+    points, _, _ = cell_sides(replace(PAIR, pad=Pad(size_mm=11.0, offset_x_mm=1.0, kind="stiff")))
+    assert np.allclose(np.unique(points[:, 0])[[1, -2]], [-4.5, 6.5])
+    assert np.allclose(np.unique(points[:, 1])[[1, -2]], [-5.5, 5.5])
+
+
+def test_scenes_of_the_page_hold_every_plate():
+    text = numbers.scene_of(PAIR, TRACTION, chosen=0)
+    assert text.count('kind = "stiff"\nforce_n = ') == 2
+    assert "force_n = [28.8, -14.4, -144.0]" in text
+    assert "force_n = [0.0, 0.0, 0.0]" in text
+    assert "traction_mpa" not in text
+
+
+def test_a_unit_of_other_tools_has_rigid_plates():
+    """Scikit-fem's forms: U1 and U2 under one plate keep their distance, and sink less where it holds the rubber."""
+    design = replace(PAIR, unit=Unit(span_mm=6.0), pad=Pad(size_mm=10.0, kind="stiff"))
+    own = {}
+    for kind in PAD_KINDS:
+        found = meshed_response(with_pad(design, kind), structured(design, (12, 6, 3)))
+        assert found.residual < 1e-12
+        own[kind] = found.influence_mm_per_n[0, 0, :, :, 0, 0]  # electrode, axis, load axis
+    stretch = {kind: np.abs(u[1, 1] - u[0, 1]).max() for kind, u in own.items()}  # they are apart along y
+    assert stretch["stiff"] < 1e-12 < 1e-6 < stretch["soft"]
+    assert (own["stiff"][:, 2, 2] < own["soft"][:, 2, 2]).all()
+
+
+def test_models_and_data_of_other_pads_do_not_mix(responses):
+    """A net of its own kind is right to 0.5 %; samples of the other kind are refused by that name."""
+    data = {
+        kind: simulate(response, DatasetSettings(protocol="contact", samples=n, seed=1))
+        for kind, response, n in (("stiff", responses["stiff"], 200), ("soft", responses["soft"], 20))
+    }
+    model = train(data["stiff"], "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(),
+                  response=responses["stiff"])  # fmt: skip
+    assert np.abs(model.forces(data["stiff"].resistance_ohm) - data["stiff"].force_n).max() < 0.005 * 720
+    with pytest.raises(FileFormatError, match=r"pad\.kind: model stiff, data soft"):
+        require_same_sensor(model, data["soft"], Path("m"), Path("d"))
+
+
+def test_the_study_compares_both_kinds(responses):
+    """The wrong kind's decoupler costs more than ten times what the right one does."""
+    assert all(1 < map_row(response).metrics["condition"] < 10 for response in responses.values())
+    rows = list(error_rows(responses, "contact", {"train": 200, "test": 20}))
+    assert len(rows) == 2 * 2 * 2 * 2 * 3  # readings, kinds to train on, decouplers, kinds to test on, forces
+    net = {(row.trained_on, row.tested_on): row.errors.rmse_n for row in rows
+           if (row.decoupler, row.force, row.readings) == ("joint net", "fz", "exact")}  # fmt: skip
+    assert min(net["soft", "stiff"], net["stiff", "soft"]) > 10 * max(net["soft", "soft"], net["stiff", "stiff"])
+
+
+def test_kinds_are_not_swept_and_plates_keep_their_gap():
+    with pytest.raises(DesignError, match=r"unknown key 'pad\.kind'.*set in \[design\]"):
+        Variable(key=("pad.kind",), values=(1.0, 2.0))
+    for size_mm in (12.0, 14.7):
+        design = replace(PAIR, pad=Pad(size_mm=size_mm, kind="stiff"))
+        assert as_made(design).pad.kind == design_at(design, 11.0).pad.kind == "stiff"
+    assert design_at(PAIR, 11.0).pad.size_mm == pytest.approx(0.98 * 11.0, abs=0.011)
+    assert as_made(replace(PAIR, pad=Pad())).pad == Pad(size_mm=12.3, offset_x_mm=0.3, offset_y_mm=-0.2)
