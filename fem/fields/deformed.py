@@ -13,7 +13,7 @@ from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import VTK_PLACES, picture_field
-from fem.methods.cell_scene import forces_on_cells
+from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.scene.loads import Rectangle
@@ -274,7 +274,8 @@ def _sensor(scene: Scene, body: Sensor, stress: bool, progress: Callable[[str], 
     if not local:  # unloaded: its pads are shown instead
         array = solve_array_field(body.design, progress)
         return sensor_parts(array, array.state(np.zeros((body.design.n_units, 3))), stress)
-    array = solve_array_field(body.design, progress, np.array(list(local)))
+    design = design_of_cells(scene, body)
+    array = solve_array_field(design, progress, None if scene.stiff_loads else np.array(list(local)))
     return sensor_parts(array, array.under(newtons.reshape(len(newtons), -1)), stress)
 
 

@@ -1,5 +1,6 @@
 """Scenes of arrays whose pillars are of another rubber, by copies of one condensed cell."""
 
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -12,8 +13,10 @@ from fem.scene.checks import SceneError
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
+from geometry.design import Pad, SensorDesign
 from geometry.layout import FloatArray, unit_centres
 
+SAME = 1e-9  #: relative difference of sides by which a plate is still square
 Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
 
 
@@ -32,7 +35,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     """
     if not isinstance(scene.body, Sensor) or any(probe.kind == "point" for probe in scene.probes):
         raise SceneError("cells answer mean probes of arrays only: switch the saving 'substructuring' off.")
-    design = scene.body.design
+    design = design_of_cells(scene, scene.body)
     local: dict[Rectangle, int] = {}
     probes = [split_by_cells(probe.rectangle, scene.body, local) for probe in scene.probes]
     newtons = forces_on_cells(scene, scene.body, local)
@@ -73,12 +76,44 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     )
 
 
+def design_of_cells(scene: Scene, body: Sensor) -> SensorDesign:
+    """The design of a scene's cells: its pads are the plates of the scene's stiff loads, and soft without these.
+
+    Raises
+    ------
+    SceneError
+        If plates do not lie on all units alike, as squares, without moments and other loads.
+    DesignError
+        If they leave no gap.
+    """
+    design = body.design
+    if not scene.stiff_loads:
+        return replace(design, pad=replace(design.pad, kind="soft"))
+    local: dict[Rectangle, int] = {}
+    parts = [part for load in scene.stiff_loads for part in split_by_cells(load.rectangle, body, local)]
+    x0, y0, x1, y1 = next(iter(local))
+    if (
+        sorted(unit for unit, _, _ in parts) != list(range(design.n_units))
+        or len(local) > 1
+        or abs((x1 - x0) - (y1 - y0)) > SAME * (x1 - x0)
+        or any(any(load.moment_nmm) for load in scene.stiff_loads)
+        or len(scene.loads) > len(scene.stiff_loads)
+    ):
+        raise SceneError(
+            "at small strain, stiff loads on a unit or an array are square plates at the same place of every unit, "
+            "without moments and other loads: give each unit its plate, with force_n = [0, 0, 0] where nothing pushes."
+        )
+    pad = Pad(size_mm=x1 - x0, offset_x_mm=(x0 + x1) / 2, offset_y_mm=(y0 + y1) / 2, kind="stiff")
+    return replace(design, pad=pad)
+
+
 def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
     """Forces of the loads on each cell, (n_units, k, 3) [N], at the k rectangles of cells that `local` then numbers."""
-    loads = [split_by_cells(load.rectangle, body, local) for load in scene.dead_loads]
+    loads = [(load.rectangle, np.prod(load.size_mm) * np.array(load.traction_mpa)) for load in scene.dead_loads]
+    loads += [(load.rectangle, np.array(load.force_n)) for load in scene.stiff_loads]
+    parts = [split_by_cells(rectangle, body, local) for rectangle, _ in loads]
     newtons = np.zeros((body.design.n_units, len(local), 3))
-    for load, shares in zip(scene.dead_loads, loads, strict=True):
-        whole = np.array(load.traction_mpa) * load.size_mm[0] * load.size_mm[1]
+    for (_, whole), shares in zip(loads, parts, strict=True):
         for unit, rectangle, share in shares:
             newtons[unit, rectangle] += share * whole
     return newtons

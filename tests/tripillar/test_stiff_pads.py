@@ -13,8 +13,10 @@ from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
 from fem.fields.array_field import solve_array_field
-from fem.fields.deformed import sensor_parts
+from fem.fields.deformed import sensor_parts, solve_scene_parts
 from fem.pictures.colours import pads_bar
+from fem.scene.checks import SceneError
+from fem.scene.scene_file import scene_from_toml
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import DesignError, FileFormatError
 from studies.pads import error_rows, map_row, with_pad
@@ -49,7 +51,10 @@ def test_plates_are_drawn_plane_and_carry_their_electrodes(monkeypatch):
     parts = sensor_parts(field, field.state(TRACTION), stress=False)
     assert list(parts)[-1] == "plates"  # of soft ones: pads
     assert pads_bar([parts]).title == "mean traction under a plate [MPa]"
-    assert np.allclose(parts["plates"].traction_mpa, TRACTION[0])
+    assert np.allclose(parts["plates"].traction_mpa[:144], TRACTION[0])
+    again = solve_scene_parts(scene_from_toml(numbers.scene_of(PAIR, TRACTION, 0)), stress=False)
+    assert np.allclose(again["plates"].displacement_mm, parts["plates"].displacement_mm, atol=1e-12)
+    assert np.allclose(again["plates"].traction_mpa, parts["plates"].traction_mpa)
     unloaded = sensor_parts(field, field.state(TRACTION[::-1]), stress=False)
     for shown in (parts, unloaded):
         plate, electrodes = shown["plates"], shown["electrodes"]
@@ -72,6 +77,9 @@ def test_scenes_of_the_page_hold_every_plate():
     assert "force_n = [28.8, -14.4, -144.0]" in text
     assert "force_n = [0.0, 0.0, 0.0]" in text
     assert "traction_mpa" not in text
+    alone = text.replace("center_mm = [7.5, 0.0]\nsize_mm", "center_mm = [7.0, 0.0]\nsize_mm")
+    with pytest.raises(SceneError, match="square plates at the same place of every unit"):
+        solve_scene_parts(scene_from_toml(alone), stress=False)
 
 
 def test_a_unit_of_other_tools_has_rigid_plates():
