@@ -51,6 +51,7 @@ def residuals(
     lame_mpa: FloatArray,
     mu_mpa: FloatArray,
     traction: Traction | None,
+    plates: FloatArray | None = None,
 ) -> FloatArray:
     """Squared residual of an answer in each element, in units of energy.
 
@@ -65,6 +66,8 @@ def residuals(
         Region, λ and μ of each element.
     traction : function, optional
         On the top face; None where nothing loads it.
+    plates : array, shape (k, 4), optional
+        Rectangles of the top face that follow stiff plates, whose tractions nobody knows.
 
     Returns
     -------
@@ -114,6 +117,10 @@ def residuals(
         places = np.einsum("qv,fvi->fqi", weights, triangles[outer][top])
         found = np.einsum("qv,fvi->fqi", weights, missing[top])
         misfit[top] = ((found - traction(places)) ** 2).sum(axis=2).mean(axis=1) * areas[outer][top]
+    middle = triangles[outer].mean(axis=1)
+    for x0, y0, x1, y1 in () if plates is None else plates:
+        on_top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
+        misfit[on_top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
     return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
 
 

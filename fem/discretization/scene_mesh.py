@@ -31,7 +31,7 @@ VOLUME_TOLERANCE = 1e-3  #: relative, of what the prisms inside hold together; t
 
 
 def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:
-    """A coarse mesh of a scene's body whose faces follow the prisms inside it.
+    """A coarse mesh of a scene's body whose faces follow the prisms inside it and the outlines of stiff plates.
 
     Parameters
     ----------
@@ -50,31 +50,53 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     GeometryError
         If the mesher loses the shape of a thin body or prism.
     """
-    extents = np.array([[*prism.section_mm, prism.height_mm] for prism in (scene.outline, *prisms)])
-    edge_mm = max(extents[0].min() / EDGES_ACROSS, float(8.5 * scene.outline.volume_mm3 / MAX_CELLS) ** (1 / 3))
-    cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(prisms, 2))
+    size_mm = min(*scene.outline.section_mm, scene.height_mm)
+    edge_mm = max(size_mm / EDGES_ACROSS, float(8.5 * scene.outline.volume_mm3 / MAX_CELLS) ** (1 / 3))
+    plates = _under_plates(scene, edge_mm)
+    parts = (scene.outline, *plates, *prisms)
+    extents = np.array([[*prism.section_mm, prism.height_mm] for prism in parts])
+    cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(parts[1:], 2))
     envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
     if cached:
-        shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in (scene.outline, *prisms)]
-        key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm)
-        mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm))
+        shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in parts]
+        key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))
+        mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates))
     else:
-        mesh, kept = tetrahedralized(scene_task(scene.outline, prisms, edge_mm, envelope_mm)), False
+        mesh, kept = tetrahedralized(scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates)), False
     # scikit-fem keeps points as (3, n)
     return MeshTet(np.ascontiguousarray(mesh.points_mm.T), np.ascontiguousarray(mesh.cells.T)), kept
 
 
-def scene_task(outline: Prism, prisms: Sequence[Prism], edge_mm: float, envelope_mm: float) -> MeshTask:
-    """The mesher's task: each prism is a region of its own, its volume known where no other cuts it."""
+def _under_plates(scene: Scene, depth_mm: float) -> list[Prism]:
+    """A layer of the body under every stiff plate that does not cover the whole top."""
+    height, lean = scene.height_mm, scene.outline.lean
+    found = []
+    for load in scene.stiff_loads:
+        depth = min(depth_mm, height / 2, *load.size_mm)
+        x, y = load.center_mm
+        below = (x - lean[0] * depth, y - lean[1] * depth, height - depth)
+        if np.abs(np.array(load.rectangle) - scene.top_mm).max() > scene.rounding_mm:
+            found.append(Prism(base_mm=below, top_mm=(x, y, height), section_mm=load.size_mm))
+    return found
+
+
+def scene_task(
+    outline: Prism, prisms: Sequence[Prism], edge_mm: float, envelope_mm: float, outlined: Sequence[Prism] = ()
+) -> MeshTask:
+    """The mesher's task: each prism is a region of its own, its volume known where no other cuts it.
+
+    The faces of those that are `outlined` are followed, too.
+    """
     background, wanted_mm = wanted_edges(outline, prisms, edge_mm)
     alone = [
         not any(prism.cuts(other, 1e-9 * prism.height_mm) for other in prisms if other is not prism) for prism in prisms
     ]
     return MeshTask(
         outline=outline,
-        prisms=prisms,
-        region=np.arange(len(prisms) + 1),
-        surfaces=[prism_surface(prism) for prism in (outline, *prisms)],
+        prisms=[*outlined, *prisms],
+        region=np.array([0, *[0] * len(outlined), *range(1, len(prisms) + 1)]),
+        outlined=len(outlined),
+        surfaces=[prism_surface(prism) for prism in (outline, *outlined, *prisms)],
         volumes_mm3={
             f"the inclusion {number}": (number, prism.volume_mm3)
             for number, (prism, is_alone) in enumerate(zip(prisms, alone, strict=True), start=1)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid, GridBasis
 from fem.discretization.lagrange import gauss_points, shape_functions
+from fem.scene.scene import Region, regions_at
 from geometry.design import Material
 from geometry.layout import FloatArray
 
@@ -41,8 +42,8 @@ def _tables() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 SLOPES, WEIGHTS, PRESSURES = _tables()
-#: takes values at the points to the coefficients of the nearest function of the pressures, (n_points, 4)
-PROJECTION = WEIGHTS[:, None] / 8 * PRESSURES * np.array([1.0, 3.0, 3.0, 3.0])
+WEIGHTED = WEIGHTS[:, None] * PRESSURES
+MIN_LAME = 1e-9  #: least λ over μ, which is divided by where ν = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,8 @@ class RubberBody:
     grid : Grid
         Its regions number the rubbers.
     materials : sequence of Material
+    inside : sequence of (Prism, Material)
+        Parts of other rubbers, which need not follow the grid: each Gauss point has the rubber of its place.
 
     Notes
     -----
@@ -84,7 +87,7 @@ class RubberBody:
     `GridBasis`'s. Pressures have shape (..., n_elements, 4) [MPa]: the mean and three slopes over half an element.
     """
 
-    def __init__(self, grid: Grid, materials: Sequence[Material]) -> None:
+    def __init__(self, grid: Grid, materials: Sequence[Material], inside: Sequence[Region] = ()) -> None:
         self.grid, self.basis = grid, GridBasis(grid)
         start = 2 * np.indices(grid.shape).reshape(3, -1, 1)
         local = np.indices((3, 3, 3)).reshape(3, 1, -1)
@@ -92,17 +95,24 @@ class RubberBody:
         size = np.stack(np.meshgrid(*[np.diff(lines) for lines in grid.lines], indexing="ij"), axis=-1).reshape(-1, 3)
         self.scale = (2 / size).T  #: ∂ξ/∂x of the boxes before they are sheared, (3, n_elements) [1/mm]
         self.volume_mm3 = size.prod(axis=1)
-        region = np.broadcast_to(grid.region, grid.shape).ravel()
-        lame = np.array([rubber.lame_mpa for rubber in materials])
-        self.lame_mpa, self.mu_mpa = lame[region, 0], lame[region, 1]
+        region = np.broadcast_to(grid.region, grid.shape).reshape(-1, 1)
+        if inside:
+            own = regions_at(self.points_mm.reshape(-1, 3), inside).reshape(-1, N_POINTS)
+            region = np.where(own > 0, len(materials) - 1 + own, region)
+        lame = np.array([rubber.lame_mpa for rubber in [*materials, *(rubber for _, rubber in inside)]])
+        self.mu_mpa = lame[region, 1]  #: at the Gauss points, (n_elements, n_points), or (n_elements, 1)
+        self.lame_mpa = np.maximum(lame[region, 0], MIN_LAME * self.mu_mpa)  #: of the same shape
+        compliance = np.einsum("eq,qk,ql->ekl", WEIGHTS / self.lame_mpa, PRESSURES, PRESSURES)
+        #: (∫ q qᵀ/λ)⁻¹, which takes ∫ q (J − 1) to pressures, (n_elements, 4, 4) [MPa/mm³]
+        self.bulk = np.linalg.inv(compliance) / self._jacobian[:, None, None]
         places = np.arange(self.nodes.size)
         self._gather = sp.csr_matrix(
             (np.ones(len(places)), (self.nodes.ravel(), places)), shape=(self.n_nodes, len(places))
         )
         gradients = self._slopes(slice(None))
-        weighted = gradients * (WEIGHTS * self._jacobian[:, None])[:, None, :]
         #: ∫ μ ∂φₐ/∂X · ∂φ_b/∂X, the part of the tangent that never changes, (n_elements, 27, 27) [N/mm]
-        self._laplace = self.mu_mpa[:, None, None] * np.einsum("jeaq,jebq->eab", gradients, weighted, optimize=True)
+        weighted = gradients * (self.mu_mpa * WEIGHTS * self._jacobian[:, None])[:, None, :]
+        self._laplace = np.einsum("jeaq,jebq->eab", gradients, weighted, optimize=True)
 
     @property
     def n_nodes(self) -> int:
@@ -115,6 +125,13 @@ class RubberBody:
     @property
     def _jacobian(self) -> FloatArray:
         return self.volume_mm3 / 8
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Gauss points at rest, shape (n_elements, n_points, 3)."""
+        away = PRESSURES[:, 1:] / self.scale.T[:, None]  # from the elements' middles
+        away[..., :2] += away[..., 2:] * np.array(self.grid.lean)
+        return self.centres_mm[:, None] + away
 
     @property
     def centres_mm(self) -> FloatArray:
@@ -149,14 +166,14 @@ class RubberBody:
         return out
 
     def dilated(self, values: FloatArray) -> FloatArray:
-        """λ times the linear functions nearest to values (m, n_elements, n_points), shape (m, n_elements, 4) [MPa]."""
-        return self.lame_mpa[:, None] * (values @ PROJECTION)
+        """Pressures (m, n_elements, 4) of changes J − 1 of volume, (m, n_elements, n_points) [MPa]."""
+        return np.einsum("ekl,mel->mek", self.bulk * self._jacobian[:, None, None], values @ WEIGHTED)
 
     def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
         """First Piola-Kirchhoff stress P at the Gauss points [MPa], (3, 3, m, n_elements, n_points)."""
-        pressure, over = p @ PRESSURES.T, self.mu_mpa[:, None] / strain.J
+        pressure, over = p @ PRESSURES.T, self.mu_mpa / strain.J
         P = (pressure - over) * strain.C
-        P += self.mu_mpa[:, None] * strain.H
+        P += self.mu_mpa * strain.H
         return plus_unit(P, pressure + over * strain.dilation)
 
     def divergence(self, P: FloatArray) -> FloatArray:
@@ -205,12 +222,11 @@ class RubberBody:
         """Stored energy of one state (n_nodes, 3); NaN where it is turned inside out."""
         strain = self.strain(u[None])
         H, dilation_at = strain.H[:, :, 0], strain.dilation[0]
-        dilation = dilation_at @ PROJECTION
         with np.errstate(divide="ignore", invalid="ignore"):  # (I₁ − 3)/2 = tr H + |H|²/2
             shear = H[0, 0] + H[1, 1] + H[2, 2] + (H**2).sum(axis=(0, 1)) / 2 - np.log1p(dilation_at)
-            shear *= self.mu_mpa[:, None]
-        own = self.lame_mpa / 2 * self.volume_mm3 * (dilation**2 @ np.array([1.0, 1 / 3, 1 / 3, 1 / 3]))
-        return float(self._jacobian @ (shear @ WEIGHTS) + own.sum())
+            shear *= self.mu_mpa
+        pressing = self.dilated(dilation_at[None])[0] * (dilation_at @ WEIGHTED)
+        return float(self._jacobian @ (shear @ WEIGHTS + pressing.sum(axis=1) / 2))
 
     def tangent_parts(self, u: FloatArray, p: FloatArray) -> "TangentParts":
         """Parts of the tangent of one state (n_nodes, 3) whose pressures are iterates (n_elements, 4) of their own."""
@@ -239,11 +255,9 @@ class TangentParts:
         pressure = p @ PRESSURES.T
         weight = body._jacobian[:, None] * WEIGHTS
         self._direct = weight * pressure / J
-        self._crossed = -weight * (pressure - body.mu_mpa[:, None] / J) / J
+        self._crossed = -weight * (pressure - body.mu_mpa / J) / J
         #: B, the forces that pressures exert, shape (3, n_elements, 27, 4) [mm²]
         self.pressing = np.empty((3, body.n_elements, N_NODES, N_PRESSURES))
-        #: λ M⁻¹, shape (n_elements, 4) [MPa/mm³]
-        self.bulk = body.lame_mpa[:, None] / body.volume_mm3[:, None] * np.array([1.0, 3.0, 3.0, 3.0])
 
     def blocks(self) -> dict[tuple[int, int], FloatArray]:
         """K by components i ≤ j, each of shape (n_elements, 27, 27): entry [e, a, b] couples aᵢ with b_j [N/mm]."""
@@ -255,10 +269,10 @@ class TangentParts:
             c = [
                 sum(self._cof[i, d, some, None, :] * slopes[d] for d in range(3)) for i in range(3)
             ]  # (e, n_nodes, n_points) each
-            B = [(ci @ (PRESSURES * WEIGHTS[:, None])) * body._jacobian[some, None, None] for ci in c]
+            B = [(ci @ WEIGHTED) * body._jacobian[some, None, None] for ci in c]
             direct = [ci * self._direct[some, None, :] for ci in c]
             crossed = [ci * self._crossed[some, None, :] for ci in c]
-            bulk = [Bi * self.bulk[some, None, :] for Bi in B]
+            bulk = [Bi @ body.bulk[some] for Bi in B]
             for i in range(3):
                 self.pressing[i, some] = B[i]
             for i, j in PAIRS:
@@ -278,7 +292,7 @@ class TangentParts:
         """The same of m displacements (m, n_nodes, 3), shape (m, n_elements, 4)."""
         own = du[:, self.body.nodes].transpose(3, 1, 0, 2)  # (i, e, m, a)
         change = sum(own[i] @ self.pressing[i] for i in range(3))
-        return self.bulk * change.transpose(1, 0, 2)
+        return np.einsum("ekl,eml->mek", self.body.bulk, change)
 
     def pressed(self, p: FloatArray) -> FloatArray:
         """B p, the nodal forces (m, n_nodes, 3) of pressures (m, n_elements, 4); after `blocks`."""

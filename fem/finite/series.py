@@ -123,7 +123,7 @@ class _Expansion:
     def __init__(self, base: BaseState, m: int) -> None:
         self.base, self.system, self.body = base, base.system, base.system.body
         self.m, self.k = m, base.system.plates.count
-        self.mu = self.body.mu_mpa[:, None]
+        self.mu = self.body.mu_mpa
         strain, pressure = base.strain, base.state.p @ PRESSURES.T
         self.F: Terms = [strain.F]
         self.cof: Terms = [strain.cof]

@@ -7,12 +7,12 @@ import numpy as np
 from fem.discretization.grid import Attractor, Grid, graded_lines
 from fem.discretization.lagrange import line_values
 from fem.discretization.richardson import richardson_factor
-from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium
+from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem
-from fem.scene.checks import SceneError
+from fem.linear.refactored import RepeatedFactor
 from fem.scene.scene import Probe, Scene
-from fem.scene.solution import FiniteSolution, Probes, Stopwatch, largest_error
+from fem.scene.solution import FiniteSolution, Probes, Solution, Stopwatch, largest_error
 from geometry.layout import FloatArray
 
 RATE = 1.6  #: power of the level by which probes converge, assumed in the estimate: plates' edges are singular
@@ -21,13 +21,15 @@ MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 
 EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of lines: loads' edges and the body's faces
 
 
-def solve_finite(scene: Scene) -> FiniteSolution:
-    """Displacement of a scene's probes at finite strain, its rubber neo-Hookean.
+def solve_finite(scene: Scene, linear: Solution | None = None) -> FiniteSolution:
+    """Displacement of a scene's probes at finite strain, its rubbers neo-Hookean.
 
     Parameters
     ----------
     scene : Scene
-        A body of one rubber, whatever its model; its loads, its probes and its tolerance.
+        A body, its loads, its probes and its tolerance, whatever the model of its rubbers.
+    linear : Solution, optional
+        The scene's answer at small strain, on a mesh that follows its prisms; wanted where these are of another rubber.
 
     Returns
     -------
@@ -37,20 +39,23 @@ def solve_finite(scene: Scene) -> FiniteSolution:
 
     Raises
     ------
-    SceneError
-        If the body has more than one rubber.
     UnreachableLoadError
         If there is no equilibrium at the full load, with the load that was reached.
+
+    Notes
+    -----
+    The grid does not follow prisms that lean: its Gauss points take the rubber of their place, and near such prisms
+    coarse grids are some percent too stiff or too soft. With `linear` only the difference of finite and small strain
+    is the grid's, u = u_linear + (u_finite − u_small)_grid, and it errs little. Its error is taken as its last change.
     """
-    if any(material != scene.material for _, material in scene.regions):
-        raise SceneError("finite strain takes bodies of one rubber so far: give pillars and inclusions the matrix's.")
+    inside = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
     watch = Stopwatch()
     found: list[Probes] = []
     steps: list[str] = []
-    estimate = np.inf
+    estimate, missing_mj = np.inf, 0.0
     last: tuple[Equilibrium, int] | None = None
     for before, level in pairwise((0, *LEVELS)):
-        body = RubberBody(finite_grid(scene, level), [scene.material])
+        body = RubberBody(finite_grid(scene, level), [scene.material], inside)
         if last is not None and 3 * body.n_nodes > MAX_UNKNOWNS:
             break
         system = FiniteSystem(body, list(scene.loads))
@@ -65,8 +70,14 @@ def solve_finite(scene: Scene) -> FiniteSolution:
         watch.spent("solve")
         last = equilibrium, system.n_unknowns
         found.append(probes_of(scene, body, equilibrium.state.u))
+        if linear is not None:
+            change = solve_rest(system, RepeatedFactor(system.pattern))
+            small = probes_of(scene, body, system.nodal_change(system.rest().rotation, change))
+            found[-1] = {name: linear.probes[name] + u - small[name] for name, u in found[-1].items()}
+            missing_mj = linear.energy_mj - 0.5 * float((system.loads_on(system.rest(), 1.0) * change).sum())
         if before:
-            estimate = richardson_factor(before, level, RATE) * largest_error(found[-2], found[-1])
+            share = 1.0 if inside else richardson_factor(before, level, RATE)
+            estimate = share * largest_error(found[-2], found[-1]) + (linear.error_estimate if linear else 0.0)
         steps.append(
             f"level {level}: {system.n_unknowns} unknowns, {equilibrium.iterations} iterations in {equilibrium.steps} "
             f"steps, smallest J {equilibrium.least_j:.3g}; estimated error {estimate:.1e}"
@@ -77,8 +88,8 @@ def solve_finite(scene: Scene) -> FiniteSolution:
     equilibrium, unknowns = last
     return FiniteSolution(
         probes=found[-1],
-        energy_mj=equilibrium.stored_mj,
-        work_mj=equilibrium.work_mj,
+        energy_mj=equilibrium.stored_mj + missing_mj,
+        work_mj=equilibrium.work_mj + missing_mj,
         residual=equilibrium.residual,
         least_j=equilibrium.least_j,
         iterations=equilibrium.iterations,
@@ -91,10 +102,14 @@ def solve_finite(scene: Scene) -> FiniteSolution:
 
 
 def finite_grid(scene: Scene, level: int) -> Grid:
-    """Grid with lines along the loads' edges, crowding there and at the body's faces."""
+    """Grid with lines along the loads' edges, crowding there and at the body's faces, and along prisms of other rubber.
+
+    It cannot follow the sides of prisms that lean.
+    """
     outline, height = scene.outline, scene.height_mm
     lean = (float(outline.lean[0]), float(outline.lean[1]))
     rectangles = np.array([load.rectangle for load in scene.loads]).reshape(-1, 4)
+    other = [prism for prism, rubber in scene.regions if rubber != scene.material]
     lines = []
     sizes = [*rectangles[:, 2] - rectangles[:, 0], *rectangles[:, 3] - rectangles[:, 1]]
     length = float(min([height, *outline.section_mm, *sizes]))
@@ -105,8 +120,16 @@ def finite_grid(scene: Scene, level: int) -> Grid:
         inner = [edge for edge in edges.tolist() if low < edge < high]
         attractors = [Attractor(edge, length, EDGE) for edge in inner]
         attractors += [Attractor(low, length, SIDE), Attractor(high, length, SIDE)]
-        lines.append(graded_lines([low, high, *inner], attractors, level))
-    z = graded_lines([0.0, height], [Attractor(height, length, TOP), Attractor(0.0, length, BASE)], level)
+        sides = [
+            prism.base_mm[axis] + side * prism.section_mm[axis] / 2
+            for prism in other
+            if prism.is_upright and scene.outline.is_upright
+            for side in (-1, 1)
+        ]
+        lines.append(graded_lines([low, high, *inner, *np.clip(sides, low, high)], attractors, level))
+    ends = [place[2] for prism in other for place in (prism.base_mm, prism.top_mm)]
+    attractors = [Attractor(height, length, TOP), Attractor(0.0, length, BASE)]
+    z = graded_lines([0.0, height, *np.clip(ends, 0.0, height)], attractors, level)
     return Grid(x=lines[0], y=lines[1], z=z, lean=lean)
 
 

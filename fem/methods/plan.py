@@ -135,11 +135,6 @@ def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False)
     keeps = frozenset(no_skip)
     for name in sorted(keeps - SAVINGS.keys()):
         raise SceneError(f"unknown saving '{name}'; known are {', '.join(SAVINGS)}.")
-    if scene.is_linear and scene.stiff_loads:
-        raise SceneError(
-            f"load {scene.loads.index(scene.stiff_loads[0]) + 1} is a stiff plate: scenes take these at finite strain "
-            'only so far; add model = "neo-hookean" to the material.'
-        )
     regions, decisions = _regions(scene, keeps)
     method, mesh = _method(scene, regions, keeps, field)
     decisions.append(mesh)
@@ -207,6 +202,8 @@ def _method(scene: Scene, regions: list[Region], keeps: frozenset[str], field: b
     if soft and units <= MAX_WHOLE:
         reason = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
         return tetrahedra(reason, "tetrahedra of the whole array")
+    if scene.stiff_loads:
+        return tetrahedra(f"they follow the outline of {_count(scene.stiff_loads, 'stiff plate')}")
     seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
     if units > 1 and seen_by_means and "substructuring" not in keeps:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"

@@ -14,6 +14,8 @@ from fem.scene.checks import SceneError
 from fem.scene.scene import Scene
 from fem.scene.solution import Solution, Stopwatch
 
+MIN_LINEAR = 3e-3  #: least tolerance of the linear answer that bodies of two rubbers take at finite strain
+
 
 def solve_scene(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False) -> tuple[Solution, Plan]:
     """Displacement of a scene's probes to its tolerance.
@@ -47,7 +49,10 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     if plan.method == "nothing":
         return unmoved(scene)
     if plan.method == "finite":
-        return solve_finite(scene)
+        if not plan.regions:
+            return solve_finite(scene)
+        linear = scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR))
+        return solve_finite(scene, solve_scene(linear)[0])
     if plan.method == "cells":
         return solve_by_cells(scene, plan)
     method = {"Qp": solve_by_order, "Q4": solve_by_splitting, "TH": solve_on_tetrahedra}[plan.element]

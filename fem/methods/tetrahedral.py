@@ -4,11 +4,14 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
+from fem.array.plate import Plate
+from fem.discretization.elasticity import MIN_POISSON, ElasticBody, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
     cell_sizes,
@@ -66,15 +69,24 @@ class BisectedTetrahedra:
         loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
         forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
         rows = probe_rows(scene, body.basis)
+        plates = [Plate(np.array(load.rectangle), scene.height_mm) for load in scene.stiff_loads]
+        motions = following(body, plates)
+        matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
         watch.spent("assemble")
-        factor = factorized(body.matrix)
+        factor = factorized(matrix)
         watch.spent("factor")
 
-        x, residual = checked_solve(body.matrix, factor, body.loads(forces))
+        pushing = motions.T @ body.loads(forces)
+        pushing[len(pushing) - 6 * len(plates) :, 0] += [
+            value for load in scene.stiff_loads for value in (*load.force_n, *load.moment_nmm)
+        ]
+        reduced, residual = checked_solve(matrix, factor, pushing)
+        x = motions @ reduced
         u = body.displacements(x)
         probes = np.asarray(rows @ u.reshape(-1, 3))
         duals, scales, shapes = _dual_loads(scene, rows, probes)
-        y, dual_residual = checked_solve(body.matrix, factor, body.loads(duals))
+        y, dual_residual = checked_solve(matrix, factor, motions.T @ body.loads(duals))
+        y = motions @ y
         z = body.displacements(y)
         watch.spent("solve")
 
@@ -83,7 +95,8 @@ class BisectedTetrahedra:
 
         def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
             pressing = uniform_tractions(rectangles, traction) if len(rectangles) else None
-            return residuals(body, u, p, region, lame_mpa, mu_mpa, pressing)
+            bonded = np.array([plate.rectangle_mm for plate in plates]).reshape(-1, 4)
+            return residuals(body, u, p, region, lame_mpa, mu_mpa, pressing, bonded)
 
         of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
         of_duals = [
@@ -92,9 +105,9 @@ class BisectedTetrahedra:
         watch.spent("assemble")
         return MeshAnswer(
             probes=probes,
-            energy_mj=0.5 * float(forces[:, 0] @ u[:, 0]),
+            energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
             residual=max(residual, dual_residual),
-            unknowns=body.matrix.shape[0],
+            unknowns=matrix.shape[0],
             indicators=probe_indicators(of_answer, of_duals, scales),
             field=lambda: Field(
                 points_mm=body.basis.doflocs.T.copy(),
@@ -121,9 +134,27 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
     watch = Stopwatch()
     mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions], cached=plan.saves("cache"))
     steps = [f"{mesh.nelements} tetrahedra {'from the cache' if kept else 'by the mesher'}"]
-    mesh = with_edges_across(mesh, np.vstack([scene.load_rectangles_mm, scene.probe_rectangles_mm]))
+    plates = np.array([load.rectangle for load in scene.stiff_loads]).reshape(-1, 4)
+    mesh = with_edges_across(mesh, np.vstack([scene.load_rectangles_mm, plates, scene.probe_rectangles_mm]))
     watch.spent("mesh")
     return solve_adaptively(scene, BisectedTetrahedra(scene, plan, mesh), watch, steps, with_field)
+
+
+def following(body: ElasticBody, plates: Sequence[Plate]) -> sp.csr_matrix:
+    """Columns that take the system's free unknowns, then six motions of every plate, to all of a body's unknowns."""
+    n = body.matrix.shape[0]
+    if not plates:
+        return sp.eye_array(n, format="csr")
+    held, blocks = [], []
+    for plate in plates:
+        numbers, motions = plate.followers(body.free, body.basis.doflocs)
+        held.append(np.searchsorted(body.free, numbers))
+        at = np.broadcast_to(np.arange(6), motions.shape)
+        place = np.broadcast_to(held[-1][:, None], motions.shape)
+        blocks.append(sp.csr_matrix((motions.ravel(), (place.ravel(), at.ravel())), shape=(n, 6)))
+    kept = np.setdiff1d(np.arange(n), np.concatenate(held))
+    free = sp.csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
+    return sp.hstack([free, *blocks], format="csr")
 
 
 def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:

@@ -267,6 +267,22 @@ class Scene:
         """True if the rubber is linear elastic: small strain."""
         return self.material.model == "linear"
 
+    def at_small_strain(self, tolerance: float) -> "Scene":
+        """The same scene with linear rubbers and a tolerance of its own."""
+        body = self.body
+        if isinstance(body, Sensor):
+            pillars, matrix = (
+                replace(rubber, model="linear") for rubber in (body.design.pillar_material, body.design.matrix_material)
+            )
+            body = replace(body, design=replace(body.design, pillar_material=pillars, matrix_material=matrix))
+        return replace(
+            self,
+            body=body,
+            material=replace(self.material, model="linear"),
+            inclusions=tuple(replace(one, material=replace(one.material, model="linear")) for one in self.inclusions),
+            tolerance=tolerance,
+        )
+
     @property
     def stiff_loads(self) -> tuple[StiffLoad, ...]:
         return tuple(load for load in self.loads if isinstance(load, StiffLoad))

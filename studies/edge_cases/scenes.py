@@ -15,6 +15,7 @@ from fem.array.substructured import PADS, condensed_cell, lone_unit
 from fem.discretization.elasticity import taylor_hood
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.solving import solve_scene
+from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
@@ -83,6 +84,12 @@ def leaning_inclusion(tolerance: float = 3e-2) -> Scene:
     return block(RUBBER, (8.0, 8.0, 4.0), (5.0, 5.0), (0.0, 0.0, -1.0), stiff, tolerance=tolerance)
 
 
+def finite(scene: Scene) -> Scene:
+    """The same scene of neo-Hookean rubbers."""
+    inside = tuple(replace(one, material=replace(one.material, model="neo-hookean")) for one in scene.inclusions)
+    return replace(scene, material=replace(scene.material, model="neo-hookean"), inclusions=inside)
+
+
 # trials
 
 
@@ -120,6 +127,14 @@ def modulus_ratio(ratio: float) -> Judged:
     inside = upright(5.0, 5.0, (0.0, 5.0), (2.0, 2.0), YOUNG_MPA / ratio, RUBBER.poisson)
     scene = block(RUBBER)
     return compared_with_tighter(replace(scene, inclusions=(inside,), tolerance=2e-2))
+
+
+def two_rubbers_finite(ratio: float, pressure_mpa: float) -> Judged:
+    """An oblique pillar `ratio` times as stiff as its block at finite strain, against a finer grid."""
+    leaning = leaning_inclusion()
+    inside = replace(leaning.inclusions[0], material=replace(RUBBER, young_mpa=ratio * YOUNG_MPA))
+    load = FollowerLoad(center_mm=(4.0, 4.0), size_mm=(5.0, 5.0), pressure_mpa=pressure_mpa)
+    return compared_with_tighter(finite(replace(leaning, inclusions=(inside,), loads=(load,), tolerance=2e-2)))
 
 
 def slender(width_mm: float, height_mm: float, tangential: bool) -> Judged:
@@ -292,6 +307,8 @@ def scene_trials() -> list[Trial]:
         add("poisson", f"ν = {nu:g}, flat block", confined, nu)
     for ratio in (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3):
         add("modulus", f"matrix/pillar {ratio:g}", modulus_ratio, ratio)
+    for ratio, mpa in ((1 / 3, 1e-6), (1 / 3, 1.0), (3.0, 1.0)):
+        add("finite strain", f"pillar/matrix {ratio:.2g}, {mpa:g} MPa", two_rubbers_finite, ratio, mpa)
     for width_mm, height_mm in ((0.1, 10.0), (1.0, 100.0), (1.0, 20.0)):
         for tangential in (False, True):
             way = "dragged" if tangential else "pressed"

@@ -10,10 +10,11 @@ from fem.discretization.elasticity import lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
 from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
+from fem.finite.solving import solve_finite
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.methods.tetrahedral import with_edges_across
-from fem.scene.loads import DeadLoad
+from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
@@ -42,6 +43,35 @@ def test_a_block_without_poissons_effect_shortens_by_hooke():
     assert np.isclose(solution.energy_mj, 0.5 * 30.0 * 2.0, rtol=1e-5)  # ½ p A u
     assert solution.error_estimate < 1e-4
     assert solution.residual < 1e-9
+
+
+def test_a_plate_on_the_whole_top_turns_as_its_moment_says():
+    """At ν = 0 the block under it is a beam: its top sinks by F h / E A and turns by M h / E I."""
+    E, (a, b, h) = 2.0, (6.0, 5.0, 4.0)
+    whole = {"center_mm": (3.0, 2.5), "size_mm": (a, b)}
+    scene = Scene(
+        body=Block(size_mm=(a, b, h)),
+        material=Material(young_mpa=E, poisson=0.0),
+        loads=(StiffLoad(**whole, force_n=(0.0, 0.0, -3.0), moment_nmm=(0.0, 5.0, 0.0)),),
+        probes=tuple(Probe(name=f"{x:g}", kind="point", position_mm=(x, 2.5, h)) for x in (1.0, 5.0)),
+    )
+    found = solve_scene(scene)[0]
+    sinks, turns = 3.0 * h / (E * a * b), 5.0 * h / (E * b * a**3 / 12)
+    for name, arm in (("1", -2.0), ("5", 2.0)):
+        assert np.isclose(found.probes[name][2], -sinks - turns * arm, atol=1e-5)  # TH takes ν as 1e-6 at least
+    assert np.isclose(found.energy_mj, (3.0 * sinks + 5.0 * turns) / 2, rtol=1e-4)
+
+
+def test_a_plate_on_tetrahedra_moves_as_on_the_grid_of_finite_strain():
+    """Two elements, two meshes, one linear answer: each within its own estimate and the other's."""
+    plate = StiffLoad(center_mm=(4.0, 4.0), size_mm=(4.0, 4.0), force_n=(1e-4, 0.0, -1e-3))
+    scene = replace(pressed_block((8.0, 8.0, 4.0), Material(), tolerance=3e-2), loads=(plate,))
+    probe = Probe(name="plate", kind="mean", center_mm=(5.0, 4.0), size_mm=(1.0, 1.0))
+    scene = replace(scene, probes=(probe,))
+    found, plan = solve_scene(scene)
+    assert plan.method == "tetrahedra"
+    other = solve_finite(scene)
+    assert largest_error(found.probes, other.probes) < found.error_estimate + other.error_estimate
 
 
 def test_layers_shorten_one_by_one():

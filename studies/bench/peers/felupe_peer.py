@@ -51,7 +51,7 @@ def felupe_displacements(body: RubberBody, loads: list[Load], state: State) -> F
     volume[::4] = 1.0
     u = fe.Field(region, dim=3)
     field = fe.FieldContainer([u, fe.Field(linear, dim=1), fe.Field(linear, dim=1, values=volume)])
-    law = fe.NearlyIncompressible(fe.NeoHookeCompressible(mu=body.mu_mpa[0]), bulk=body.lame_mpa[0])
+    law = fe.NearlyIncompressible(fe.NeoHookeCompressible(mu=body.mu_mpa[0, 0]), bulk=body.lame_mpa[0, 0])
     solid = fe.SolidBody(law, field)
     system = FiniteSystem(body, loads)
     held: dict[str, Any] = {"base": fe.Boundary(u, fz=0.0)}

@@ -12,7 +12,8 @@ from fem.linear.refactored import RepeatedFactor
 from fem.methods.solving import solve_scene
 from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
-from fem.scene.scene import Block, Probe, Scene
+from fem.scene.scene import Block, Inclusion, Probe, Scene
+from fem.scene.solution import Solution, largest_error
 from geometry.design import Material
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
@@ -99,6 +100,54 @@ def test_a_load_without_equilibrium_is_refused_in_one_line():
         find_equilibrium(FiniteSystem(BODY, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -20.0))]))
     assert "stiff plate" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def neo_hookean(young_mpa: float, poisson: float) -> Material:
+    return Material(young_mpa=young_mpa, poisson=poisson, model="neo-hookean")
+
+
+def test_layers_of_two_rubbers_shorten_one_by_one():
+    """At ν = 0 nothing widens: μ (s − 1/s) = −p in each layer, and the top sinks by Σ h (1 − s)."""
+    inside = Inclusion(
+        base_mm=(3.0, 2.0, 1.5), top_mm=(3.0, 2.0, 4.0), section_mm=(6.0, 4.0), material=neo_hookean(6.0, 0.0)
+    )
+    whole = {"center_mm": (3.0, 2.0), "size_mm": (6.0, 4.0)}
+    scene = Scene(
+        body=Block(size_mm=(6.0, 4.0, 4.0)),
+        material=neo_hookean(2.0, 0.0),
+        inclusions=(inside,),
+        loads=(DeadLoad(**whole, traction_mpa=(0.0, 0.0, -0.2)),),
+        probes=(Probe(name="top", kind="mean", **whole),),
+        tolerance=1e-2,
+    )
+    found, plan = solve_scene(scene)
+    assert plan.method == "finite"
+    q = 0.1 / np.array([1.0, 3.0])  # p / 2μ
+    expected = ((np.sqrt(q**2 + 1) - q - 1) * [1.5, 2.5]).sum()
+    assert np.allclose(found.probes["top"], [0.0, 0.0, expected], atol=1e-5)
+    assert found.error_estimate < 1e-2
+
+
+def test_small_loads_on_two_rubbers_give_the_linear_answer_itself():
+    leaning = Inclusion(
+        base_mm=(4.0, 6.0, 0.0), top_mm=(8.0, 9.0, 8.0), section_mm=(3.0, 3.0), material=neo_hookean(18.0, 0.49)
+    )
+    scene = Scene(
+        body=Block(size_mm=(15.0, 15.0, 10.0)),
+        material=neo_hookean(6.1, 0.49),
+        inclusions=(leaning,),
+        loads=(DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -1e-6)),),
+        probes=PROBES,
+        tolerance=1e-2,
+    )
+    fine = {"middle": np.array([0.0, 0.0, -1e-6]), "inside": np.array([1e-7, 0.0, -5e-7])}
+    linear = Solution(
+        probes=fine, energy_mj=1e-9, residual=0.0, unknowns=1, error_estimate=3e-3, seconds={}
+    )  # fmt: skip
+    found = solve_finite(scene, linear)
+    assert largest_error(found.probes, fine) < 1e-5
+    assert np.isclose(found.energy_mj, 1e-9, rtol=1e-3)
+    assert 3e-3 <= found.error_estimate < 3.1e-3
 
 
 def test_plates_that_touch_are_refused():

@@ -12,6 +12,7 @@ from fem.finite.rubber_body import RubberBody, cofactors
 from fem.finite.system import FiniteSystem
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from geometry.design import Material
+from geometry.prism import Prism
 
 LINES = {"x": np.array([0.0, 1.0, 3.0, 4.0]), "y": np.array([0.0, 2.0, 2.5, 4.0]), "z": np.array([0.0, 1.5, 4.0])}
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
@@ -77,6 +78,32 @@ def test_cofactors_are_the_volume_times_the_inverse_s_transpose():
     assert np.allclose(cofactors(F).transpose(2, 0, 1), expected)
 
 
+COLUMN = Prism(base_mm=(2.0, 2.25, 0.0), top_mm=(2.0, 2.25, 4.0), section_mm=(2.0, 0.5))
+LEANING = Prism(base_mm=(1.0, 1.5, 0.0), top_mm=(2.5, 2.5, 4.0), section_mm=(1.5, 1.5))
+OTHER = Material(young_mpa=20.0, poisson=0.3)
+
+
+def test_a_prism_along_the_lines_is_a_region():
+    region = np.zeros((3, 3, 2), dtype=np.int64)
+    region[1, 1] = 1
+    by_grid = RubberBody(Grid(**LINES, region=region), [RUBBER, OTHER])
+    by_points = RubberBody(Grid(**LINES), [RUBBER], [(COLUMN, OTHER)])
+    u = np.random.default_rng(4).normal(size=(1, by_grid.n_nodes, 3)) * 0.03
+    for one, two in zip(by_grid.internal_forces(u), by_points.internal_forces(u), strict=True):
+        assert np.allclose(one, two, rtol=1e-12, atol=1e-12)
+
+
+def test_a_prism_across_elements_keeps_forces_and_tangent_slopes():
+    block = RubberBody(Grid(**LINES), [RUBBER], [(LEANING, OTHER)])
+    rng = np.random.default_rng(6)
+    u, v = rng.normal(size=(2, block.n_nodes, 3)) * 0.03
+    step = 1e-5
+    slope = (block.energy_mj(u + step * v) - block.energy_mj(u - step * v)) / (2 * step)
+    assert np.isclose((block.internal_forces(u[None])[0][0] * v).sum(), slope, rtol=1e-6)  # of the difference quotient
+    plate = StiffLoad(center_mm=(2.0, 2.25), size_mm=(2.0, 0.5), force_n=(1.0, 2.0, -3.0), moment_nmm=(1.0, 2.0, 3.0))
+    check_tangent(block, [plate])
+
+
 MIDDLE = (2.0 + 4 * LEAN[0], 2.25 + 4 * LEAN[1])
 LOADS: dict[str, list[Load]] = {
     "dead": [DeadLoad(center_mm=MIDDLE, size_mm=(1.7, 0.3), traction_mpa=(0.1, 0.2, -1.0))],
@@ -91,9 +118,18 @@ LOADS: dict[str, list[Load]] = {
 }
 
 
+LOADS_ON_UPRIGHT: list[Load] = [
+    StiffLoad(center_mm=(2.0, 2.25), size_mm=(2.0, 0.5), force_n=(1.0, 2.0, -3.0), moment_nmm=(1.0, 2.0, 3.0))
+]
+
+
 @pytest.mark.parametrize("loads", LOADS.values(), ids=LOADS)
 def test_tangent_is_the_slope_of_the_forces(loads):
-    system = FiniteSystem(body(LEAN), loads)
+    check_tangent(body(LEAN), loads)
+
+
+def check_tangent(block: RubberBody, loads: list[Load]) -> None:
+    system = FiniteSystem(block, loads)
     rng = np.random.default_rng(0)
     state = system.moved(system.rest(), rng.normal(size=(system.n_blocks, 3)) * 0.03)
     misfit = system.misfit(state, 0.7)
