@@ -8,6 +8,7 @@ import pytest
 
 from dataset import DatasetSettings, simulate
 from decoupler import require_same_sensor
+from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
@@ -19,9 +20,10 @@ from fem.scene.checks import SceneError
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import DesignError, FileFormatError
-from studies.pads import error_rows, map_row, with_pad
+from studies.pads import JOINT, error_rows, map_row, with_pad
 from studies.paper.spacing import design_at
 from tests.fem.test_unit_check import structured
+from tripillar.face.checks import Caller, mention_another_sensor
 from tripillar.pipeline.manufactured import as_made
 from tripillar.sweep.variables import Variable
 from tripillar.viewer.page import numbers
@@ -106,6 +108,18 @@ def test_models_and_data_of_other_pads_do_not_mix(responses):
     assert np.abs(model.forces(data["stiff"].resistance_ohm) - data["stiff"].force_n).max() < 0.005 * 720
     with pytest.raises(FileFormatError, match=r"pad\.kind: model stiff, data soft"):
         require_same_sensor(model, data["soft"], Path("m"), Path("d"))
+
+
+def test_pairs_of_other_pads_are_asked_about(responses):
+    """Measured pairs state no design: a response explains its own sensor's, whatever the gains, and not the others'."""
+    specimen = DatasetSettings(protocol="three-axis", samples=20, seed=3, noise=1e-3, gain_spread=0.1, offset_ohm=100.0)
+    for own, other in (PAD_KINDS, PAD_KINDS[::-1]):
+        said: list[str] = []
+        forward = ForwardModel.of(responses[own], JOINT)
+        mention_another_sensor(simulate(responses[own], specimen), JOINT, forward, Caller(say=said.append))
+        assert not said
+        mention_another_sensor(simulate(responses[other], specimen), JOINT, forward, Caller(say=said.append))
+        assert "are they of another?" in said[0]
 
 
 def test_the_study_compares_both_kinds(responses):
