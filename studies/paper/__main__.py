@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
+from geometry.errors import DesignError
 from geometry.storage.files import replacing, write_text
 from studies.paper import pictures
 from studies.paper.deformation import study_deformation
@@ -33,6 +34,7 @@ from tripillar.terminal.progress import Bars
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
 PICTURES = (*(f"figure-{number}.png" for number in range(6, 12)), "spacing.png")
+MIN_UNITS = 4  #: along x and along y, for the decay of influence
 AGAIN = "reused, nothing changed"
 PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 
@@ -46,6 +48,11 @@ def write_report(
 ) -> None:
     """Write the report; what was computed before from the same settings is reused."""
     sensor = chosen(design_file)
+    if min(sensor.array.rows, sensor.array.cols) < MIN_UNITS:
+        raise DesignError(
+            f"{sensor.array.rows} × {sensor.array.cols} units have no inside far from a load: the report needs "
+            f"{MIN_UNITS} × {MIN_UNITS} or more; it takes the paper's 6 × 6 unless told otherwise."
+        )
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is refused now, not minutes later
     with progress_bars(verbosity) as bars:
         _, response = respond(sensor, bars)

@@ -111,6 +111,8 @@ def draw_figure_9(results: Results, path: Path) -> None:
         words = []
         for cap, colour, fill in zip(MEAN_OVER_WIDTHS, COLOURS, FILLS, strict=True):
             wanted = {"experiment": FIGURE_9, "loads": loads, "component": component, "cap": cap}
+            if not results.chosen(**wanted):
+                continue  # no such loads
             widths, errors = _by_width(results, network=PAPERS, **wanted)
             axes.plot(widths, errors, color=colour, linewidth=1, label=f"paper's network, strain ≤ {cap:.0%}", **fill)
             floor = _by_width(results, network=FLOOR, **wanted)

@@ -7,6 +7,7 @@ in the template, beside the words about them. Sentences there hold for any run; 
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +84,13 @@ def as_html(text: str, folder: Path, pictures: Sequence[str]) -> str:
 
 
 def percent(value: float) -> str:
-    """A number in %, two decimals as the paper prints, more for what would else be next to nothing.
+    """A number in %, two decimals as the paper prints, more for what would else be next to nothing; a dash for NaN.
 
-    >>> percent(3.021), percent(0.0215)
-    ('3.02', '0.021')
+    >>> percent(3.021), percent(0.0215), percent(float("nan"))
+    ('3.02', '0.021', '–')
     """
+    if isnan(value):
+        return "–"
     return f"{value:.2f}" if value >= 0.0995 else f"{value:#.2g}"
 
 

@@ -88,8 +88,9 @@ class Results:
         return [one for one in self.results if all(getattr(one.trial, name) == v for name, v in wanted.items())]
 
     def percent(self, **wanted: Any) -> float:
-        """Mean relative error of the chosen results [%]."""
-        return 100 * float(np.mean([one.rel_err for one in self.chosen(**wanted)]))
+        """Mean relative error of the chosen results [%]; NaN if there are none."""
+        chosen = self.chosen(**wanted)
+        return 100 * float(np.mean([one.rel_err for one in chosen])) if chosen else float("nan")
 
 
 def kept(path: Path, cache_key: str, kind: type[T], make: Callable[[], T]) -> tuple[T, bool]:
