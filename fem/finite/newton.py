@@ -3,7 +3,11 @@
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
 tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
 many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100. A state whose
-tangent has an eigenvalue below 0 is unstable, and is not taken.
+tangent has an eigenvalue below 0 is unstable, and is not taken; but modes within the few elements that a singular edge
+squeezes to nothing are the mesh's own, and are let be.
+
+No change takes more than a part of an element's volume: J → 0 at the edges of plates, where W grows like −ln J, and
+Newton's method on a logarithm converges from the steep side only.
 """
 
 from dataclasses import dataclass, field
@@ -17,10 +21,12 @@ from fem.scene.loads import FollowerLoad
 from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
-MAX_ITERATIONS = 9  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
+MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
 MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 32  #: of the load, before it is refused
-DAMPINGS = 4  #: times that a change which turns an element inside out is halved
+KEPT_VOLUME = 0.2  #: of every Gauss point's volume, at least, that a change leaves
+DAMPING, DAMPINGS = 0.6, 12  #: factor of a change that leaves less, and how often
+SQUEEZED = 0.2  #: least J of elements at a singular edge whose own modes do not count
 
 
 class UnreachableLoadError(SolverError):
@@ -131,7 +137,7 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
     start = misfit.residual
     for iteration in range(MAX_ITERATIONS):
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, not (iteration and factor.n_negative))
+            return _Tried(state, misfit, iteration, not iteration or _is_stable(system, factor, state, share, misfit))
         if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             return _Tried(state, misfit, iteration, False)
         try:
@@ -143,13 +149,23 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
         if not path.slope:
             path.slope.append(_slope(system, factor, state))
         pressures = misfit.pressures - state.p + parts.pressure_change(system.nodal_change(state.rotation, change))
-        for damping in range(DAMPINGS):
-            trial = system.moved(state, change * 0.5**damping, pressures * 0.5**damping)
-            misfit = system.misfit(trial, share)
-            if np.isfinite(misfit.residual):
+        least = KEPT_VOLUME * system.body.strain(state.u[None]).J
+        for damping in DAMPING ** np.arange(DAMPINGS):
+            trial = system.moved(state, change * damping, pressures * damping)
+            if (system.body.strain(trial.u[None]).J >= least).all():
                 break
-        state = trial
-    return _Tried(state, misfit, MAX_ITERATIONS, misfit.residual <= RESIDUAL and not factor.n_negative)
+        state, misfit = trial, system.misfit(trial, share)
+    converged = misfit.residual <= RESIDUAL and _is_stable(system, factor, state, share, misfit)
+    return _Tried(state, misfit, MAX_ITERATIONS, converged)
+
+
+def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, misfit: Misfit) -> bool:
+    """Whether no mode of the last tangent beyond squeezed elements is unstable; True where the solver does not count."""
+    if not factor.n_negative:
+        return True
+    squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
+    factor.factor(system.tangent(state, share, misfit.held, steadied=squeezed)[0])
+    return factor.n_negative == 0
 
 
 def _own_displacement(system: FiniteSystem, state: State) -> float:

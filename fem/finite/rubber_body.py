@@ -251,13 +251,19 @@ class TangentParts:
 
     def __init__(self, body: RubberBody, strain: Strain, p: FloatArray) -> None:
         self.body, self._cof = body, strain.cof[:, :, 0]
-        J = strain.J[0]
+        self._J = J = strain.J[0]
         pressure = p @ PRESSURES.T
         weight = body._jacobian[:, None] * WEIGHTS
         self._direct = weight * pressure / J
         self._crossed = -weight * (pressure - body.mu_mpa / J) / J
         #: B, the forces that pressures exert, shape (3, n_elements, 27, 4) [mm²]
         self.pressing = np.empty((3, body.n_elements, N_NODES, N_PRESSURES))
+
+    def steady(self, some: NDArray[np.bool_]) -> None:
+        """Leave out of some elements (n_elements,) what may be negative, all but μ/J² c c of the pressure's terms."""
+        weight = self.body._jacobian[some, None] * WEIGHTS
+        self._direct[some] = weight * self.body.mu_mpa[some, None] / self._J[some] ** 2
+        self._crossed[some] = 0.0
 
     def blocks(self) -> dict[tuple[int, int], FloatArray]:
         """K by components i ≤ j, each of shape (n_elements, 27, 27): entry [e, a, b] couples aᵢ with b_j [N/mm]."""

@@ -4,6 +4,7 @@ Unknowns come in threes: displacements of the free nodes, then shift and spin of
 plate's width so that all are lengths.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,6 +59,9 @@ class FiniteSystem:
     body : RubberBody
         Its base z = 0 is clamped.
     loads : list of loads
+    mirrors : sequence of int, optional
+        Axes along which the body is the upper half of one that mirrors itself, as its loads do: its lowest side is the
+        plane, and loads that reach there are halves.
 
     Notes
     -----
@@ -65,8 +69,8 @@ class FiniteSystem:
     pressures or with moments, whose axes do not turn.
     """
 
-    def __init__(self, body: RubberBody, loads: list[Load]) -> None:
-        self.body, self.loads = body, tuple(loads)
+    def __init__(self, body: RubberBody, loads: list[Load], mirrors: Sequence[int] = ()) -> None:
+        self.body, self.loads, self.mirrors = body, tuple(loads), tuple(mirrors)
         stiff = [load for load in loads if isinstance(load, StiffLoad)]
         following = [load for load in loads if isinstance(load, FollowerLoad)]
         self.plates = Plates.of(body, stiff)
@@ -88,7 +92,20 @@ class FiniteSystem:
         #: number of the unknowns of every node, −1 where it has none
         self.number = np.full(body.n_nodes, -1, dtype=np.int64)
         self.number[self.free] = np.arange(len(self.free))
+        #: 0 for unknowns that mirrors hold, else 1, (n_blocks, 3)
+        self.moves = np.ones((self.n_blocks, 3))
+        for axis in mirrors:
+            self._hold(axis)
         self._find_pattern()
+
+    def _hold(self, axis: int) -> None:
+        """Hold what a mirror image would undo: the way through its plane, and a plate's spins but about its normal."""
+        points, plane = self.body.basis.doflocs[axis], self.body.grid.lines[axis][0]
+        n, k = len(self.free), self.plates.count
+        self.moves[np.flatnonzero(points[self.free] == plane), axis] = 0.0
+        cut = np.unique(self.plates.plate[points[self.plates.node] == plane])
+        self.moves[n + cut, axis] = 0.0
+        self.moves[n + k + cut] *= np.arange(3) == axis
 
     @property
     def n_blocks(self) -> int:
@@ -130,7 +147,8 @@ class FiniteSystem:
     def gathered(self, forces: FloatArray, rotation: FloatArray) -> FloatArray:
         """Forces on the unknowns (..., n_blocks, 3) of nodal forces (..., n_nodes, 3) [N]."""
         sums, moments = self.plates.resultants(forces[..., self.plates.node, :], rotation)
-        return np.concatenate([forces[..., self.free, :], sums, moments / self.plates.half_mm[:, None]], axis=-2)
+        own = np.concatenate([forces[..., self.free, :], sums, moments / self.plates.half_mm[:, None]], axis=-2)
+        return own * self.moves
 
     def nodal_loads(self, state: State, share: float) -> FloatArray:
         """Forces of tractions and pressures on the nodes of one state, (n_nodes, 3) [N]."""
@@ -144,7 +162,7 @@ class FiniteSystem:
         n, k = len(self.free), self.plates.count
         out[n : n + k] += share * self.force_n
         out[n + k :] += share * self.moment_nmm / self.plates.half_mm[:, None]
-        return out
+        return out * self.moves
 
     def misfit(self, state: State, share: float) -> "Misfit":
         """Forces that one state leaves unbalanced at a share of the full load."""
@@ -159,9 +177,16 @@ class FiniteSystem:
             size=float(np.linalg.norm(on_unknowns)),
         )
 
-    def tangent(self, state: State, share: float, held: FloatArray) -> tuple[FloatArray, TangentParts]:
-        """Blocks of the tangent in `pattern` at a share of the load, and its parts; `held` is of `Misfit`."""
+    def tangent(
+        self, state: State, share: float, held: FloatArray, steadied: NDArray[np.bool_] | None = None
+    ) -> tuple[FloatArray, TangentParts]:
+        """Blocks of the tangent in `pattern` at a share of the load, and its parts; `held` is of `Misfit`.
+
+        Elements that are `steadied` take no part in any loss of stability: see `TangentParts.steady`.
+        """
         parts = self.body.tangent_parts(state.u, state.p)
+        if steadied is not None:
+            parts.steady(steadied)
         K = parts.blocks()
         data = np.empty((len(self.pattern.rows), 3, 3))
         for i, j in PAIRS:
@@ -174,6 +199,9 @@ class FiniteSystem:
         if len(self.faces.faces):
             own = self.faces.stiffness(self.body.basis.doflocs.T + state.u)
             data -= (self._of_faces @ (share * own).reshape(-1, 9)).reshape(-1, 3, 3)
+        if self.mirrors:
+            data *= self.moves[self.pattern.rows][:, :, None] * self.moves[self.pattern.cols][:, None, :]
+            data[self.pattern.rows == self.pattern.cols] += np.eye(3) * (1.0 - self.moves)[:, None, :]
         return data, parts
 
     def _plate_blocks(self, K: dict[tuple[int, int], FloatArray], state: State, held: FloatArray) -> FloatArray:
