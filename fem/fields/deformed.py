@@ -10,9 +10,10 @@ from skfem import Element, ElementHex2, ElementTetP2
 from fem.array.substructured import cell_grid, mirrored
 from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
+from fem.discretization.grid import VTK_PLACES
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.stress import nodal_stress
-from fem.methods.box_field import VTK_PLACES, picture_field
+from fem.methods.box_field import picture_field
 from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow

@@ -152,7 +152,7 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
         least = KEPT_VOLUME * system.body.strain(state.u[None]).J
         for damping in DAMPING ** np.arange(DAMPINGS):
             trial = system.moved(state, change * damping, pressures * damping)
-            if (system.body.strain(trial.u[None]).J >= least).all():
+            if (least <= system.body.strain(trial.u[None]).J).all():
                 break
         state, misfit = trial, system.misfit(trial, share)
     converged = misfit.residual <= RESIDUAL and _is_stable(system, factor, state, share, misfit)
@@ -160,7 +160,7 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
 
 
 def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, misfit: Misfit) -> bool:
-    """Whether no mode of the last tangent beyond squeezed elements is unstable; True where the solver does not count."""
+    """Whether no mode beyond squeezed elements is unstable, by the last tangent; True if the solver does not count."""
     if not factor.n_negative:
         return True
     squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED

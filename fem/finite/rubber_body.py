@@ -262,7 +262,7 @@ class TangentParts:
     def steady(self, some: NDArray[np.bool_]) -> None:
         """Leave out of some elements (n_elements,) what may be negative, all but μ/J² c c of the pressure's terms."""
         weight = self.body._jacobian[some, None] * WEIGHTS
-        self._direct[some] = weight * self.body.mu_mpa[some, None] / self._J[some] ** 2
+        self._direct[some] = weight * self.body.mu_mpa[some] / self._J[some] ** 2
         self._crossed[some] = 0.0
 
     def blocks(self) -> dict[tuple[int, int], FloatArray]:

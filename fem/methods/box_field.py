@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.discretization.graded_box import Level, box_part
-from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
-from fem.discretization.lagrange import line_nodes
+from fem.discretization.grid import VTK_PLACES, GridBasis, grid_body, grid_stiffness, lattice_boxes
 from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.plan import Plan
@@ -21,16 +20,6 @@ from geometry.layout import FloatArray
 
 PER_HEIGHT, PER_WIDTH = 4, 24  #: boxes of a picture to the body's height and to its greatest extent, at least
 
-#: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
-#: the sides across x, y and z, and of the whole
-VTK_PLACES = np.array(
-    [
-        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
-        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
-        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
-        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
-    ]
-)
 #: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out
 VTK_MIRRORED = [
     [
@@ -48,14 +37,6 @@ def picture_lines(scene: Scene, lines: FloatArray) -> FloatArray:
     parts = np.ceil(np.diff(lines) / widest - 1e-9).astype(int).clip(1)
     pieces = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(lines[:-1], lines[1:], parts, strict=True)]
     return np.concatenate([lines[:1], *pieces])
-
-
-def lattice_boxes(lines: Sequence[FloatArray]) -> tuple[list[FloatArray], NDArray[np.int64]]:
-    """Positions of the nodes of quadratic boxes along each axis, and the boxes' nodes (m, 27) in VTK's order."""
-    halves = [line_nodes(line, 2) for line in lines]
-    start = 2 * np.indices([len(line) - 1 for line in lines]).reshape(3, -1, 1)
-    cells = np.ravel_multi_index(tuple(start + VTK_PLACES.T[:, None]), [len(half) for half in halves])
-    return halves, cells.astype(np.int64)
 
 
 def crossings(positions: Sequence[FloatArray]) -> FloatArray:

@@ -10,10 +10,11 @@ from threadpoolctl import ThreadpoolController
 
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem, Condensed, Kind
+from fem.discretization.grid import lattice_boxes
 from fem.discretization.indicator import dual_weights
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
-from fem.methods.box_field import crossings, lattice_boxes, picture_lines, unfolded_field
+from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import Field, Solution, Stopwatch

@@ -13,11 +13,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fem.discretization.graded_box import BoxPart, FastDiagonal, Level, Term, box_part, conjugate_gradients
+from fem.discretization.grid import lattice_boxes
 from fem.discretization.lagrange import elastic_tensors
 from fem.discretization.mirrors import Parity, parities
 from fem.discretization.richardson import errors_by_falls
 from fem.linear.factors import SolverError
-from fem.methods.box_field import crossings, lattice_boxes, picture_lines, unfolded_field
+from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import Field, Probes, Solution, Stopwatch

@@ -140,6 +140,10 @@ def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False)
     decisions.append(mesh)
     mirrors: tuple[Mirror, ...] = ()
     element, why = "", ""
+    if method == "finite":
+        mirrors, symmetry = _symmetry(scene, regions, keeps)
+        mirrors = tuple(mirror for mirror in mirrors if mirror.parities == (1,))
+        decisions.append(_folded(mirrors) if symmetry.choice not in ("none", "unused") else symmetry)
     if method == "grid":
         mirrors, symmetry = _symmetry(scene, regions, keeps)
         seconds = {"Qp": seconds_by_order(scene, regions, mirrors), "Q4": seconds_by_splitting(scene, regions)}
@@ -261,8 +265,11 @@ def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:
             _near(image, other, slack) and _near(section, size, slack) and m == material for other, size, m in own
         ):
             return None
-    loads = scene.summed_tractions
-    whole = [parity for parity in (1, -1) if _loads_mirror(loads, plane, parity, slack)]
+    whole = [
+        parity
+        for parity in (1, -1)
+        if all(_loads_mirror(loads, plane, parity, slack) for loads in scene.summed_loads.values())
+    ]
     return replace(plane, parities=(whole[0],)) if whole else plane
 
 
@@ -271,11 +278,11 @@ def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
 
 
 def _loads_mirror(loads: dict[Rectangle, np.ndarray], plane: Mirror, parity: int, slack: float) -> bool:
-    """True if the mirror image of the loads, times the parity, are the loads."""
+    """True if the mirror image of the loads, times the parity, are the loads: vectors, and moments after them."""
     flip = np.where(np.arange(3) == plane.axis, -1.0, 1.0)
     for rectangle, traction in loads.items():
         image = flipped_rectangles(np.array(rectangle), (plane,))
-        wanted = parity * flip * traction
+        wanted = parity * np.concatenate([flip, -flip])[: len(traction)] * traction
         largest = np.abs(traction).max()
         if not any(
             _near(image, np.array(other), slack) and np.abs(wanted - given).max() <= 1e-12 * largest

@@ -49,10 +49,10 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     if plan.method == "nothing":
         return unmoved(scene)
     if plan.method == "finite":
-        if not plan.regions:
-            return solve_finite(scene)
-        linear = scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR))
-        return solve_finite(scene, solve_scene(linear)[0])
+        linear = None
+        if plan.regions:
+            linear = solve_scene(scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR)))[0]
+        return solve_finite(scene, linear, plan.mirrors, with_field)
     if plan.method == "cells":
         return solve_by_cells(scene, plan)
     method = {"Qp": solve_by_order, "Q4": solve_by_splitting, "TH": solve_on_tetrahedra}[plan.element]

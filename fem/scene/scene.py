@@ -337,6 +337,21 @@ class Scene:
         return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
 
     @property
+    def summed_loads(self) -> dict[str, dict[Rectangle, FloatArray]]:
+        """By kind, tractions of every loaded rectangle along x, y, z (pressures along −z), or force and moment."""
+        sums: dict[str, dict[Rectangle, FloatArray]] = {}
+        for load in self.loads:
+            if isinstance(load, StiffLoad):
+                value = np.array(load.force_n + load.moment_nmm)
+            elif isinstance(load, FollowerLoad):
+                value = np.array((*load.traction_mpa, -load.pressure_mpa))
+            else:
+                value = np.array(load.traction_mpa)
+            own = sums.setdefault(load.kind, {})
+            own[load.rectangle] = own.get(load.rectangle, 0.0) + value
+        return sums
+
+    @property
     def is_unloaded(self) -> bool:
         """True if no load remains once those on equal rectangles are added up."""
         pushed = any(any(load.force_n + load.moment_nmm) for load in self.stiff_loads)

@@ -9,10 +9,10 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
+from fem.discretization.grid import VTK_PLACES
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
 from fem.fields.stress import projected_pressure
 from fem.linear.linear_solver import checked_solve, factorized
-from fem.methods.box_field import VTK_PLACES
 from fem.methods.solving import solve_scene
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor

@@ -36,6 +36,24 @@ def test_the_answer_is_one_json_object(house):
     assert "mesh: structured hexahedra" in done.stderr
 
 
+def test_finite_strain_says_what_it_did_and_draws(house):
+    text = PILLAR.replace("poisson = 0.49", 'poisson = 0.49\nmodel = "neo-hookean"')
+    (house.folder / "finite.toml").write_text(text)
+    done = house.tripillar("solve", "finite.toml", "--tolerance", "0.2", "--json", "--vtu", "finite.vtu")
+    found = json.loads(done.stdout)
+    assert set(found) == KEYS | {"work_mj", "energy_imbalance", "least_j", "iterations", "load_steps"}
+    assert abs(found["energy_imbalance"]) < 0.01
+    assert 0 < found["least_j"] < 1
+    field = pv.read(house.folder / "finite.vtu")
+    top = field.points[:, 2] == field.points[:, 2].max()
+    assert field["displacement_mm"][top].mean(axis=0)[2] == pytest.approx(found["probes"]["top"][2], rel=0.05)
+    (house.folder / "finite.toml").write_text(text.replace("-0.01]", "-10.0]"))
+    refused = house.tripillar("solve", "finite.toml", "--tolerance", "0.2")
+    assert refused.returncode == 2
+    assert "no equilibrium above" in refused.stderr
+    assert "smaller load" in refused.stderr
+
+
 def test_tables_and_explanations_are_for_people(house):
     done = house.tripillar("solve", "pillar.toml", "--explain", "--tolerance", "0.02")
     assert done.returncode == 0

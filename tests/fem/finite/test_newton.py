@@ -1,14 +1,18 @@
 """Equilibrium at finite strain: against the linear solver, against itself, and refused where there is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fem.discretization.grid import Grid
+from fem.finite.mirrored import loads_above, unfolded
 from fem.finite.newton import UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
-from fem.finite.solving import solve_finite
+from fem.finite.solving import finite_grid, solve_finite
 from fem.finite.system import FiniteSystem
 from fem.linear.refactored import RepeatedFactor
+from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
@@ -167,3 +171,44 @@ def test_both_solvers_agree():
         find_equilibrium(system, RepeatedFactor(system.pattern, solver)).state.u for solver in ("pardiso", "superlu")
     )
     assert np.allclose(one, two, atol=1e-9)
+
+
+STIFF = StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 30.0, -60.0), moment_nmm=(20.0, 0.0, 0.0))
+UPRIGHT = StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -108.0))
+PUSHED = FollowerLoad(center_mm=(3.0, 7.5), size_mm=(3.0, 6.0), pressure_mpa=0.5)
+
+
+@pytest.mark.parametrize(
+    ("loads", "planes"),
+    [
+        ((STIFF,), "x = 7.5 mm"),
+        ((UPRIGHT,), "x = 7.5 and y"),
+        ((PUSHED, replace(PUSHED, center_mm=(12.0, 7.5))), "x = 7.5 and y"),
+    ],
+)
+def test_a_part_between_mirrors_is_the_whole(loads, planes):
+    """Plates that a plane cuts, and loads beside it; on one grid, of which the part has its own half or quarter."""
+    scene = Scene(
+        body=Block(size_mm=(15.0, 15.0, 10.0)), material=Material(model="neo-hookean"), loads=loads, probes=PROBES
+    )
+    plan = make_plan(scene)
+    assert f"the body mirrors in {planes}" in "".join(plan.lines)
+    grid = finite_grid(scene, 1, plan.mirrors)
+    axes = [mirror.axis for mirror in plan.mirrors]
+    part = find_equilibrium(FiniteSystem(RubberBody(grid, [Material()]), loads_above(scene, plan.mirrors), axes))
+    whole_grid, u = unfolded(grid, part.state.u, plan.mirrors)
+    whole = find_equilibrium(FiniteSystem(RubberBody(whole_grid, [Material()]), list(loads)))
+    assert np.allclose(u, whole.state.u, atol=1e-7)
+    assert np.isclose(2 ** len(axes) * part.stored_mj, whole.stored_mj, rtol=1e-8)
+
+
+def test_squeezed_elements_take_few_iterations():
+    """At a pressure of half Young's modulus the elements at a plate's corners lose 95 % of their volume."""
+    scene = Scene(
+        body=Block(size_mm=(15.0, 15.0, 10.0)), loads=(replace(STIFF, force_n=(0.0, 0.0, -108.0)),), probes=PROBES
+    )
+    body = RubberBody(finite_grid(scene, 2), [scene.material])
+    found = find_equilibrium(FiniteSystem(body, list(scene.loads)))
+    assert found.least_j < 0.1
+    assert found.steps == 1
+    assert found.iterations <= 10
