@@ -182,7 +182,7 @@ def refined_cell(
         return refined
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
     steps = []
-    for stage in _stages(design, tolerance):
+    for stage in cell_stages(design, tolerance):
         progress(f"cell, level {stage[1]:g}")
         cell, estimate, step = _cell_of_stage(design, stage, seconds)
         steps.append(step)
@@ -194,16 +194,12 @@ def refined_cell(
     return refined
 
 
-def _stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
+def cell_stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
+    """The stages of a cell's grids or meshes to try for a tolerance."""
     if not design.is_homogeneous:
-        return mesh_stages(tolerance)
+        return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
     first = 0 if tolerance >= COARSE else 1
     return GRID_STAGES[first:] if tolerance < FINE else GRID_STAGES[first:-1]
-
-
-def mesh_stages(tolerance: float) -> tuple[tuple[float, float, int], ...]:
-    """The stages of meshes to try for a tolerance."""
-    return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
 
 
 def _cell_of_stage(

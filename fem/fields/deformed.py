@@ -14,9 +14,9 @@ from fem.discretization.grid import VTK_PLACES
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import picture_field
-from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
+from fem.scene.cells import design_of_cells, forces_on_cells
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import HEXAHEDRON, QUADRATIC_TETRAHEDRON, QUADRILATERAL, TRIQUADRATIC_HEXAHEDRON, Field

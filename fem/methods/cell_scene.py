@@ -1,30 +1,26 @@
-"""Scenes of arrays whose pillars are of another rubber, by copies of one condensed cell."""
+"""Scenes of arrays whose pillars are of another rubber, or with a plate on every unit, by copies of one cell."""
 
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import condensed_cell, mesh_stages
+from fem.array.substructured import GRID_RATE, LEVEL_ERROR, cell_stages, condensed_cell
 from fem.discretization.richardson import richardson_factor
 from fem.methods.plan import Plan
+from fem.scene.cells import Share, design_of_cells, forces_on_cells, split_by_cells
 from fem.scene.checks import SceneError
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
-from geometry.design import Pad, SensorDesign
-from geometry.layout import FloatArray, unit_centres
-
-SAME = 1e-9  #: relative difference of sides by which a plate is still square
-Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
+from geometry.layout import FloatArray
 
 
 def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
-    """Solve a scene of an array with loads and mean probes anywhere on its top, at two levels of one cell's mesh.
+    """Solve a scene of an array with loads and mean probes anywhere on its top, at two levels of one cell.
 
     Rectangles that lie on several cells are split among them. The error is estimated from the two levels and from the
-    highest degree of the port modes, as in `substructured.response_by_cells`.
+    highest degree of the port modes, as in `substructured.response_by_cells`; grids, of one rubber, are extrapolated.
 
     Raises
     ------
@@ -44,7 +40,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
 
     seconds = Stopwatch().seconds
     steps: list[str] = []
-    for coarse, fine, degree in mesh_stages(scene.tolerance):
+    for coarse, fine, degree in cell_stages(design, scene.tolerance):
         found, meshing, start = [], 0.0, perf_counter()
         for level in (coarse, fine):
             cell, meshed = condensed_cell(design, level, degree, rectangles)
@@ -61,7 +57,14 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
             answers.append((means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual))
         seconds["solve"] += perf_counter() - start
         (one, _, _), (two, energy, residual), (lower, _, _) = answers
-        estimate = richardson_factor(coarse, fine) * largest_error(one, two) + largest_error(lower, two)
+        of_ports = largest_error(lower, two)
+        if design.is_homogeneous:
+            factor = richardson_factor(coarse, fine, GRID_RATE[design.pad.kind])
+            of_levels = LEVEL_ERROR * factor * largest_error(one, two)
+            two = {name: mean + factor * (mean - one[name]) for name, mean in two.items()}
+        else:
+            of_levels = richardson_factor(coarse, fine) * largest_error(one, two)
+        estimate = of_levels + of_ports
         steps.append(f"cells of level {fine:g}, ports of degree {degree}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break
@@ -74,64 +77,6 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
         seconds=seconds,
         steps=tuple(steps),
     )
-
-
-def design_of_cells(scene: Scene, body: Sensor) -> SensorDesign:
-    """The design of a scene's cells: its pads are the plates of the scene's stiff loads, and soft without these.
-
-    Raises
-    ------
-    SceneError
-        If plates do not lie on all units alike, as squares, without moments and other loads.
-    DesignError
-        If they leave no gap.
-    """
-    design = body.design
-    if not scene.stiff_loads:
-        return replace(design, pad=replace(design.pad, kind="soft"))
-    local: dict[Rectangle, int] = {}
-    parts = [part for load in scene.stiff_loads for part in split_by_cells(load.rectangle, body, local)]
-    x0, y0, x1, y1 = next(iter(local))
-    if (
-        sorted(unit for unit, _, _ in parts) != list(range(design.n_units))
-        or len(local) > 1
-        or abs((x1 - x0) - (y1 - y0)) > SAME * (x1 - x0)
-        or any(any(load.moment_nmm) for load in scene.stiff_loads)
-        or len(scene.loads) > len(scene.stiff_loads)
-    ):
-        raise SceneError(
-            "at small strain, stiff loads on a unit or an array are square plates at the same place of every unit, "
-            "without moments and other loads: give each unit its plate, with force_n = [0, 0, 0] where nothing pushes."
-        )
-    pad = Pad(size_mm=x1 - x0, offset_x_mm=(x0 + x1) / 2, offset_y_mm=(y0 + y1) / 2, kind="stiff")
-    return replace(design, pad=pad)
-
-
-def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
-    """Forces of the loads on each cell, (n_units, k, 3) [N], at the k rectangles of cells that `local` then numbers."""
-    loads = [(load.rectangle, np.prod(load.size_mm) * np.array(load.traction_mpa)) for load in scene.dead_loads]
-    loads += [(load.rectangle, np.array(load.force_n)) for load in scene.stiff_loads]
-    parts = [split_by_cells(rectangle, body, local) for rectangle, _ in loads]
-    newtons = np.zeros((body.design.n_units, len(local), 3))
-    for (_, whole), shares in zip(loads, parts, strict=True):
-        for unit, rectangle, share in shares:
-            newtons[unit, rectangle] += share * whole
-    return newtons
-
-
-def split_by_cells(rectangle: Rectangle, body: Sensor, local: dict[Rectangle, int]) -> list[Share]:
-    """The parts of a rectangle on each cell, as rectangles in the cell's own coordinates, numbered in `local`."""
-    half = body.design.array.pitch_mm / 2
-    x0, y0, x1, y1 = rectangle
-    shares = []
-    for number, (x, y) in enumerate(unit_centres(body.design)):
-        a0, a1 = max(x0 - x, -half), min(x1 - x, half)
-        b0, b1 = max(y0 - y, -half), min(y1 - y, half)
-        area = max(a1 - a0, 0.0) * max(b1 - b0, 0.0)
-        if area > 1e-12 * (x1 - x0) * (y1 - y0):
-            part = (round(a0, 9), round(b0, 9), round(a1, 9), round(b1, 9))
-            shares.append((number, local.setdefault(part, len(local)), area / ((x1 - x0) * (y1 - y0))))
-    return shares
 
 
 def _gathered(moved: FloatArray, shares: list[Share]) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fem.discretization.graded_box import Level, box_part
 from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangles, parities
+from fem.scene.cells import has_alike_plates
 from fem.scene.checks import SceneError
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Region, Scene, Sensor
@@ -206,9 +207,12 @@ def _method(scene: Scene, regions: list[Region], keeps: frozenset[str], field: b
     if soft and units <= MAX_WHOLE:
         reason = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
         return tetrahedra(reason, "tetrahedra of the whole array")
+    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
+    if seen_by_means and "substructuring" not in keeps and has_alike_plates(scene):
+        reason = "plates lie on all units alike: one is condensed, its copies are coupled"
+        return "cells", Decision(name="mesh", choice="one cell", reason=reason)
     if scene.stiff_loads:
         return tetrahedra(f"they follow the outline of {_count(scene.stiff_loads, 'stiff plate')}")
-    seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
     if units > 1 and seen_by_means and "substructuring" not in keeps:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, simulate
+from dataset.simulation import displacements
 from decoupler import require_same_sensor
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
@@ -15,11 +16,15 @@ from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import sensor_parts, solve_scene_parts
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow
 from fem.pictures.colours import pads_bar
 from fem.scene.checks import SceneError
+from fem.scene.scene import Probe
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import DesignError, FileFormatError
+from geometry.layout import electrode_squares
 from studies.pads import JOINT, error_rows, map_row, with_pad
 from studies.paper.spacing import design_at
 from tests.fem.test_unit_check import structured
@@ -82,6 +87,24 @@ def test_scenes_of_the_page_hold_every_plate():
     alone = text.replace("center_mm = [7.5, 0.0]\nsize_mm", "center_mm = [7.0, 0.0]\nsize_mm")
     with pytest.raises(SceneError, match="square plates at the same place of every unit"):
         solve_scene_parts(scene_from_toml(alone), stress=False)
+
+
+def test_a_scene_with_every_plate_is_the_response(responses):
+    """Solved by copies of one cell, it moves U1 and U2 of both units as the response says, to the tolerance of both."""
+    scene = scene_from_toml(numbers.scene_of(PAIR, TRACTION, 0))
+    squares = electrode_squares(PAIR)
+    probes = [
+        Probe(name=str(k), kind="mean", center_mm=tuple((s[:2] + s[2:]) / 2), size_mm=tuple(s[2:] - s[:2]))
+        for k, s in enumerate(squares)
+    ]
+    asked = replace(scene, probes=tuple(probes), tolerance=2e-2)
+    plan = make_plan(asked)
+    assert plan.method == "cells"
+    found = np.array(list(follow(plan, asked).probes.values()))
+    expected = displacements(responses["stiff"], TRACTION[None])[0].reshape(-1, 3)
+    assert np.abs(found - expected).max() < 2e-2 * np.abs(expected).max()
+    alone = replace(asked, loads=asked.loads[:1])  # no plate on the other unit: another body, which needs a mesh
+    assert make_plan(alone).method == "tetrahedra"
 
 
 def test_a_unit_of_other_tools_has_rigid_plates():
