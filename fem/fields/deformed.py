@@ -12,6 +12,7 @@ from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
 from fem.discretization.grid import VTK_PLACES
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
+from fem.fields.finite_pictures import FiniteArrayField, between_nodes, finite_array_field, finite_field, no_stress
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import picture_field
 from fem.methods.plan import make_plan
@@ -19,7 +20,13 @@ from fem.methods.solving import follow
 from fem.scene.cells import design_of_cells, forces_on_cells
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
-from fem.scene.solution import HEXAHEDRON, QUADRATIC_TETRAHEDRON, QUADRILATERAL, TRIQUADRATIC_HEXAHEDRON, Field
+from fem.scene.solution import (
+    HEXAHEDRON,
+    QUADRATIC_TETRAHEDRON,
+    QUADRILATERAL,
+    TRIQUADRATIC_HEXAHEDRON,
+    Field,
+)
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres, upper_electrodes
 
@@ -90,7 +97,7 @@ class Part:
 Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads (plates where they are stiff)
 
 
-def sensor_parts(array: ArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
+def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
     """Pillars, matrix, electrodes and pads of a loaded array; stiff pads are named plates.
 
     Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
@@ -112,24 +119,29 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
     The first is smaller by `apart_mm` all around, the second by twice as much, the third by three times: no two of
     their faces coincide.
     """
+    both = zip(pillar_ends(unit), pillar_sections(unit), strict=True)
+    return joined([
+        column_surface(ends, section, slices, around, number * apart_mm)
+        for number, (ends, section) in enumerate(both, start=1)
+    ])  # fmt: skip
+
+
+def column_surface(ends: FloatArray, section: FloatArray, slices: int, around: int, inward_mm: float) -> Quads:
+    """A straight column between equal rectangles at its two ends, smaller by so much all around."""
     turn = np.linspace(-0.5, 0.5, around + 1)[:-1]
     side = np.full(around, 0.5)
     ring = np.column_stack(
         [np.concatenate([turn, side, -turn, -side]), np.concatenate([-side, turn, side, -turn]), np.zeros(4 * around)]
     )
     share = np.linspace(0.0, 1.0, slices + 1)
-    surfaces = []
-    for number, (ends, full) in enumerate(zip(pillar_ends(unit), pillar_sections(unit), strict=True), start=1):
-        inward = number * apart_mm
-        section = full - 2 * inward
-        bottom, top = ends + np.outer([1, -1], (ends[1] - ends[0]) * (inward / np.ptp(ends[:, 2])))
-        axis = bottom + share[:, None] * (top - bottom)
-        wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
-        place = np.arange(len(wall)).reshape(slices + 1, -1)
-        quads = [place[:-1], np.roll(place[:-1], -1, 1), np.roll(place[1:], -1, 1), place[1:]]
-        surfaces.append((wall, np.stack(quads, axis=-1).reshape(-1, 4)))
-        surfaces += [rectangle_surface(end, section, around) for end in (bottom, top)]
-    return joined(surfaces)
+    section = section - 2 * inward_mm
+    bottom, top = ends + np.outer([1, -1], (ends[1] - ends[0]) * (inward_mm / np.ptp(ends[:, 2])))
+    axis = bottom + share[:, None] * (top - bottom)
+    wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
+    place = np.arange(len(wall)).reshape(slices + 1, -1)
+    quads = [place[:-1], np.roll(place[:-1], -1, 1), np.roll(place[1:], -1, 1), place[1:]]
+    caps = [rectangle_surface(end, section, around) for end in (bottom, top)]
+    return joined([(wall, np.stack(quads, axis=-1).reshape(-1, 4)), *caps])
 
 
 def electrode_surface(unit: Unit) -> Quads:
@@ -156,7 +168,7 @@ def joined(surfaces: list[Quads]) -> Quads:
 
 
 def _on_units(
-    array: ArrayField,
+    array: ArrayField | FiniteArrayField,
     state: FieldState,
     surface: Quads,
     stress: bool,
@@ -177,7 +189,7 @@ def _on_units(
     )
 
 
-def _pads(array: ArrayField, state: FieldState, stress: bool) -> Part:
+def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The rectangles that are loaded, each with its traction; all if none is."""
     parts, tractions = [], []
     forces = state.force_n.reshape(array.design.n_units, -1, 3)
@@ -199,7 +211,7 @@ def _pads(array: ArrayField, state: FieldState, stress: bool) -> Part:
     )
 
 
-def _slab(array: ArrayField, state: FieldState, stress: bool) -> Part:
+def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
     design = array.design
     grid = cell_grid(design, FINENESS)
@@ -253,9 +265,17 @@ def solve_scene_parts(
     SceneError, GeometryError, SolverError
         If it cannot be solved.
     """
+    if stress and not scene.is_linear:
+        raise no_stress()
+    if isinstance(scene.body, Sensor) and not scene.is_linear:
+        progress("solve")
+        pressed = finite_array_field(scene, scene.body)
+        return sensor_parts(pressed, pressed.state, stress=False)
     if isinstance(scene.body, Sensor):
         return _sensor(scene, scene.body, stress, progress)
     progress("solve")
+    if not scene.is_linear:
+        return _at_finite_strain(scene)
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
     plan = make_plan(coarse, field=True)
     found = picture_field(coarse, plan) if plan.method == "grid" else follow(plan, coarse, field=True).field
@@ -266,6 +286,22 @@ def solve_scene_parts(
     if not inside.any():
         return {"body": _part(field, outside, stress)}
     return {"inclusions": _part(field, inside, stress), "matrix": _part(field, outside, stress)}
+
+
+def _at_finite_strain(scene: Scene) -> dict[str, Part]:
+    """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
+    field = finite_field(scene)
+    body = _part(replace(field, region=np.zeros_like(field.region)), np.ones(len(field.cells), dtype=bool), False)
+    if not scene.inclusions:
+        return {"body": body}
+    columns = [
+        column_surface(np.array([one.base_mm, one.top_mm]), np.array(one.section_mm), SLICES, AROUND, APART_MM)
+        for one in scene.inclusions
+    ]
+    points, quads = joined(columns)
+    moved = between_nodes(field)(points)
+    inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
+    return {"inclusions": inside, "matrix": body}
 
 
 def _sensor(scene: Scene, body: Sensor, stress: bool, progress: Callable[[str], None]) -> dict[str, Part]:

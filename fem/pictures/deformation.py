@@ -59,6 +59,10 @@ class DeformedPicture:
         What the colour bars are to hold where the picture is to show more than its panels, by `load`.
     columns : int, optional
         Panels beside each other; default: all.
+    warning : str
+        What else is to be said below the pictures.
+    before : sequence of panels, optional
+        The same bodies under smaller loads, in equal steps up to the panels', for `press` where bodies are not linear.
     """
 
     def __init__(
@@ -70,6 +74,8 @@ class DeformedPicture:
         medium: Medium = "file",
         over: Sequence[Parts] | None = None,
         columns: int | None = None,
+        warning: str = "",
+        before: Sequence[Mapping[str, Parts]] = (),
     ) -> None:
         draw_off_screen()
         self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
@@ -78,6 +84,7 @@ class DeformedPicture:
         pads = pads_bar(held)
         self.bars = (bar_of(self._quantity, held), *([] if pads is None else [pads]))
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
+        self.warning = warning
         self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
         self._is_bare = medium == "page"
         points = {name: reach(parts, scale) for name, parts in panels.items()}
@@ -102,15 +109,22 @@ class DeformedPicture:
         if not self._is_bare:
             self.plotter.subplot(2 * rows, 0)
             wide, _ = self.plotter.window_size
-            draw_legend(self.plotter, self.bars, [self.note], wide, LEGEND_PX)
+            draw_legend(self.plotter, self.bars, [note for note in (self.note, warning) if note], wide, LEGEND_PX)
+        self._steps = len(before) + 1
+        for number, smaller in enumerate(before, start=1):
+            for name, part_name, mesh, _ in self._moving:
+                part = smaller[name][part_name]
+                mesh[f"full {number}"] = part.displacement_mm[mesh["point"]]
+                if "of full" in mesh.array_names:
+                    mesh[f"of full {number}"] = self._quantity.of(part)[mesh["point"]]
         self.press(1.0)
 
     def press(self, share: float) -> None:
         """Show everything under a share of its load."""
         for _, _, mesh, rest in self._moving:
-            mesh.points = rest + share * self._scale * mesh["full"]
+            mesh.points = rest + self._scale * self._at(share, mesh, "full")
             if "of full" in mesh.array_names:
-                mesh["shown"] = share * mesh["of full"]
+                mesh["shown"] = self._at(share, mesh, "of full")
             if "strength of full" in mesh.array_names:
                 mesh["strength"] = share * mesh["strength of full"]
             if "Normals" in mesh.array_names:
@@ -118,6 +132,13 @@ class DeformedPicture:
                 mesh["Normals"] = turned["Normals"]
         for name, text in self._titles:
             text.SetInput(name if share == 1 else f"{share:.0%} of {name}")
+
+    def _at(self, share: float, mesh: pv.PolyData, name: str) -> FloatArray:
+        """Values of a mesh under a share of the load, linear between the steps that are known."""
+        step = min(int(share * self._steps), self._steps - 1)
+        below = mesh[f"{name} {step}"] if step else 0.0 * mesh[name]
+        above = mesh[name] if step == self._steps - 1 else mesh[f"{name} {step + 1}"]
+        return np.asarray(below + (share * self._steps - step) * (above - below))
 
     def load(self, panels: Mapping[str, Parts]) -> None:
         """Show the same bodies under other loads, in the colours of the first ones."""

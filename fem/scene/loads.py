@@ -3,7 +3,10 @@
 Directions are the axes' and do not turn, but for the pressure of a `FollowerLoad`. All grow from 0 in proportion.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
+
+import numpy as np
 
 from fem.scene.checks import LARGEST_MPA, SceneError, is_finite, require_extents, require_vectors, shown
 from geometry.prism import Pair, Triple
@@ -27,6 +30,11 @@ class _OnRectangle:
     def __post_init__(self) -> None:
         require_vectors(self, {"center_mm": 2, "size_mm": 2})
         require_extents(self, "size_mm")
+
+    def times(self, share: float) -> Self:
+        """The same load, a share as large."""
+        own = {one.name: getattr(self, one.name) for one in fields(self) if not one.name.endswith("_mm")}
+        return replace(self, **{name: (np.array(value) * share).tolist() for name, value in own.items()})
 
     @property
     def rectangle(self) -> Rectangle:

@@ -283,6 +283,10 @@ class Scene:
             tolerance=tolerance,
         )
 
+    def under(self, share: float) -> "Scene":
+        """The same scene under a share of its loads."""
+        return self if share == 1.0 else replace(self, loads=tuple(load.times(share) for load in self.loads))
+
     @property
     def stiff_loads(self) -> tuple[StiffLoad, ...]:
         return tuple(load for load in self.loads if isinstance(load, StiffLoad))

@@ -10,14 +10,17 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.grid import VTK_PLACES
+from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
+from fem.fields.finite_pictures import pressed_sensor
 from fem.fields.stress import projected_pressure
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.solving import solve_scene
+from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
-from geometry.design import Array, Material, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign
 
 BLOCK = Scene(
     body=Block(size_mm=(12.0, 12.0, 6.0)),
@@ -124,3 +127,33 @@ def test_a_load_across_two_cells_is_shared_between_them():
     matrix = parts["matrix"]
     deepest = matrix.points_mm[matrix.displacement_mm[:, 2].argmin()]
     assert np.allclose(deepest, [0.0, 0.0, 10.0])
+
+
+FINITE = Material(model="neo-hookean")
+
+
+def test_a_sensor_at_finite_strain_moves_as_a_linear_one_under_small_loads():
+    """Two ways to one picture: one grid of the whole slab, and superposition on a cell."""
+    unit = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"))
+    finite = pressed_sensor(replace(unit, pillar_material=FINITE, matrix_material=FINITE), "uniform", 1e-3)
+    parts = solve_scene_parts(finite, stress=False)
+    array = solve_array_field(unit)
+    linear = sensor_parts(array, array.state(np.array([[0.0, 0.0, -1e-3]])), stress=False)
+    assert set(parts) == set(linear) == {"pillars", "matrix", "electrodes", "plates"}
+    for name, part in linear.items():
+        size = np.linalg.norm(part.displacement_mm, axis=1).max()
+        off = np.linalg.norm(parts[name].displacement_mm - part.displacement_mm, axis=1)
+        assert (
+            np.sqrt((off**2).mean()) < 0.04 * size
+        )  # of two grids that err by 1 to 2 % each, more at the plates' edges
+    assert np.allclose(parts["plates"].traction_mpa, linear["plates"].traction_mpa)
+
+
+def test_inclusions_move_with_the_block_at_finite_strain():
+    leaning = Inclusion(base_mm=(5.0, 6.0, 0.0), top_mm=(7.0, 6.0, 6.0), section_mm=(2.0, 2.0), material=FINITE)
+    scene = replace(BLOCK, material=FINITE, inclusions=(leaning,))
+    parts = solve_scene_parts(scene, stress=False)
+    sunk = {name: part.displacement_mm[:, 2].min() for name, part in parts.items()}
+    assert sunk["matrix"] <= sunk["inclusions"] < 0.8 * sunk["matrix"] < 0.0
+    with pytest.raises(SceneError, match="stress at finite strain"):
+        solve_scene_parts(scene, stress=True)

@@ -33,6 +33,7 @@ from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, sh
 
 PRESSURES = (3.0,)  #: [MPa] where none is asked for
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
+MEND = "write model = 'neo-hookean' in the rubbers for finite strain"
 PICTURE_OPTIONS = ("pressure", "load", "colour", "scale", "camera", "save")
 PAGE_OPTIONS = ("host", "http_port", "port", "model", "calibration")
 
@@ -128,7 +129,7 @@ def view(
     require_shown(save)
     start = perf_counter()
     from fem.scene.scene import Scene
-    from tripillar.viewer.sights import largest_mm, read_body
+    from tripillar.viewer.sights import largest_mm, linear_note, read_body
 
     shown = chosen(design) if body is None else read_body(body)
     if isinstance(shown, Scene) and (pressure is not None or load is not None):
@@ -145,10 +146,14 @@ def view(
     for name, of_parts in moved.items():
         pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
         lines.append(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
+    warning = linear_note(shown, panels)
+    if warning:
+        lines.append(f"{warning}; {MEND}")
     result = {
         "file": None if save is None else str(save),
         "scale": factor,
         "largest_displacement_mm": largest,
+        "note": warning,
         "seconds": perf_counter() - start,
     }
     answer(json_, result, "\n".join(lines), *([] if save is None else [save]))

@@ -76,10 +76,11 @@ def _stage(picture: DeformedPicture) -> str:
     """HTML of the place that the viewer fills, with names above its pictures and colour bars below."""
     names = "".join(f"<span>{escape(name)}</span>" for name in picture.names)
     bars = "".join(_bar(bar) for bar in picture.bars)
+    notes = "<br>".join(note for note in (picture.note, picture.warning) if note)
     return (
         f'<main style="--n: {len(picture.names)}; --aspect: {picture.aspect:.3f}"><div class="stage">'
         f'<div class="frame"><div class="content"></div><div class="names">{names}</div></div></div>'
-        f'<div class="legend">{bars}<div>{picture.note}<br><span class="dim">drag to turn, scroll or pinch to zoom'
+        f'<div class="legend">{bars}<div>{notes}<br><span class="dim">drag to turn, scroll or pinch to zoom'
         f"</span></div></div></main><script>{SCRIPT}</script>"
     )
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fem.scene.scene import Scene
     from tripillar.terminal.progress import Bars
 
+FILM_STEPS = 5  #: loads solved for a film at finite strain, between which it interpolates
 Colour = Literal["displacement", "vertical", "mises", "pressure"]
 Camera = Literal["iso", "top", "front", "side"]
 LoadKind = Literal["indenter", "uniform"]
@@ -72,23 +73,30 @@ def show_deformed(
     from fem.pictures.colours import QUANTITIES
     from fem.pictures.deformation import DeformedPicture
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-    from tripillar.viewer.sights import panels_of, suited_scale
+    from tripillar.viewer.sights import is_linear, linear_note, panels_of, suited_scale
 
     kind = "" if save is None else save.suffix
     advance = bars.begin("fields", total=4)
     stress = kind == ".vtm" or QUANTITIES[colour].of_stress
     panels = panels_of(body, pressures_mpa, load, stress, lambda step: advance(1, step))
     factor = suited_scale(panels) if scale is None else scale
+    warning = linear_note(body, panels)
+    steps = 1 if kind != ".mp4" or is_linear(body) else FILM_STEPS
+    before = [panels_of(body, pressures_mpa, load, stress, share=step / steps) for step in range(1, steps)]
     advance(1, "")
     if save is None:
-        DeformedPicture(panels, colour, factor, camera, "window").plotter.show()
+        DeformedPicture(panels, colour, factor, camera, "window", warning=warning).plotter.show()
         return panels, factor
     drawn = bars.begin("picture", total=FRAMES if kind == ".mp4" else 1)
     if kind == ".vtm":
         save_blocks(panels, save)
     else:
         medium, write = SAVERS[kind]
-        write(DeformedPicture(panels, colour, factor, camera, medium), save, lambda: drawn(1, ""))
+        write(
+            DeformedPicture(panels, colour, factor, camera, medium, warning=warning, before=before),
+            save,
+            lambda: drawn(1, ""),
+        )
     return panels, factor
 
 

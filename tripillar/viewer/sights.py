@@ -7,6 +7,7 @@ import numpy as np
 
 from fem.fields.array_field import PAD_LOADS, WHERE, solve_array_field
 from fem.fields.deformed import Parts, sensor_parts, solve_scene_parts
+from fem.fields.finite_pictures import pressed_sensor
 from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign
@@ -17,6 +18,7 @@ from geometry.storage.text_file import read_text, tables_of
 
 AUTO = 0.2  #: of the body's height: the largest displacement as drawn at the automatic scale
 ROUND = (1.0, 2.0, 5.0)
+LINEAR_UP_TO = 0.1  #: strain beyond which pictures of linear rubber say so
 
 
 def read_body(path: Path) -> SensorDesign | Scene:
@@ -32,10 +34,17 @@ def panels_of(
     load: str,
     stress: bool,
     progress: Callable[[str], None] = lambda step: None,
+    share: float = 1.0,
 ) -> dict[str, Parts]:
-    """Solve for the panels, by name of the load: one for each pressure of a design, one for a scene."""
+    """Solve for the panels, by name of the load: one for each pressure of a design, one for a scene.
+
+    Bodies at finite strain may be under a share of the load.
+    """
     if isinstance(body, Scene):
-        return {"the scene's load": solve_scene_parts(body, stress, progress)}
+        return {"the scene's load": solve_scene_parts(body.under(share), stress, progress)}
+    if not is_linear(body):
+        scenes = {f"{mpa:g} MPa {WHERE[load]}": pressed_sensor(body, load, mpa) for mpa in pressures_mpa}
+        return {name: solve_scene_parts(scene.under(share), stress, progress) for name, scene in scenes.items()}
     field = solve_array_field(body, progress)
     progress("pads")
     one = sensor_parts(field, field.state(PAD_LOADS[load](body, 1.0)), stress)
@@ -43,6 +52,24 @@ def panels_of(
         f"{pressure:g} MPa {WHERE[load]}": {name: part.times(pressure) for name, part in one.items()}
         for pressure in pressures_mpa
     }
+
+
+def is_linear(body: SensorDesign | Scene) -> bool:
+    """True of linear rubber."""
+    return (body.material if isinstance(body, Scene) else body.matrix_material).model == "linear"
+
+
+def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
+    """Warning that linear rubber is drawn beyond `LINEAR_UP_TO`; empty elsewhere.
+
+    Strain is taken as the largest displacement over the body's height.
+    """
+    parts = [part for panel in panels.values() for part in panel.values()]
+    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
+    strain = max(largest_mm(part.displacement_mm) for part in parts) / height
+    if not is_linear(body) or strain <= LINEAR_UP_TO:
+        return ""
+    return f"linear, but {strain:.0%} strain"
 
 
 def suited_scale(panels: dict[str, Parts]) -> float:

@@ -13,6 +13,7 @@ from geometry.design_file import design_to_toml
 from geometry.layout import AXES, PILLARS, FloatArray, unit_centres
 from tripillar.viewer.page.controls import MAX_PRESSURE_MPA
 from tripillar.viewer.page.sensing import Reading
+from tripillar.viewer.sights import LINEAR_UP_TO
 
 CAP = 0.3  #: largest pillar strain of the datasets and of the paper
 FULL_AT = {"resistance": 2.0, "force": 10.0}  #: smallest % and N that a map's strongest colour stands for
@@ -57,6 +58,7 @@ def beside_picture(tab: str, unit: int, reading: Reading) -> dict[str, Any]:
     known = error_n[np.isfinite(error_n)]
     at_row, at_col, pillar = np.unravel_index(int(strain.argmax()), strain.shape)
     worst = float(strain.max())
+    beyond = f"; linear, true to {100 * LINEAR_UP_TO:.0f} %" if worst > LINEAR_UP_TO else ""
     of_pillars = np.stack([1e-3 * ohm, 100 * change, 100 * strain], axis=-1)[row, col]
     of_forces = np.stack([applied_n, force_n, error_n], axis=-1)[row, col]
     return of_tab | {
@@ -67,7 +69,7 @@ def beside_picture(tab: str, unit: int, reading: Reading) -> dict[str, Any]:
         "strain": text(100.0 * worst, 1),
         "strain_share": min(worst / CAP, 1.0) * 100.0,
         "strain_over": worst > CAP,
-        "strain_at": f"{PILLARS[pillar]} pillar of row {at_row}, col {at_col}",
+        "strain_at": f"{PILLARS[pillar]} pillar of row {at_row}, col {at_col}{beyond}",
         "rms": text(float(np.sqrt(np.mean(known**2))), 2) if known.size else "",
     }
 

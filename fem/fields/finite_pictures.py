@@ -1,0 +1,122 @@
+"""Sensors and scenes at finite strain, for pictures: one grid under one load, seen at points of every unit.
+
+Nothing is superposed: every load is solved for itself, on the coarsest grid that is right to 2 % as estimated.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from fem.fields.array_field import PAD_LOADS, FieldState
+from fem.finite.solving import solve_finite
+from fem.methods.cell_scene import forces_on_cells
+from fem.methods.plan import make_plan
+from fem.scene.checks import SceneError
+from fem.scene.loads import FollowerLoad, Load, Rectangle, StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
+from fem.scene.solution import Field
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pad_squares, unit_centres
+
+TOLERANCE = 2e-2  #: of a picture, where the scene asks for a finer one
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteObserver:
+    """Points of the cell at which displacement of every unit is seen."""
+
+    array: "FiniteArrayField" = field(repr=False)
+    points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
+
+    def displacement_mm(self, state: FieldState) -> FloatArray:
+        """Displacement at the points of every unit, shape (n_units, k, 3) [mm]; the state is the array's only one."""
+        centres = np.pad(unit_centres(self.array.design), ((0, 0), (0, 1)))
+        return self.array.at((centres[:, None] + self.points_mm).reshape(-1, 3)).reshape(len(centres), -1, 3)
+
+    def stress_mpa(self, state: FieldState) -> FloatArray:
+        """Refused: SceneError."""
+        raise no_stress()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FiniteArrayField:
+    """An array under one load at finite strain, seen as an `ArrayField` is."""
+
+    design: SensorDesign
+    rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
+    state: FieldState
+    has_plates: bool  #: whether those are rigid plates
+    at: RegularGridInterpolator = field(repr=False)  #: points (n, 3) of the slab to displacements (n, 3) [mm]
+
+    def observe(self, points_mm: FloatArray, region: int | None = None) -> FiniteObserver:
+        """Choose points of the cell to look at; the region makes no difference to displacement."""
+        return FiniteObserver(self, np.atleast_2d(points_mm))
+
+
+def no_stress() -> SceneError:
+    """The refusal of pictures of stress at finite strain."""
+    return SceneError(
+        "stress at finite strain is not drawn yet: show displacement or vertical, and save .png, .html or .mp4."
+    )
+
+
+def finite_field(scene: Scene) -> Field:
+    """Displacement of a neo-Hookean scene's whole body, for pictures; errors as of `solve_finite`."""
+    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
+    found = solve_finite(coarse, None, make_plan(coarse).mirrors, with_field=True).field
+    assert found is not None  # it was asked for
+    return found
+
+
+def between_nodes(field: Field) -> RegularGridInterpolator:
+    """Displacement of points (n, 3) of an upright body by that of its grid's nodes, linear between these."""
+    lines = tuple(np.unique(field.points_mm[:, axis]) for axis in range(3))
+    u = field.displacement_mm.reshape(*(len(line) for line in lines), 3)
+    return RegularGridInterpolator(lines, u, bounds_error=False, fill_value=None)
+
+
+def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
+    """Solve a neo-Hookean scene of a unit or an array.
+
+    Raises
+    ------
+    SceneError, UnreachableLoadError
+        If it cannot be solved.
+    """
+    local: dict[Rectangle, int] = {}
+    newtons = forces_on_cells(scene, body, local)
+    grid = finite_field(scene)
+    return FiniteArrayField(
+        design=body.design,
+        rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
+        state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
+        has_plates=bool(scene.stiff_loads),
+        at=between_nodes(grid),
+    )
+
+
+def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scene:
+    """A neo-Hookean design with a load of `PAD_LOADS` on its pads: by plates, or as a pressure that follows the rubber.
+
+    On soft pads the pressure follows, since from about half of E a dead traction has no equilibrium.
+    """
+    tractions = PAD_LOADS[load](design, pressure_mpa)
+    size = (design.pad.size_mm, design.pad.size_mm)
+    loads: list[Load] = []
+    for (x0, y0, x1, y1), (tx, ty, tz) in zip(pad_squares(design).tolist(), tractions.tolist(), strict=True):
+        centre = ((x0 + x1) / 2, (y0 + y1) / 2)
+        if design.pad.kind == "stiff":
+            area = size[0] * size[1]
+            loads.append(StiffLoad(center_mm=centre, size_mm=size, force_n=(tx * area, ty * area, tz * area)))
+        elif tx or ty or tz:
+            loads.append(FollowerLoad(center_mm=centre, size_mm=size, pressure_mpa=-tz, traction_mpa=(tx, ty)))
+    worst = pad_squares(design)[int(np.abs(tractions[:, 2]).argmax())]
+    middle = ((worst[0] + worst[2]) / 2, (worst[1] + worst[3]) / 2)
+    return Scene(
+        body=Sensor(design=design),
+        material=design.matrix_material,
+        loads=tuple(loads),
+        probes=(Probe(name="pad", kind="mean", center_mm=middle, size_mm=size),),
+        tolerance=TOLERANCE,
+    )
