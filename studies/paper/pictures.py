@@ -208,9 +208,10 @@ def draw_spacing(found: spacing.Spacing, design: SensorDesign, path: Path) -> No
     r, moved, on_rim = (
         np.concatenate([getattr(one, name) for one in fitting]) for name in ("distance_mm", "moved", "on_rim")
     )
+    layer = "endless layer" if design.pad.kind == "soft" else "endless layer under a soft pad"
     for chosen, colour, where in ((~on_rim, BLUE, "inside"), (on_rim, "0.65", "on the rim")):
         decay.plot(r[chosen], moved[chosen], ".", color=colour, markersize=3, label=f"electrodes {where}")
-    decay.plot(*layer_curve(fitting[0], design, r.max()), color=BLACK, linewidth=1, label="endless layer")
+    decay.plot(*layer_curve(fitting[0], design, r.max()), color=BLACK, linewidth=1, label=layer)
     far = np.linspace(found.asked.far * design.unit.height_mm, r.max(), 50)
     law = np.exp(-far / found.fitted_mm) / np.sqrt(far)
     fitted = (r >= far[0]) & ~on_rim
