@@ -172,7 +172,7 @@ def _on_units(
     state: FieldState,
     surface: Quads,
     stress: bool,
-    region: int,
+    region: int | None,
     units: slice | IntArray = slice(None),
 ) -> Part:
     """A surface of the cell on all units, or some."""
@@ -197,7 +197,7 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
         units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
         centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, array.design.unit.height_mm])
         surface = rectangle_surface(centre, np.array([x1 - x0, y1 - y0]), ACROSS)
-        parts.append(_on_units(array, state, surface, stress, 0, units))
+        parts.append(_on_units(array, state, surface, stress, None, units))
         traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
         tractions.append(np.repeat(traction, ACROSS**2, axis=0))
     points, cells = joined([(part.points_mm, part.cells) for part in parts])
