@@ -11,6 +11,7 @@ Newton's method on a logarithm converges from the steep side only.
 """
 
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -30,7 +31,11 @@ SQUEEZED = 0.2  #: least J of elements at a singular edge whose own modes do not
 
 
 class UnreachableLoadError(SolverError):
-    """A load at which no equilibrium was found."""
+    """A load at which no equilibrium was found, or an unstable one only."""
+
+    def __init__(self, message: str, is_unstable: bool) -> None:
+        super().__init__(message)
+        self.is_unstable = is_unstable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +95,7 @@ def find_equilibrium(
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
-    worst = state
+    worst: _Tried | None = None
     misfit = system.misfit(state, 0.0)
     if system.misfit(state, 1.0).size == 0.0:
         return Equilibrium(
@@ -101,10 +106,10 @@ def find_equilibrium(
         tried = _equilibrium_at(system, factor, state, share + step, path)
         iterations += tried.iterations
         if not tried.converged:
-            worst = tried.state
+            worst = tried
             step /= 2
             if step < MIN_STEP:
-                raise UnreachableLoadError(_refusal(system, share, worst))
+                raise _refusal(system, share, worst)
             continue
         share, state, misfit = share + step, tried.state, tried.misfit
         path.share.append(share)
@@ -160,12 +165,21 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
 
 
 def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, misfit: Misfit) -> bool:
-    """Whether no mode beyond squeezed elements is unstable, by the last tangent; True if the solver does not count."""
-    if not factor.n_negative:
+    """Whether no mode beyond squeezed elements is unstable; True if the solver does not count, as of pressures.
+
+    Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
+    """
+    if factor.n_negative is None:
         return True
     squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
-    factor.factor(system.tangent(state, share, misfit.held, steadied=squeezed)[0])
-    return factor.n_negative == 0
+    others = [system.moves_of(parity) for parity in product((1, -1), repeat=len(system.mirrors))]
+    judge = None
+    for moves in others if factor.n_negative else others[1:]:
+        judge = judge or RepeatedFactor(system.pattern)
+        judge.factor(system.tangent(state, share, misfit.held, squeezed, moves)[0])
+        if judge.n_negative:
+            return False
+    return True
 
 
 def _own_displacement(system: FiniteSystem, state: State) -> float:
@@ -179,17 +193,22 @@ def _slope(system: FiniteSystem, factor: RepeatedFactor, state: State) -> float:
     return float((loads * factor.solve(loads)).sum())
 
 
-def _refusal(system: FiniteSystem, share: float, worst: State) -> str:
-    least, element = system.body.least_j(worst.u)
+def _refusal(system: FiniteSystem, share: float, worst: "_Tried") -> UnreachableLoadError:
+    least, element = system.body.least_j(worst.state.u)
     x, y, z = system.body.centres_mm[element]
     mend = "bond a stiff plate to the patch, or take a smaller load"
     if system.plates.count and not system.dead.any() and not len(system.faces.faces):
         mend = "take a smaller load or a stiffer rubber"
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
-    return (
-        f"no equilibrium above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} "
-        f"mm gives way (smallest J {least:.2g}): {mend}."
+    what = "equilibrium"
+    is_unstable = worst.misfit.residual <= RESIDUAL
+    if is_unstable:
+        what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
+    return UnreachableLoadError(
+        f"no {what} above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
+        f"gives way (smallest J {least:.2g}): {mend}.",
+        is_unstable,
     )
 
 

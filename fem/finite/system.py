@@ -4,7 +4,7 @@ Unknowns come in threes: displacements of the free nodes, then shift and spin of
 plate's width so that all are lengths.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,19 +93,24 @@ class FiniteSystem:
         self.number = np.full(body.n_nodes, -1, dtype=np.int64)
         self.number[self.free] = np.arange(len(self.free))
         #: 0 for unknowns that mirrors hold, else 1, (n_blocks, 3)
-        self.moves = np.ones((self.n_blocks, 3))
-        for axis in mirrors:
-            self._hold(axis)
+        self.moves = self.moves_of(1 for _ in mirrors)
         self._find_pattern()
 
-    def _hold(self, axis: int) -> None:
-        """Hold what a mirror image would undo: the way through its plane, and a plate's spins but about its normal."""
-        points, plane = self.body.basis.doflocs[axis], self.body.grid.lines[axis][0]
-        n, k = len(self.free), self.plates.count
-        self.moves[np.flatnonzero(points[self.free] == plane), axis] = 0.0
-        cut = np.unique(self.plates.plate[points[self.plates.node] == plane])
-        self.moves[n + cut, axis] = 0.0
-        self.moves[n + k + cut] *= np.arange(3) == axis
+    def moves_of(self, parity: Iterable[int]) -> FloatArray:
+        """0 for unknowns that mirrors hold, else 1, (n_blocks, 3), in fields that are even (1) or odd (−1) in each.
+
+        An even field has no way through the plane and spins a plate there about its normal only; an odd one has the
+        rest.
+        """
+        moves, n, k = np.ones((self.n_blocks, 3)), len(self.free), self.plates.count
+        for axis, sign in zip(self.mirrors, parity, strict=True):
+            points, plane = self.body.basis.doflocs[axis], self.body.grid.lines[axis][0]
+            normal = np.arange(3) == axis
+            cut = np.unique(self.plates.plate[points[self.plates.node] == plane])
+            shifted = np.append(np.flatnonzero(points[self.free] == plane), n + cut)
+            moves[shifted] *= ~normal if sign > 0 else normal
+            moves[n + k + cut] *= normal if sign > 0 else ~normal
+        return moves
 
     @property
     def n_blocks(self) -> int:
@@ -178,11 +183,17 @@ class FiniteSystem:
         )
 
     def tangent(
-        self, state: State, share: float, held: FloatArray, steadied: NDArray[np.bool_] | None = None
+        self,
+        state: State,
+        share: float,
+        held: FloatArray,
+        steadied: NDArray[np.bool_] | None = None,
+        moves: FloatArray | None = None,
     ) -> tuple[FloatArray, TangentParts]:
         """Blocks of the tangent in `pattern` at a share of the load, and its parts; `held` is of `Misfit`.
 
-        Elements that are `steadied` take no part in any loss of stability: see `TangentParts.steady`.
+        Elements that are `steadied` take no part in any loss of stability: see `TangentParts.steady`. `moves` are
+        those of another parity than the loads'.
         """
         parts = self.body.tangent_parts(state.u, state.p)
         if steadied is not None:
@@ -200,8 +211,9 @@ class FiniteSystem:
             own = self.faces.stiffness(self.body.basis.doflocs.T + state.u)
             data -= (self._of_faces @ (share * own).reshape(-1, 9)).reshape(-1, 3, 3)
         if self.mirrors:
-            data *= self.moves[self.pattern.rows][:, :, None] * self.moves[self.pattern.cols][:, None, :]
-            data[self.pattern.rows == self.pattern.cols] += np.eye(3) * (1.0 - self.moves)[:, None, :]
+            moves = self.moves if moves is None else moves
+            data *= moves[self.pattern.rows][:, :, None] * moves[self.pattern.cols][:, None, :]
+            data[self.pattern.rows == self.pattern.cols] += np.eye(3) * (1.0 - moves)[:, None, :]
         return data, parts
 
     def _plate_blocks(self, K: dict[tuple[int, int], FloatArray], state: State, held: FloatArray) -> FloatArray:

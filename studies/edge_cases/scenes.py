@@ -22,6 +22,7 @@ from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, mesh_quality
 from studies.bench.scenes import RUBBER, loaded, response_scenes, upright
+from studies.edge_cases.finite import KINDS, buckling, held_to_finer, tiny_load
 from studies.edge_cases.trials import Judged, NotTriedError, Trial
 
 YOUNG_MPA = RUBBER.young_mpa
@@ -309,6 +310,16 @@ def scene_trials() -> list[Trial]:
         add("modulus", f"matrix/pillar {ratio:g}", modulus_ratio, ratio)
     for ratio, mpa in ((1 / 3, 1e-6), (1 / 3, 1.0), (3.0, 1.0)):
         add("finite strain", f"pillar/matrix {ratio:.2g}, {mpa:g} MPa", two_rubbers_finite, ratio, mpa)
+    for nu in (0.3, 0.45, 0.49, 0.499, 0.4999):
+        add("finite strain", f"stiff 1 MPa, ν = {nu:g}", held_to_finer, "stiff", 1.0, nu)
+    for kind in KINDS:
+        add("finite strain", f"{kind} 1e-06 MPa", tiny_load, kind)
+        for mpa in (0.1, 3.0, 10.0):
+            add("finite strain", f"{kind} {mpa:g} MPa", held_to_finer, kind, mpa)
+    for height_mm in np.geomspace(2.0, 16.0, 10).round(2).tolist():
+        add("finite strain", f"follower 1 MPa, height {height_mm:g}", held_to_finer, "follower", 1.0, 0.49, height_mm)
+    for share, aside in ((0.5, 0.0), (0.5, 1e-5), (0.9, 1e-5), (1.1, 0.0), (2.0, 0.0)):
+        add("finite strain", f"{share:g} of Euler's load{', aside' if aside else ''}", buckling, share, aside)
     for width_mm, height_mm in ((0.1, 10.0), (1.0, 100.0), (1.0, 20.0)):
         for tangential in (False, True):
             way = "dragged" if tangential else "pressed"

@@ -50,7 +50,7 @@ def test_finite_strain_says_what_it_did_and_draws(house):
     (house.folder / "finite.toml").write_text(text.replace("-0.01]", "-10.0]"))
     refused = house.tripillar("solve", "finite.toml", "--tolerance", "0.2")
     assert refused.returncode == 2
-    assert "no equilibrium above" in refused.stderr
+    assert "equilibrium above" in refused.stderr
     assert "smaller load" in refused.stderr
 
 
