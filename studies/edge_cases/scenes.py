@@ -310,11 +310,11 @@ def scene_trials() -> list[Trial]:
         add("modulus", f"matrix/pillar {ratio:g}", modulus_ratio, ratio)
     for ratio, mpa in ((1 / 3, 1e-6), (1 / 3, 1.0), (3.0, 1.0)):
         add("finite strain", f"pillar/matrix {ratio:.2g}, {mpa:g} MPa", two_rubbers_finite, ratio, mpa)
-    for nu in (0.3, 0.45, 0.49, 0.499, 0.4999):
+    for nu in (0.3, 0.49, 0.4999):
         add("finite strain", f"stiff 1 MPa, ν = {nu:g}", held_to_finer, "stiff", 1.0, nu)
     for kind in KINDS:
         add("finite strain", f"{kind} 1e-06 MPa", tiny_load, kind)
-        for mpa in (0.1, 3.0, 10.0):
+        for mpa in (3.0, 10.0):
             add("finite strain", f"{kind} {mpa:g} MPa", held_to_finer, kind, mpa)
     for height_mm in np.geomspace(2.0, 16.0, 10).round(2).tolist():
         add("finite strain", f"follower 1 MPa, height {height_mm:g}", held_to_finer, "follower", 1.0, 0.49, height_mm)
