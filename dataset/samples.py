@@ -39,13 +39,19 @@ VARIABLES = {
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
+#: variables (sample,) of samples at finite strain, and their attributes
+SOLVED = {
+    "strain_model": {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
+    "error_estimate": {"units": "1", "note": "of the displacements, relative"},
+    "iterations": {"units": "1", "note": "solves of the sample, one factor for all"},
+}
 #: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 
 
 #: attributes that are of a whole file and not of some of its samples
-WHOLE_FILE = ("samples", "redrawn", "recipe")
+WHOLE_FILE = ("samples", "redrawn", "unsolved", "recipe")
 
 
 class SampleError(TriPillarError, ValueError):
@@ -78,6 +84,11 @@ class Samples:
     )
     displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
+    strain_model: FloatArray | None = (
+        None  #: (n,): model of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
+    )
+    error_estimate: FloatArray | None = None  #: (n,): of the displacements, relative; None if not known
+    iterations: FloatArray | None = None  #: (n,): of the solution at finite strain
     design: SensorDesign | None = None  #: None if it is not known
     noise: float = 0.0  #: relative standard deviation of the resistances; 0 if not known
     bits: int | None = None  #: resolution of the converter; None if exact or not known
@@ -95,6 +106,10 @@ class Samples:
                 if np.shape(values) != expected:
                     raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
                 object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
+        for name in SOLVED:
+            values = getattr(self, name)
+            if values is not None and np.shape(values) != shape[:1]:
+                raise SampleError(f"{name} has shape {np.shape(values)}, expected {shape[:1]}: a number a sample.")
         if self.dead is not None and np.shape(self.dead) != shape[1:]:
             raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[1:]}: one entry a pillar.")
 
@@ -107,7 +122,7 @@ class Samples:
             if not -len(self) <= which < len(self):
                 raise IndexError(f"no sample {which}: there are {len(self)}.")
             which = [int(which)]
-        arrays = {name: values[which] for name in VARIABLES if (values := getattr(self, name)) is not None}
+        arrays = {name: values[which] for name in (*VARIABLES, *SOLVED) if (values := getattr(self, name)) is not None}
         kept = {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
         return replace(self, **arrays, made_from=kept)
 
@@ -118,13 +133,15 @@ class Samples:
 
     def labels(self) -> "Samples":
         """A copy without tractions, displacements and lengths, which training does not need."""
-        return replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
+        without = replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
+        return replace(without, strain_model=None, error_estimate=None, iterations=None)
 
     def to_xarray(self) -> "xr.Dataset":
         """The content of a dataset file."""
         import xarray as xr
 
-        held = {name: spec for name, spec in VARIABLES.items() if getattr(self, name) is not None}
+        known = VARIABLES | {name: (("sample",), notes) for name, notes in SOLVED.items()}
+        held = {name: spec for name, spec in known.items() if getattr(self, name) is not None}
         design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return xr.Dataset(
             {name: (dims, getattr(self, name), notes) for name, (dims, notes) in held.items()},
@@ -181,6 +198,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples:
     path = Path(path)
     dims = {name: spec[0] for name, spec in VARIABLES.items()}
     wanted = {name: dims.pop(name) for name in ("force_n", "resistance_ohm")}
+    dims |= dict.fromkeys(SOLVED, ("sample",))
     data = read_netcdf(path, wanted, made_by="tripillar dataset", optional={} if labels_only else dims)
     for dim, labels in COORDINATES.items():
         if dim not in data.dims:
@@ -191,7 +209,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples:
                 f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
             )
         data = data.sel({dim: labels})
-    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in VARIABLES if name in data}
+    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in (*VARIABLES, *SOLVED) if name in data}
     force_n, resistance_ohm = arrays["force_n"], arrays["resistance_ohm"]
     _require_sane(path, "force_n", force_n, np.abs(force_n) <= MAX_N, f"finite, at most {MAX_N:g} N either way")
     sound = (resistance_ohm >= MIN_OHM) & (resistance_ohm <= MAX_OHM)
@@ -258,7 +276,7 @@ def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, 
         index = tuple(np.argwhere(~sound)[0])
         place = ", ".join(
             f"{dim} {COORDINATES[dim][number] if dim in COORDINATES else number}"
-            for dim, number in zip(VARIABLES[name][0], index, strict=True)
+            for dim, number in zip(VARIABLES.get(name, (("sample",),))[0], index, strict=True)
         )
         raise FileFormatError(
             f"{path}: {name} is {values[index]} at {place}; it must be {allowed}: remove that sample or measure it "

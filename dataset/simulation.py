@@ -123,16 +123,23 @@ def simulate(
         bits=settings.bits,
         dead=settings.dead_mask(rows, cols),
         made_from={
-            **settings.as_attributes(),
-            **_read_through(readout),
-            "summary": PROTOCOLS[settings.protocol].summary,
-            "redrawn": redrawn,
+            **origin(response, settings, redrawn, readout),
             "recipe": dataset_cache_key(response, settings, readout),
-            "response_hash": response.content_hash,
-            "mesh_hash": response.mesh_hash,
-            "residual": response.residual,
         },
     )
+
+
+def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, readout: Readout | None) -> dict[str, Any]:
+    """Attributes of a file: settings, protocol, response."""
+    return {
+        **settings.as_attributes(),
+        **_read_through(readout),
+        "summary": PROTOCOLS[settings.protocol].summary,
+        "redrawn": redrawn,
+        "response_hash": response.content_hash,
+        "mesh_hash": response.mesh_hash,
+        "residual": response.residual,
+    }
 
 
 def measured_again(
@@ -155,21 +162,28 @@ def measured_again(
     design, lengths = samples.design, samples.length_mm
     if design is None or lengths is None:
         raise SampleError("samples without length_mm and design cannot be measured again: take what simulate gave.")
-    exact_ohm = _exact_resistances(lengths, design)
-    blocks = [
-        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
-        for start in range(0, len(exact_ohm), BLOCK)
-    ]
     other = {spec.name for spec in fields(Imperfections)} | {"readout", "recipe"}
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
-        resistance_ohm=np.concatenate(blocks),
+        resistance_ohm=measured_resistances(lengths, design, imperfections, seed, readout),
         noise=imperfections.noise,
         bits=imperfections.bits,
         dead=imperfections.dead_mask(design.array.rows, design.array.cols),
         made_from={**kept, **imperfections.as_attributes(), **_read_through(readout), "noise_seed": seed},
     )
+
+
+def measured_resistances(
+    length_mm: FloatArray, design: SensorDesign, imperfections: Imperfections, seed: int, readout: Readout | None
+) -> FloatArray:
+    """Resistances (n, rows, cols, 3) [Ω] of pillars of these lengths, as a sensor of these imperfections reads them."""
+    exact_ohm = _exact_resistances(length_mm, design)
+    blocks = [
+        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
+        for start in range(0, len(exact_ohm), BLOCK)
+    ]
+    return np.concatenate(blocks)
 
 
 def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:

@@ -5,7 +5,7 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 
 import math
 import sys
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from geometry.errors import DesignError
@@ -220,3 +220,13 @@ class SensorDesign:
     def is_homogeneous(self) -> bool:
         """True if pillars and matrix are of one rubber, so that pillars need no mesh of their own."""
         return self.pillar_material == self.matrix_material
+
+
+def with_model(design: SensorDesign, model: str) -> SensorDesign:
+    """The same sensor, its rubbers of another model.
+
+    >>> with_model(SensorDesign(), "neo-hookean").matrix_material.model
+    'neo-hookean'
+    """
+    pillar, matrix = (replace(rubber, model=model) for rubber in (design.pillar_material, design.matrix_material))
+    return replace(design, pillar_material=pillar, matrix_material=matrix)

@@ -6,6 +6,7 @@ change is least (Walker & Ni, SIAM J. Numer. Anal. 49 (2011) 1715). Pressures ar
 `newton.py`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from fem.finite.system import State
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
+#: which samples need no answer, (m,), by shifts (m, k, 3) and rotations (m, k, 3, 3) of their plates and last changes
+Hopeless = Callable[[FloatArray, FloatArray, FloatArray], NDArray[np.bool_]]
 
 DEPTH = 6  #: earlier iterates that are combined
 MAX_GROWTH = 2.0  #: of the change that is asked for, before a step is halved
@@ -30,6 +33,11 @@ class Relaxed:
     state: State
     change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where the last step was halved
     iterations: IntArray  #: (m,)
+
+
+def never(shift: FloatArray, rotation: FloatArray, change: FloatArray) -> NDArray[np.bool_]:
+    """No sample is hopeless."""
+    return np.zeros(len(change), dtype=bool)
 
 
 class Relaxation:
@@ -56,14 +64,21 @@ class Relaxation:
     def state(self, x: FloatArray) -> State:
         """The deformed bodies of vectors (m, n)."""
         blocks = x[:, : self.n_motions].reshape(len(x), -1, 3)
-        shift = blocks[:, self.n : self.n + self.k]
-        half_spin = blocks[:, self.n + self.k :] / (2 * self.system.plates.half_mm[:, None])
-        rotation = quaternion_rotations(half_spin) @ self.base.state.rotation
+        shift, rotation = self.plates(x)
         u = np.zeros((len(x), self.body.n_nodes, 3))
         u[:, self.system.free] = blocks[:, : self.n]
         u[:, self.system.plates.node] = self.system.plates.displacements(shift, rotation)
         p = x[:, self.n_motions :].reshape(len(x), -1, N_PRESSURES)
         return State(u=u, p=p, shift=shift, rotation=rotation)
+
+    def vectors(self, state: State) -> FloatArray:
+        """Vectors (m, n) of deformed bodies: the inverse of `state`."""
+        m, turn = len(state.u), state.rotation @ self.base.state.rotation.swapaxes(1, 2)
+        q0 = np.sqrt(np.maximum(1 + np.trace(turn, axis1=2, axis2=3), 1e-12)) / 2
+        skew = turn - turn.swapaxes(2, 3)
+        half_spin = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1) / (4 * q0[..., None])
+        spin = half_spin * (2 * self.system.plates.half_mm[:, None])
+        return np.hstack([part.reshape(m, -1) for part in (state.u[:, self.system.free], state.shift, spin, state.p)])
 
     def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
         """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
@@ -79,11 +94,18 @@ class Relaxation:
         pressures = missing + parts.pressure_changes(nodal)
         return np.hstack([z.reshape(len(x), -1), pressures.reshape(len(x), -1)])
 
-    def relax(self, x: FloatArray, iterations: int, tolerance: float) -> Relaxed:
+    def plates(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Shifts (m, k, 3) and rotations (m, k, 3, 3) of the plates of vectors (m, n)."""
+        blocks = x[:, 3 * self.n : self.n_motions].reshape(len(x), 2, self.k, 3)
+        half_spin = blocks[:, 1] / (2 * self.system.plates.half_mm[:, None])
+        return blocks[:, 0], quaternion_rotations(half_spin) @ self.base.state.rotation
+
+    def relax(self, x: FloatArray, iterations: int, tolerance: float, hopeless: Hopeless = never) -> Relaxed:
         """Iterate until the plates' motion changes by less than a tolerance, relative, or so many times.
 
-        A sample that has settled stays as it is, whatever the others need. A step that lets the forces grow, or turns
-        an element inside out, is halved. A sample that does not settle ends with a change above the tolerance.
+        A sample that has settled, or is hopeless, stays as it is, whatever the others need. A step that lets the forces
+        grow, or turns an element inside out, is halved. A sample that does not settle ends with a change above the
+        tolerance.
         """
         weight = np.ones(x.shape[1])
         weight[self.n_motions :] = PRESSURE_MM_PER_MPA
@@ -110,6 +132,8 @@ class Relaxation:
                 length = float(np.linalg.norm(x[sample, plates]))
                 change[sample] = float(np.linalg.norm(step[plates])) / (length or 1.0)
             going = going[change[going] > tolerance]
+            if len(going):
+                going = going[~hopeless(*self.plates(x[going]), change[going])]
             if not len(going):
                 break
         for sample in going:

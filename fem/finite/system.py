@@ -302,6 +302,6 @@ class FiniteSystem:
         self._of_elements_crossed = places(r, c, crossed)
 
 
-def at_state(state: State, number: int) -> State:
-    """One of several states."""
+def at_state(state: State, number: "int | IntArray") -> State:
+    """One of several states, or some."""
     return replace(state, **{name: getattr(state, name)[number] for name in ("u", "p", "shift", "rotation")})

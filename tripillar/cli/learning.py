@@ -1,11 +1,13 @@
 """The commands that make data, and train, test, tune and export networks."""
 
-from dataclasses import asdict
+import os
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from geometry.design import with_model
 from geometry.errors import DesignError
 from tripillar.terminal.console import (
     DesignOption,
@@ -22,10 +24,13 @@ from tripillar.terminal.console import (
     spelled,
     wrote,
 )
+from tripillar.terminal.interrupts import last_words
 
 if TYPE_CHECKING:
+    from dataset import DatasetSettings, Readout, Samples
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
+    from geometry.design import SensorDesign
     from tripillar.face.checks import Caller
     from tripillar.terminal.progress import Bars
 
@@ -97,6 +102,18 @@ def dataset(
     ] = None,
     line_ohm: Annotated[float | None, typer.Option(help="Resistance of a wire of --crossbar [Ω]; default: 0.")] = None,
     correct: Annotated[bool, typer.Option(help="Correct the crosstalk of --crossbar, as a live sensor does.")] = True,
+    strain: Annotated[
+        Literal["linear", "finite"] | None,
+        typer.Option(
+            help="Model: linear, or finite strain (neo-Hookean, stiff pads); default: the design's materials'."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Worker processes of --strain finite; default: one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler for --strain finite, such as tcp://host:8786.")
+    ] = None,
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
@@ -139,14 +156,78 @@ def dataset(
             **given,
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)
+    finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
+    if not finite and (workers is not None or scheduler is not None):
+        raise DesignError("--workers and --scheduler belong to --strain finite: linear samples take milliseconds.")
     with progress_bars(verbosity) as bars:
-        _, solved = respond(sensor, bars)
-        advance = bars.begin("dataset", total=samples)
-        data = simulate(solved, settings, lambda n: advance(n, ""), readout)
+        if finite:
+            data = _finite_samples(sensor, settings, readout, workers, scheduler, bars)
+        else:
+            _, solved = respond(with_model(sensor, "linear"), bars)
+            advance = bars.begin("dataset", total=samples)
+            data = simulate(replace(solved, design=sensor), settings, lambda n: advance(n, ""), readout)
     data.write(out)
-    redrawn = data.made_from["redrawn"]
-    result = {"file": str(out), "samples": samples, "redrawn": redrawn, "recipe": data.made_from["recipe"]}
-    answer(json_, result, f"{samples} samples, {redrawn} draws passed the cap of {cap:g} and were redrawn", out)
+    story = data.made_from
+    result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
+    line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
+    if finite:
+        errors = data.error_estimate
+        assert errors is not None
+        result |= {"strain": "finite", "unsolved": story["unsolved"], "error_estimate": float(errors.mean())}
+        line += (
+            f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
+            f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
+        )
+    answer(json_, result, line, out)
+
+
+def _finite_samples(
+    sensor: "SensorDesign",
+    settings: "DatasetSettings",
+    readout: "Readout | None",
+    workers: int | None,
+    scheduler: str | None,
+    bars: "Bars",
+) -> "Samples":
+    """Samples at finite strain by workers, those of earlier runs taken up again."""
+    from dataset.finite_strain import n_groups, require_finite, samples_of
+    from tripillar.cli.studying import require_counts, require_packages
+    from tripillar.pipeline.run import respond
+    from tripillar.sweep.finite_samples import (
+        GroupJob,
+        failed_group_row,
+        group_row,
+        groups_folder,
+        kept_groups,
+        make_groups,
+    )  # fmt: skip
+    from tripillar.sweep.workers import open_workers
+
+    require_finite(sensor)
+    require_counts(workers=workers)
+    if scheduler is not None:
+        require_packages("distributed")
+    _, solved = respond(with_model(sensor, "linear"), bars)
+    job = GroupJob(response=replace(solved, design=sensor), settings=settings)
+    found = kept_groups(job)
+    total = n_groups(settings.samples)
+    missing = [number for number in range(total) if number not in found]
+    if missing:
+        folder = groups_folder(job)
+        words = f"stopped; the samples in {folder} are kept: give the same command again to go on."
+        count = None if scheduler is not None else min(workers or os.cpu_count() or 1, len(missing))
+        if scheduler is not None and workers is not None:
+            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
+        with (
+            last_words(words),
+            open_workers(count, scheduler, folder / "workers.log", group_row, failed_group_row) as hands,
+        ):
+            advance = bars.begin("dataset", total=total)
+            advance(len(found), "workers begin")
+            found |= make_groups(
+                job, hands, missing, lambda group: advance(1, f"{group.iterations.mean():.0f} iterations a sample")
+            )
+    return samples_of(job.response, settings, [found[number] for number in range(total)], readout)
 
 
 def train(

@@ -52,7 +52,7 @@ def judge_all(
             if len(making) < count and own.isdisjoint(set().union(*making.values())):
                 making[cache_key] = own
                 workers.give(waiting.pop(cache_key), judging)
-        row = _next_row(workers)
+        row = next_row(workers)
         made |= making.pop(row.cache_key)
         write_row(row, folder)
         rows[row.cache_key] = row
@@ -60,7 +60,7 @@ def judge_all(
     return rows
 
 
-def _next_row(workers: Workers) -> Row:
+def next_row(workers: Workers) -> Row:
     """The next row; every `QUIET_S` without one, the state of the workers is said."""
     begun = monotonic()
     while True:

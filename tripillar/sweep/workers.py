@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker, util
 from multiprocessing.connection import Connection
@@ -45,6 +45,10 @@ REAPED_S = 30.0  #: for the exit code of a worker that has ended, on a busy mach
 CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
 
 
+Judge = Callable[[Any, Any], Any]  #: a design and how to judge it to its row
+Failed = Callable[[Any, Exception, str], Any]  #: a design, the error and words about it to its row
+
+
 class Workers(Protocol):
     """Workers as a sweep uses them."""
 
@@ -63,7 +67,9 @@ class Workers(Protocol):
 
 
 @contextmanager
-def open_workers(count: int | None, scheduler: str | None, log: Path) -> Iterator[Workers]:
+def open_workers(
+    count: int | None, scheduler: str | None, log: Path, judge: Judge = row_of, failed: Failed = failed_row
+) -> Iterator[Workers]:
     """Workers, ended when the context is left.
 
     Parameters
@@ -75,6 +81,9 @@ def open_workers(count: int | None, scheduler: str | None, log: Path) -> Iterato
         installed.
     log : Path
         File for what processes of this machine print, the mesher's pages among it.
+    judge, failed : functions
+        Of a module: the row of a design, and the row of one whose worker failed. Any task with a `cache_key` may take
+        the designs' place, any plain object that of `Judging`, and what comes back that of rows.
 
     Raises
     ------
@@ -87,13 +96,13 @@ def open_workers(count: int | None, scheduler: str | None, log: Path) -> Iterato
         log.parent.mkdir(parents=True, exist_ok=True)
         log.touch()
         with scratch() as folder, one_thread_each():
-            local = LocalWorkers(count or os.cpu_count() or 1, log, folder)
+            local = LocalWorkers(count or os.cpu_count() or 1, log, folder, judge, failed)
             try:
                 yield local
             finally:
                 local.end()
         return
-    with connected(scheduler) as cluster:
+    with connected(scheduler, judge, failed) as cluster:
         yield cluster
 
 
@@ -119,8 +128,9 @@ class LocalWorkers:
     Each is attended by a thread, in which it is begun: the main thread is free to answer Ctrl-C at once.
     """
 
-    def __init__(self, count: int, log: Path, scratch_folder: Path) -> None:
+    def __init__(self, count: int, log: Path, scratch_folder: Path, judge: Judge, failed: Failed) -> None:
         self.count = count
+        self._judge, self._failed = judge, failed
         self._log, self._scratch = log, scratch_folder
         self._memory_bytes = min(MEMORY_BYTES, psutil.virtual_memory().total // count)
         self._tasks: SimpleQueue[tuple[Sample, Judging]] = SimpleQueue()
@@ -184,7 +194,7 @@ class LocalWorkers:
                         lost.append(error)
                         self._losses.append(str(error))
                         if len(lost) == KILLS or sum(not each.killed for each in lost) == TRIES:
-                            result = failed_row(sample, error, f", the last of {len(lost)}")
+                            result = self._failed(sample, error, f", the last of {len(lost)}")
                     except Exception as error:  # nobody sees what a thread raises: the main one is to raise it
                         result = error
                 del self._begun[sample.cache_key]
@@ -198,7 +208,10 @@ class LocalWorkers:
             remove_at_end(Path(util.get_temp_dir()))  # where the server's socket will be
         ours, theirs = context.Pipe()
         environment = {"TRIPILLAR_CACHE": str(cache_folder().absolute()), "TMPDIR": str(self._scratch)}
-        process = context.Process(target=_serve, args=(theirs, self._log.absolute(), environment), daemon=True)
+        functions = self._judge, self._failed
+        process = context.Process(
+            target=_serve, args=(theirs, self._log.absolute(), environment, *functions), daemon=True
+        )
         try:
             process.start()
         except (EOFError, ConnectionError):  # the server was killed; the system may need a while to say so
@@ -246,7 +259,7 @@ def _memory_bytes(process: BaseProcess) -> int:
     return taken
 
 
-def _serve(pipe: Connection, log: Path, environment: dict[str, str]) -> None:
+def _serve(pipe: Connection, log: Path, environment: dict[str, str], judge: Judge, failed: Failed) -> None:
     """Run a worker: take designs from its pipe and return their rows, until it is ended or its parent is gone."""
     interrupts.install()  # to remove half-written files when it is ended
     Thread(target=_end_with_parent, daemon=True).start()
@@ -259,11 +272,11 @@ def _serve(pipe: Connection, log: Path, environment: dict[str, str]) -> None:
     while True:
         sample, judging = pipe.recv()
         try:
-            result: Row | OSError = row_of(sample, judging)
+            result: Row | OSError = judge(sample, judging)
         except OSError as error:
             result = error
         except Exception as error:  # whatever it is, it is this design's, and the others go on
-            result = failed_row(sample, error)
+            result = failed(sample, error, "")
         pipe.send(result)
 
 
@@ -280,8 +293,8 @@ def _end_with_parent() -> None:
 class ClusterWorkers:
     """The workers of a client's scheduler; see `Workers`. Dask gives a lost worker's design to another, thrice."""
 
-    def __init__(self, client: "Client") -> None:
-        self._client = client
+    def __init__(self, client: "Client", judge: Judge, failed: Failed) -> None:
+        self._client, self._judge, self._failed = client, judge, failed
         self._ended: SimpleQueue[Future] = SimpleQueue()
         self._flying: dict[Future, Sample] = {}
 
@@ -290,7 +303,7 @@ class ClusterWorkers:
         return max(1, sum(self._client.nthreads().values()))
 
     def give(self, sample: Sample, judging: Judging) -> None:
-        future = self._client.submit(row_of, sample, judging, pure=False)
+        future = self._client.submit(self._judge, sample, judging, pure=False)
         self._flying[future] = sample
         future.add_done_callback(self._ended.put)
 
@@ -306,7 +319,7 @@ class ClusterWorkers:
         error = future.exception()
         if isinstance(error, OSError):
             raise error
-        row: Row = future.result() if error is None else failed_row(sample, error)
+        row: Row = future.result() if error is None else self._failed(sample, error, "")
         return row
 
     def state(self) -> str:
@@ -317,7 +330,7 @@ class ClusterWorkers:
 
 
 @contextmanager
-def connected(scheduler: str) -> Iterator[ClusterWorkers]:
+def connected(scheduler: str, judge: Judge, failed: Failed) -> Iterator[ClusterWorkers]:
     """The workers of the scheduler at an address; errors as in `open_workers`."""
     from distributed import Client
     from distributed.utils import silence_logging_cmgr
@@ -333,4 +346,4 @@ def connected(scheduler: str) -> Iterator[ClusterWorkers]:
             raise DesignError(
                 f"the scheduler at {scheduler} has no workers: start some by 'dask worker {scheduler}'."
             ) from None
-        yield ClusterWorkers(client)
+        yield ClusterWorkers(client, judge, failed)

@@ -1,0 +1,91 @@
+"""Samples at finite strain: drawn below the cap, the same alone and among others, told of what failed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, Samples, read_samples
+from dataset.finite_strain import GROUP, Group, GroupSolver, group_cache_key, n_groups, samples_of
+from dataset.resistance import pillar_strains
+from dataset.simulation import LoadError
+from fem.array.response import ArrayResponse
+from geometry import Array, DesignError, Pad, SensorDesign
+
+DESIGN = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
+SETTINGS = DatasetSettings(protocol="contact", samples=2 * GROUP, seed=3, noise=1e-3)
+
+
+@pytest.fixture(scope="module")
+def response() -> ArrayResponse:
+    """The linear response of the solver's own finer grid: what samples are at small strain."""
+    from fem.finite.samples import SampleSolver
+
+    influence = SampleSolver(DESIGN).fine.influence.reshape(1, 2, 2, 3, 1, 2, 3)
+    return ArrayResponse(
+        design=DESIGN, influence_mm_per_n=influence, residual=0.0, unknowns=1, seconds={}, error_estimate=1e-3
+    )
+
+
+@pytest.fixture(scope="module")
+def solver(response) -> GroupSolver:
+    return GroupSolver(response, SETTINGS.cap)
+
+
+@pytest.fixture(scope="module")
+def groups(solver) -> list[Group]:
+    return [solver.group(SETTINGS, number) for number in range(2)]
+
+
+@pytest.fixture(scope="module")
+def samples(response, groups) -> Samples:
+    return samples_of(response, SETTINGS, groups)
+
+
+def test_a_group_is_to_the_last_bit_the_same_whoever_makes_it(response, groups):
+    """By a new solver, without the groups before it, and through the text in which it is kept."""
+    alone = GroupSolver(response, SETTINGS.cap).group(replace(SETTINGS, samples=1, noise=0.0), 1)
+    for group in (alone, Group.of_plain(groups[1].as_plain())):
+        for name, values in vars(groups[1]).items():
+            assert np.array_equal(getattr(group, name), values)
+
+
+def test_samples_stay_below_the_cap_and_say_how_they_were_solved(samples, tmp_path):
+    strains = pillar_strains(samples.displacement_mm, samples.length_mm, DESIGN.unit)
+    assert strains.max() <= SETTINGS.cap
+    assert samples.made_from["strain"] == "finite"
+    assert {name: samples.made_from[name] >= 0 for name in ("redrawn", "unsolved")} == {"redrawn": 1, "unsolved": 1}
+    samples.write(tmp_path / "a.nc")
+    back = read_samples(tmp_path / "a.nc")
+    for name in ("strain_model", "error_estimate", "iterations", "displacement_mm", "resistance_ohm"):
+        assert np.array_equal(getattr(back, name), getattr(samples, name))
+    assert (back.strain_model == 1.0).all()
+    assert back.labels().iterations is None
+    assert back[:3].error_estimate.shape == (3,)
+
+
+def test_rubber_stiffens_under_plates(samples, response):
+    """Estimated errors are small beside what linear elasticity gets wrong."""
+    linear = np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, 144.0 * samples.traction_mpa)
+    size = np.linalg.norm(samples.displacement_mm.reshape(len(samples), -1), axis=1)
+    off = np.linalg.norm((linear - samples.displacement_mm).reshape(len(samples), -1), axis=1) / size
+    assert off.mean() > 0.03
+    assert (samples.error_estimate < 0.5 * off).mean() > 0.9
+    assert samples.error_estimate.max() < 0.05
+
+
+def test_more_samples_leave_the_first_ones_as_they_are(response, samples, groups):
+    few = samples_of(response, replace(SETTINGS, samples=5), groups[: n_groups(5)])
+    assert np.array_equal(few.displacement_mm, samples.displacement_mm[:5])
+    assert np.array_equal(few.resistance_ohm, samples.resistance_ohm[:5])
+    key = group_cache_key(response, SETTINGS)
+    assert key == group_cache_key(response, replace(SETTINGS, samples=5, noise=0.0))
+    assert key != group_cache_key(response, replace(SETTINGS, cap=0.2))
+
+
+def test_what_cannot_be_solved_is_refused(response, solver, monkeypatch):
+    with pytest.raises(DesignError, match="finite strain needs stiff pads"):
+        GroupSolver(replace(response, design=replace(DESIGN, pad=Pad())), 0.3)
+    monkeypatch.setattr("dataset.finite_strain.MAX_DRAWS", 1)
+    with pytest.raises(LoadError, match=r"beyond cap=0\.01 in 1 draws on end"):
+        solver.group(replace(SETTINGS, cap=0.01), 0)
