@@ -1,18 +1,15 @@
-"""An array with stiff pads on a grid, its equilibria under uniform pressures, and what it takes to a finer grid."""
+"""An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid
-from fem.discretization.lagrange import gauss_points, line_values
 from fem.finite.relaxation import Relaxation, Relaxed
-from fem.finite.rubber_body import N_PRESSURES, PROJECTION, RubberBody
+from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState
 from fem.finite.system import FiniteSystem, State, at_state
 from fem.linear.refactored import RepeatedFactor
@@ -67,6 +64,7 @@ class PreloadedArray:
             upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
         )  #: of the electrodes on their plates, (2, 3)
         self._bases: dict[float, BaseState] = {}
+        self._inverses: dict[float, FloatArray] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
         """The equilibrium under a uniform pressure on all pads, found once.
@@ -110,13 +108,19 @@ class PreloadedArray:
         return np.asarray(np.linalg.pinv(self.influence))
 
     def solve(
-        self, preload_mpa: float, force_n: FloatArray, tolerance: float, unwanted: Unwanted, start: State | None = None
+        self,
+        preload_mpa: float,
+        force_n: FloatArray,
+        tolerance: float,
+        unwanted: Unwanted,
+        start_n: FloatArray | None = None,
     ) -> Relaxed:
         """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
 
-        Begins from that tangent at once, or from given states. Samples that are not wanted keep the change they had.
+        Begins where that tangent leads under these forces, or under others, `start_n`. Samples that are not wanted keep
+        the change they had.
         """
-        found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted, start)
+        found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted, start_n)
         for number in np.flatnonzero((found.change > tolerance) & np.isfinite(found.change)):
             own, sample = at_state(found.state, int(number)), slice(number, number + 1)
             for _ in range(RENEWALS):
@@ -134,73 +138,40 @@ class PreloadedArray:
         return found
 
     def _relaxed(
-        self, base: BaseState, force_n: FloatArray, tolerance: float, unwanted: Unwanted, start: State | None = None
+        self,
+        base: BaseState,
+        force_n: FloatArray,
+        tolerance: float,
+        unwanted: Unwanted,
+        start_n: FloatArray | None = None,
     ) -> Relaxed:
         def hopeless(shift: FloatArray, rotation: FloatArray, change: FloatArray) -> NDArray[np.bool_]:
             return (change < NEARLY) & unwanted(self.electrodes(shift, rotation))
 
-        loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
-        loads[:, 0] = force_n - base.system.force_n
-        relaxation = Relaxation(base, loads)
-        x = relaxation.start() if start is None else relaxation.vectors(start)
-        return relaxation.relax(x, MAX_ITERATIONS, tolerance, hopeless)
+        relaxation = Relaxation(base, _over(base, force_n))
+        start = relaxation if start_n is None else Relaxation(base, _over(base, start_n))
+        return relaxation.relax(start.start(), MAX_ITERATIONS, tolerance, hopeless)
+
+    def forces_like(self, preload_mpa: float, state: State) -> FloatArray:
+        """Forces (m, k, 3) [N] under which the preload's tangent moves the plates most nearly as states have them."""
+        base, m = self.base(preload_mpa), len(state.shift)
+        if preload_mpa not in self._inverses:
+            compliance = base.compliance()[:, : 3 * self.design.n_units]
+            self._inverses[preload_mpa] = np.asarray(np.linalg.pinv(compliance))
+        turn = state.rotation @ base.state.rotation.swapaxes(1, 2)
+        spin = np.stack([turn[..., 2, 1], turn[..., 0, 2], turn[..., 1, 0]], axis=-1)
+        spin -= np.stack([turn[..., 1, 2], turn[..., 2, 0], turn[..., 0, 1]], axis=-1)
+        spin *= base.system.plates.half_mm[:, None] / 2
+        motions = np.concatenate([state.shift - base.state.shift, spin], axis=1).reshape(m, -1)
+        return np.asarray(base.system.force_n + (motions @ self._inverses[preload_mpa].T).reshape(m, -1, 3))
 
     @cached_property
     def _factor(self) -> RepeatedFactor:
         return RepeatedFactor(next(iter(self._bases.values())).system.pattern)
 
 
-Transfer = Callable[[State, State, State], State]
-
-
-def transfer(coarse: PreloadedArray, fine: PreloadedArray) -> Transfer:
-    """A function that takes states of a coarse grid to a fine one, given the base states of both grids.
-
-    Displacements from the base state are interpolated, and pressures by the nearest linear functions.
-    """
-    along = [line_values(c, 2, _nodes(f)) for c, f in zip(coarse.body.grid.lines, fine.body.grid.lines, strict=True)]
-    shape = [matrix.shape[1] for matrix in along]
-    of_pressures = _pressure_matrix(coarse.body.grid, fine.body.grid)
-
-    def transferred(state: State, base: State, to: State) -> State:
-        m = len(state.u)
-        moved = (state.u - base.u).reshape(m, *shape, 3)
-        for axis, matrix in enumerate(along, start=1):
-            moved = np.moveaxis(np.tensordot(matrix, moved, axes=(1, axis)), 0, axis)
-        p = (of_pressures @ (state.p - base.p).reshape(m, -1).T).T
-        return State(
-            u=to.u + moved.reshape(m, -1, 3),
-            p=to.p + p.reshape(m, -1, N_PRESSURES),
-            shift=to.shift + state.shift - base.shift,
-            rotation=state.rotation @ base.rotation.swapaxes(1, 2) @ to.rotation,
-        )
-
-    return transferred
-
-
-def _nodes(lines: FloatArray) -> FloatArray:
-    return np.sort(np.concatenate([lines, (lines[1:] + lines[:-1]) / 2]))
-
-
-def _pressure_matrix(coarse: Grid, fine: Grid) -> sp.csr_matrix:
-    """Pressures (e, 4) of the fine grid's elements from those of the coarse one's, flat."""
-    points, _ = gauss_points(3)
-    element, within = [], []
-    for old, new in zip(coarse.lines, fine.lines, strict=True):
-        place = (new[:-1, None] + new[1:, None] + np.diff(new)[:, None] * points) / 2  # (elements, 3)
-        e = np.clip(np.searchsorted(old, place, side="right") - 1, 0, len(old) - 2)
-        element.append(e)
-        within.append((2 * place - old[e] - old[e + 1]) / (old[e + 1] - old[e]))
-    shape, (nx, ny, nz) = fine.shape, coarse.shape
-    rows, cols, values = [], [], []
-    number = np.arange(int(np.prod(shape)))
-    i, j, k = np.unravel_index(number, shape)
-    for q, (a, b, c) in enumerate(product(range(3), repeat=3)):
-        source = (element[0][i, a] * ny + element[1][j, b]) * nz + element[2][k, c]
-        local = np.stack([np.ones(len(number)), within[0][i, a], within[1][j, b], within[2][k, c]])
-        for row, col in product(range(N_PRESSURES), repeat=2):
-            rows.append(N_PRESSURES * number + row)
-            cols.append(N_PRESSURES * source + col)
-            values.append(PROJECTION[q, row] * local[col])
-    size = (N_PRESSURES * len(number), N_PRESSURES * nx * ny * nz)
-    return sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), shape=size)
+def _over(base: BaseState, force_n: FloatArray) -> FloatArray:
+    """Loads (m, 2, k, 3) of forces (m, k, 3) beyond those of a base state; no moments [N]."""
+    loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
+    loads[:, 0] = force_n - base.system.force_n
+    return loads

@@ -59,7 +59,7 @@ class Relaxation:
 
     def start(self) -> FloatArray:
         """Vectors (m, n) of the base's tangent at once."""
-        return self.rest + self.change(np.tile(self.rest, (self.m, 1)), np.arange(self.m))
+        return np.asarray(self.rest + self.change(np.tile(self.rest, (self.m, 1)), np.arange(self.m)))
 
     def state(self, x: FloatArray) -> State:
         """The deformed bodies of vectors (m, n)."""
@@ -70,15 +70,6 @@ class Relaxation:
         u[:, self.system.plates.node] = self.system.plates.displacements(shift, rotation)
         p = x[:, self.n_motions :].reshape(len(x), -1, N_PRESSURES)
         return State(u=u, p=p, shift=shift, rotation=rotation)
-
-    def vectors(self, state: State) -> FloatArray:
-        """Vectors (m, n) of deformed bodies: the inverse of `state`."""
-        m, turn = len(state.u), state.rotation @ self.base.state.rotation.swapaxes(1, 2)
-        q0 = np.sqrt(np.maximum(1 + np.trace(turn, axis1=2, axis2=3), 1e-12)) / 2
-        skew = turn - turn.swapaxes(2, 3)
-        half_spin = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1) / (4 * q0[..., None])
-        spin = half_spin * (2 * self.system.plates.half_mm[:, None])
-        return np.hstack([part.reshape(m, -1) for part in (state.u[:, self.system.free], state.shift, spin, state.p)])
 
     def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
         """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
@@ -130,7 +121,9 @@ class Relaxation:
                 step = g - _combined(places[sample], changes[sample], weight)
                 x[sample] += step
                 length = float(np.linalg.norm(x[sample, plates]))
-                change[sample] = float(np.linalg.norm(step[plates])) / (length or 1.0)
+                # both the step and what the tangent asks for: where one stagnates, the other does not
+                moves = max(float(np.linalg.norm(part[plates])) for part in (step, g))
+                change[sample] = moves / (length or 1.0)
             going = going[change[going] > tolerance]
             if len(going):
                 going = going[~hopeless(*self.plates(x[going]), change[going])]

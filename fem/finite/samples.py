@@ -1,7 +1,7 @@
 """Thousands of finite-strain samples of an array with stiff pads: a coarse grid, a finer one, and their difference.
 
 A sample is relaxed on the coarse grid by the tangent of the preload nearest to the middle of its pressures; one factor
-serves every sample. Its answer is where the finer grid begins, by the tangent of the same preload there. What a grid
+serves every sample. The finer grid begins under the forces whose tangent moves its plates like that answer. What a grid
 gets wrong at small strain is put right by a linear response: with influence matrices A, of a much finer grid, and B,
 its own, an answer d becomes d + (A − B) g, where g are the forces that would move the linear array most nearly by d.
 What is left falls from the coarse grid to the finer one by a factor that is nearly constant, and is extrapolated.
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.finite.preloads import Lines, PreloadedArray, Unwanted, transfer
+from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
 from fem.finite.system import at_state
 from geometry.design import SensorDesign
@@ -69,7 +69,6 @@ class SampleSolver:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self.coarse, self.fine = PreloadedArray(design, COARSE), PreloadedArray(design, FINE)
-        self._transfer = transfer(self.coarse, self.fine)
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces on the pads.
@@ -122,10 +121,8 @@ class SampleSolver:
         on = np.flatnonzero(coarse.change <= COARSE_TOLERANCE)
         if not len(on):
             return moved, left, change, iterations
-        start = self._transfer(
-            at_state(coarse.state, on), self.coarse.base(preload).state, self.fine.base(preload).state
-        )
-        fine = self.fine.solve(preload, force_n[on], TOLERANCE, self._unwanted_on(self.fine), start)
+        start_n = self.coarse.forces_like(preload, at_state(coarse.state, on))
+        fine = self.fine.solve(preload, force_n[on], TOLERANCE, self._unwanted_on(self.fine), start_n)
         answers = self._answers(self.fine, fine)
         difference = answers - moved[on]
         moved[on], change[on] = answers + EXTRAPOLATED * difference, fine.change

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from fem.finite.newton import find_equilibrium
-from fem.finite.plates import rotations
-from fem.finite.preloads import transfer
-from fem.finite.relaxation import Relaxation
 from fem.finite.samples import EXTRAPOLATED, FINE, TOLERANCE, SampleSolver
-from fem.finite.system import FiniteSystem, State
+from fem.finite.system import FiniteSystem
 from fem.scene.loads import StiffLoad
 from geometry.design import Array, Material, SensorDesign
 from geometry.errors import DesignError
@@ -62,29 +59,11 @@ def test_a_fine_influence_replaces_the_grids_own_at_small_loads(solver):
     assert np.allclose(fine.displacements(small).displacement_mm[0], moved, rtol=2e-3, atol=1e-9)
 
 
-def test_the_coarse_answer_is_taken_to_the_finer_grid(solver):
-    """A motion that both grids hold exactly: interpolated, with a pressure linear over the whole body."""
-
-    def state(array):
-        body = array.body
-        x, y, z = body.basis.doflocs
-        size = np.stack(np.meshgrid(*[np.diff(lines) for lines in body.grid.lines], indexing="ij"), axis=-1)
-        p = np.hstack([1 + body.centres_mm @ [[0.1], [0.2], [0.3]], size.reshape(-1, 3) / 2 * [0.1, 0.2, 0.3]])
-        turn = rotations(np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.1]]))
-        u = np.stack([z * x / 100, z**2 / 50, z * y / 200], axis=1)
-        return State(u=u[None], p=p[None], shift=np.full((1, 2, 3), 0.5), rotation=turn[None])
-
-    bases = [array.base(0.0) for array in (solver.coarse, solver.fine)]
-    got, expected = (
-        transfer(solver.coarse, solver.fine)(state(solver.coarse), *[b.state for b in bases]),
-        state(solver.fine),
-    )
-    for name in ("u", "p", "shift", "rotation"):
-        assert np.allclose(getattr(got, name), getattr(expected, name), atol=1e-12)
-    relaxation = Relaxation(bases[1], np.zeros((1, 2, 2, 3)))
-    again = relaxation.state(relaxation.vectors(got))
-    assert np.allclose(again.rotation, got.rotation, atol=1e-12)
-    assert np.allclose(again.shift, got.shift, atol=1e-12)
+def test_forces_like_small_ones_are_these(solver):
+    base = solver.coarse.base(2.0).system.force_n
+    force = base + 1e-4 * FORCES_N[:1]
+    small = solver.coarse.solve(2.0, force, 1e-9, lambda moved: np.zeros(len(moved), dtype=bool))
+    assert np.allclose(solver.coarse.forces_like(2.0, small.state) - base, force - base, rtol=1e-3, atol=1e-5)
 
 
 def test_lines_follow_pads_and_units():
