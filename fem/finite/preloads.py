@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from fem.discretization.grid import Grid
 from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.rubber_body import RubberBody
-from fem.finite.series import BaseState
-from fem.finite.system import FiniteSystem, State, at_state
+from fem.finite.series import BaseState, load_series
+from fem.finite.system import FiniteSystem, at_state
 from fem.linear.refactored import RepeatedFactor
 from fem.scene.loads import Load, StiffLoad
 from geometry.design import SensorDesign
@@ -64,7 +64,6 @@ class PreloadedArray:
             upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
         )  #: of the electrodes on their plates, (2, 3)
         self._bases: dict[float, BaseState] = {}
-        self._inverses: dict[float, FloatArray] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
         """The equilibrium under a uniform pressure on all pads, found once.
@@ -113,14 +112,12 @@ class PreloadedArray:
         force_n: FloatArray,
         tolerance: float,
         unwanted: Unwanted,
-        start_n: FloatArray | None = None,
     ) -> Relaxed:
         """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
 
-        Begins where that tangent leads under these forces, or under others, `start_n`. Samples that are not wanted keep
-        the change they had.
+        Samples that are not wanted keep the change they had.
         """
-        found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted, start_n)
+        found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted)
         for number in np.flatnonzero((found.change > tolerance) & np.isfinite(found.change)):
             own, sample = at_state(found.state, int(number)), slice(number, number + 1)
             for _ in range(RENEWALS):
@@ -143,27 +140,31 @@ class PreloadedArray:
         force_n: FloatArray,
         tolerance: float,
         unwanted: Unwanted,
-        start_n: FloatArray | None = None,
     ) -> Relaxed:
         def hopeless(shift: FloatArray, rotation: FloatArray, change: FloatArray) -> NDArray[np.bool_]:
             return (change < NEARLY) & unwanted(self.electrodes(shift, rotation))
 
         relaxation = Relaxation(base, _over(base, force_n))
-        start = relaxation if start_n is None else Relaxation(base, _over(base, start_n))
-        return relaxation.relax(start.start(), MAX_ITERATIONS, tolerance, hopeless)
+        return relaxation.relax(relaxation.start(), MAX_ITERATIONS, tolerance, hopeless)
 
-    def forces_like(self, preload_mpa: float, state: State) -> FloatArray:
-        """Forces (m, k, 3) [N] under which the preload's tangent moves the plates most nearly as states have them."""
-        base, m = self.base(preload_mpa), len(state.shift)
-        if preload_mpa not in self._inverses:
-            compliance = base.compliance()[:, : 3 * self.design.n_units]
-            self._inverses[preload_mpa] = np.asarray(np.linalg.pinv(compliance))
-        turn = state.rotation @ base.state.rotation.swapaxes(1, 2)
-        spin = np.stack([turn[..., 2, 1], turn[..., 0, 2], turn[..., 1, 0]], axis=-1)
-        spin -= np.stack([turn[..., 1, 2], turn[..., 2, 0], turn[..., 0, 1]], axis=-1)
-        spin *= base.system.plates.half_mm[:, None] / 2
-        motions = np.concatenate([state.shift - base.state.shift, spin], axis=1).reshape(m, -1)
-        return np.asarray(base.system.force_n + (motions @ self._inverses[preload_mpa].T).reshape(m, -1, 3))
+    def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> FloatArray:
+        """Terms of the electrodes' displacements (orders + 1, m, k, 2, 3) [mm] under forces (m, k, 3), see `series.py`.
+
+        The first one is the preload's own. With R = (I + 2 q₀ [v] + 2 [v]²) R₀ and v = Σ sⁱ vᵢ the order n of an
+        electrode at a from its plate's middle moves by cₙ + 2 vₙ × a + 2 Σ vᵢ × (vₙ₋ᵢ × a) up to n = 3, but for the
+        changes of q₀, which are of the order of |v|³.
+        """
+        base = self.base(preload_mpa)
+        found = load_series(base, _over(base, force_n), orders)
+        v, at_rest = found.half_spin[:, :, :, None], self.electrodes(base.state.shift[None], base.state.rotation[None])
+        arm = np.einsum("kij,ej->kei", base.state.rotation, self.arm)
+        terms = [np.broadcast_to(at_rest, (len(force_n), *at_rest.shape[1:]))]
+        for n in range(orders):
+            term = found.shift[n][:, :, None] + 2 * np.cross(v[n], arm)
+            for i in range(n):
+                term += 2 * np.cross(v[i], np.cross(v[n - 1 - i], arm))
+            terms.append(term)
+        return np.array(terms)
 
     @cached_property
     def _factor(self) -> RepeatedFactor:

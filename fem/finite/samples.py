@@ -1,10 +1,11 @@
-"""Thousands of finite-strain samples of an array with stiff pads: a coarse grid, a finer one, and their difference.
+"""Thousands of finite-strain samples of an array with stiff pads: a coarse grid solves, a finer one corrects by series.
 
-A sample is relaxed on the coarse grid by the tangent of the preload nearest to the middle of its pressures; one factor
-serves every sample. The finer grid begins under the forces whose tangent moves its plates like that answer. What a grid
-gets wrong at small strain is put right by a linear response: with influence matrices A, of a much finer grid, and B,
-its own, an answer d becomes d + (A − B) g, where g are the forces that would move the linear array most nearly by d.
-What is left falls from the coarse grid to the finer one by a factor that is nearly constant, and is extrapolated.
+A sample is relaxed on a coarse grid by the tangent of the preload nearest to the middle of its pressures; one factor
+serves every sample. A finer grid adds the difference of both grids' power series in the load about that preload, to the
+third order: what a grid gets wrong falls as fast with the order as the terms do. What a grid gets wrong at small strain
+is put right by a linear response: with influence matrices A, of a much finer grid, and B, its own, an answer d becomes
+d + (A − B) g, where g are the forces that would move the linear array most nearly by d. What is left falls from the
+coarse grid to the finer one by a factor that is nearly constant, and is extrapolated.
 """
 
 from dataclasses import dataclass
@@ -15,20 +16,20 @@ from numpy.typing import NDArray
 
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
-from fem.finite.system import at_state
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
 TOLERANCE = 5e-4  #: relative change of the pads' motion by an iteration at which a sample ends
-COARSE_TOLERANCE = 1e-3  #: the same on the coarse grid
+ORDERS = 3  #: of the series by which the finer grid corrects
 AT_ONCE = 4  #: samples solved together, which bounds the memory
 COARSE = Lines(pad=(0.5, 1.0), height=(0.5, 1.0))
 FINE = Lines(pad=(0.2, 0.8, 1.0), height=(0.2, 0.8, 1.0))
 #: error of the finer grid over the difference of both, and how much of the difference may be left after it is
 #: subtracted: from a grid of ten times the elements, pairs of units at strains of 0.1 to 0.3
 EXTRAPOLATED, LEFT = 0.28, 0.2
+TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
 
 IntArray = NDArray[np.int64]
 
@@ -40,7 +41,7 @@ class FiniteSamples:
     displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
     settled: NDArray[np.bool_]  #: where it is an answer, (m,)
     change: FloatArray  #: of the pads' motion by the last iteration, relative, (m,); infinite where none converged
-    iterations: IntArray  #: on both grids, (m,)
+    iterations: IntArray  #: (m,)
     error_estimate: FloatArray  #: of the displacements, relative, (m,)
 
 
@@ -112,24 +113,24 @@ class SampleSolver:
     def _together(self, preload: float, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Displacements (m, k, 2, 3), what is left of the grids' error, last changes and iterations of a few samples.
 
-        Only samples that have settled on both grids have changes below the tolerance.
+        The series cost nothing where a sample has not settled.
         """
-        coarse = self.coarse.solve(preload, force_n, COARSE_TOLERANCE, self._unwanted_on(self.coarse))
+        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._unwanted_on(self.coarse))
         moved = self._answers(self.coarse, coarse)
-        change, iterations = np.maximum(coarse.change, 2 * TOLERANCE), coarse.iterations
+        change = coarse.change
         left = np.full(len(force_n), np.inf)
-        on = np.flatnonzero(coarse.change <= COARSE_TOLERANCE)
+        on = np.flatnonzero(coarse.change <= TOLERANCE)
         if not len(on):
-            return moved, left, change, iterations
-        start_n = self.coarse.forces_like(preload, at_state(coarse.state, on))
-        fine = self.fine.solve(preload, force_n[on], TOLERANCE, self._unwanted_on(self.fine), start_n)
-        answers = self._answers(self.fine, fine)
+            return moved, left, change, coarse.iterations
+        of_grids = [array.series(preload, force_n[on], ORDERS) for array in (self.coarse, self.fine)]
+        more = of_grids[1] - of_grids[0]
+        uncorrected = self.coarse.electrodes(coarse.state.shift[on], coarse.state.rotation[on]) + more.sum(axis=0)
+        answers = self._corrected(self.fine, uncorrected)
         difference = answers - moved[on]
-        moved[on], change[on] = answers + EXTRAPOLATED * difference, fine.change
-        iterations[on] += fine.iterations
-        size = np.linalg.norm(moved[on].reshape(len(on), -1), axis=1)
-        left[on] = LEFT * np.linalg.norm(difference.reshape(len(on), -1), axis=1) / np.maximum(size, 1e-300)
-        return moved, left, change, iterations
+        moved[on] = answers + EXTRAPOLATED * difference
+        size = np.maximum(_norms(moved[on]), 1e-300)
+        left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
+        return moved, left, change, coarse.iterations
 
     def _answers(self, array: PreloadedArray, found: Relaxed) -> FloatArray:
         return self._corrected(array, array.electrodes(found.state.shift, found.state.rotation))
@@ -156,3 +157,8 @@ class SampleSolver:
             return self._unwanted(self._corrected(array, moved))
 
         return unwanted
+
+
+def _norms(moved: FloatArray) -> FloatArray:
+    """Of each sample, (m,)."""
+    return np.linalg.norm(moved.reshape(len(moved), -1), axis=1)

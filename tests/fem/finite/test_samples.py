@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fem.finite.newton import find_equilibrium
-from fem.finite.samples import EXTRAPOLATED, FINE, TOLERANCE, SampleSolver
+from fem.finite.samples import EXTRAPOLATED, FINE, SampleSolver
 from fem.finite.system import FiniteSystem
 from fem.scene.loads import StiffLoad
 from geometry.design import Array, Material, SensorDesign
@@ -43,7 +43,8 @@ def test_samples_are_newton_s_on_both_grids_and_extrapolated(solver, found):
         coarse, fine = (by_newton(array, forces) for array in (solver.coarse, solver.fine))
         expected = fine + EXTRAPOLATED * (fine - coarse)
         off = np.linalg.norm(found.displacement_mm[number] - expected) / np.linalg.norm(expected)
-        assert off < 2 * TOLERANCE  # of a few iterations more
+        assert off < 4e-3  # of the fourth order, which only the coarse grid has
+        assert off < found.error_estimate[number]
 
 
 def test_nothing_moves_without_load(solver):
@@ -59,11 +60,14 @@ def test_a_fine_influence_replaces_the_grids_own_at_small_loads(solver):
     assert np.allclose(fine.displacements(small).displacement_mm[0], moved, rtol=2e-3, atol=1e-9)
 
 
-def test_forces_like_small_ones_are_these(solver):
-    base = solver.coarse.base(2.0).system.force_n
-    force = base + 1e-4 * FORCES_N[:1]
-    small = solver.coarse.solve(2.0, force, 1e-9, lambda moved: np.zeros(len(moved), dtype=bool))
-    assert np.allclose(solver.coarse.forces_like(2.0, small.state) - base, force - base, rtol=1e-3, atol=1e-5)
+def test_series_of_the_electrodes_come_near_the_answer(solver):
+    """Every order by about the factor of the load's distance from the preload, on either grid."""
+    force = FORCES_N[1:]
+    exact = by_newton(solver.fine, force[0])
+    partial = np.cumsum(solver.fine.series(2.0, force, 4), axis=0)[:, 0]
+    off = np.linalg.norm((partial - exact).reshape(5, -1), axis=1) / np.linalg.norm(exact)
+    assert (off[2:] < 0.5 * off[1:-1]).all()
+    assert off[3] < 0.01
 
 
 def test_lines_follow_pads_and_units():
@@ -81,7 +85,7 @@ def test_samples_that_do_not_settle_get_a_tangent_of_their_own(solver, found, mo
     monkeypatch.setattr("fem.finite.preloads.MAX_ITERATIONS", 3)
     again = solver.displacements(FORCES_N[1:])
     assert again.settled.all()
-    assert again.iterations[0] > 6
+    assert again.iterations[0] > 3
     assert np.allclose(again.displacement_mm, found.displacement_mm[1:], rtol=2e-3, atol=1e-3)
 
 
