@@ -12,7 +12,7 @@ from dataset.simulation import LoadError
 from fem.array.response import ArrayResponse
 from geometry import Array, DesignError, Pad, SensorDesign
 
-DESIGN = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
+DESIGN = SensorDesign(array=Array(rows=1, cols=2, pitch_mm=20.0), pad=Pad(kind="stiff"))
 SETTINGS = DatasetSettings(protocol="contact", samples=2 * GROUP, seed=3, noise=1e-3)
 
 

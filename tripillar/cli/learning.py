@@ -207,6 +207,8 @@ def _finite_samples(
     require_counts(workers=workers)
     if scheduler is not None:
         require_packages("distributed")
+        if workers is not None:
+            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
     _, solved = respond(with_model(sensor, "linear"), bars)
     job = GroupJob(response=replace(solved, design=sensor), settings=settings)
     found = kept_groups(job)
@@ -216,8 +218,6 @@ def _finite_samples(
         folder = groups_folder(job)
         words = f"stopped; the samples in {folder} are kept: give the same command again to go on."
         count = None if scheduler is not None else min(workers or os.cpu_count() or 1, len(missing))
-        if scheduler is not None and workers is not None:
-            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
         with (
             last_words(words),
             open_workers(count, scheduler, folder / "workers.log", group_row, failed_group_row) as hands,

@@ -1,0 +1,80 @@
+"""Accuracy of samples at finite strain: samples drawn at random against Newton's method on a much finer grid.
+
+    python -m studies.finite_samples --rows 3 --samples 10
+
+takes minutes for an array of 3 × 3 units, hours and 10 GB for one of 6 × 6. Every line is a sample: protocol, number,
+largest pressure [MPa], largest strain, what linear elasticity gets wrong, error and its estimate [%].
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from dataset import DatasetSettings, pillar_lengths
+from dataset.finite_strain import GROUP, GroupSolver
+from dataset.resistance import pillar_strains
+from fem.array.solving import array_response
+from fem.finite.newton import find_equilibrium
+from fem.finite.preloads import Lines, PreloadedArray
+from fem.finite.system import FiniteSystem
+from fem.scene.loads import Load, StiffLoad
+from geometry.design import Array, Pad, SensorDesign
+from geometry.layout import FloatArray, unit_centres
+
+PROTOCOLS = ("contact", "three-axis")
+#: 5 times as many elements as the finer grid of the samples; with its own linear correction, as these have
+REFERENCE = Lines(pad=(0.06, 0.25, 0.75, 0.94, 1.0), height=(0.1, 0.3, 0.7, 0.9, 1.0))
+
+
+def reference(array: PreloadedArray, influence: FloatArray, force_n: FloatArray) -> FloatArray:
+    """Displacements (k, 2, 3) of the electrodes under forces (k, 3) by Newton's method, corrected as samples are."""
+    size = array.design.pad.size_mm
+    loads: list[Load] = [
+        StiffLoad(center_mm=(float(x), float(y)), size_mm=(size, size), force_n=(float(f[0]), float(f[1]), float(f[2])))
+        for (x, y), f in zip(unit_centres(array.design), force_n, strict=True)
+    ]
+    state = find_equilibrium(FiniteSystem(array.body, loads)).state
+    moved = array.electrodes(state.shift[None], state.rotation[None])[0].ravel()
+    return (moved + (influence - array.influence) @ (array.forces_of @ moved)).reshape(-1, 2, 3)
+
+
+def main() -> None:
+    """Print a line a sample, and means by protocol and pressure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rows", type=int, default=3)
+    parser.add_argument("--samples", type=int, default=10, help="of each protocol")
+    asked = parser.parse_args()
+    design = replace(SensorDesign(), array=Array(rows=asked.rows, cols=asked.rows), pad=Pad(kind="stiff"))
+    response, _, _ = array_response(design)
+    influence = response.influence_mm_per_n.reshape(6 * design.n_units, -1)
+    fine = PreloadedArray(design, REFERENCE)
+    rows = []
+    for protocol in PROTOCOLS:
+        settings = DatasetSettings(protocol=protocol, samples=asked.samples, seed=17)
+        solver = GroupSolver(response, settings.cap)
+        for number in range(-(-asked.samples // GROUP)):
+            group = solver.group(settings, number)
+            for sample in range(min(GROUP, asked.samples - number * GROUP)):
+                force = group.traction_mpa[sample] * design.pad.size_mm**2
+                truth = reference(fine, influence, force)
+                strain = pillar_strains(truth, pillar_lengths(truth, design.unit), design.unit).max()
+                size = float(np.linalg.norm(truth))
+                off = float(np.linalg.norm(group.displacement_mm[sample] - truth)) / size
+                linear = float(np.linalg.norm((influence @ force.ravel()).reshape(truth.shape) - truth)) / size
+                pressure = float(-group.traction_mpa[sample, :, 2].min())
+                rows.append((protocol, pressure, off, float(group.error_estimate[sample])))
+                print(
+                    f"{protocol:12} {number * GROUP + sample:4d}  {pressure:.2f} MPa  strain {strain:.3f}  linear "
+                    f"{100 * linear:5.2f} %  error {100 * off:5.2f} %  estimate {100 * rows[-1][3]:5.2f} %",
+                    flush=True,
+                )
+    for name, low, high in (("up to 3 MPa", 0.0, 3.0), ("3 to 5 MPa", 3.0, np.inf)):
+        own = [(off, estimate) for _, pressure, off, estimate in rows if low <= pressure < high]
+        if own:
+            mean, estimated = np.mean(own, axis=0)
+            print(f"{name}: {len(own)} samples, mean error {100 * mean:.2f} %, estimated {100 * estimated:.2f} %")
+
+
+if __name__ == "__main__":
+    main()
