@@ -74,9 +74,7 @@ def blank(number):
 
 def test_lost_groups_are_told_and_the_others_taken_up_again(job):
     first = Here(lost=[1])
-    with pytest.raises(
-        DesignError, match=r"1 of 3 groups of samples failed, such as number 1: RuntimeError"
-    ):
+    with pytest.raises(DesignError, match=r"1 of 3 groups of samples failed, such as number 1: RuntimeError"):
         make_groups(job, first, [0, 1, 2], lambda group: None)
     found = kept_groups(job)
     assert sorted(found) == [0, 2]
