@@ -17,11 +17,11 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from fem.array.plate import Plate, without_plate
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.grid import Grid, GridBasis, grid_body
 from fem.discretization.mirrors import QUARTER, Parity, flipped_rectangles, images, parities, sign
 from fem.discretization.patch import patch_means
+from fem.discretization.plate import Plate, without_plate
 from fem.linear.linear_solver import checked_solve, factorized, schur_product
 from geometry.layout import FloatArray
 

@@ -20,10 +20,10 @@ from skfem import MeshTet
 from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.plate import Plate
 from fem.array.response import ArrayResponse
 from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
+from fem.discretization.plate import Plate
 from fem.discretization.richardson import richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
@@ -73,15 +73,20 @@ def read_refined(path: Path) -> RefinedCell | None:
 
 VERSION = 2  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
-#: stages of refinement: two levels of the grid, and the degree of the port modes
-GRID_STAGES = ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9))
+#: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
+GRID_STAGES = {
+    "soft": ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9)),
+    "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
+}
 #: the same for meshes, whose levels divide the usual edges
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
 #: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured with soft pads
 GRID_RATE = {"soft": 3.0, "stiff": 2.5}
-LEVEL_ERROR = 0.35  #: fraction of the extrapolation's step kept as the error estimate, for rates from 2.3 to 4
+#: fraction of the extrapolation's step kept as the error estimate: for rates from 2.3 to 4 of soft pads; of stiff ones
+#: 0.02 to 0.15 was left between levels 2 and 3 (pads of 8 to 14 mm, pitches of 15 and 20 mm, ν from 0.3 to 0.499)
+LEVEL_ERROR = {"soft": 0.35, "stiff": 0.15}
 #: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
 #: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
 PORT_ERROR = 0.7
@@ -199,7 +204,8 @@ def cell_stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, fl
     if not design.is_homogeneous:
         return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
     first = 0 if tolerance >= COARSE else 1
-    return GRID_STAGES[first:] if tolerance < FINE else GRID_STAGES[first:-1]
+    stages = GRID_STAGES[design.pad.kind]
+    return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
 def _cell_of_stage(
@@ -229,7 +235,7 @@ def _cell_of_stage(
         if not cell.is_definite:  # the coarse level may not know the highest modes
             cell = two
         answer = array_of(cell)
-        step_on = LEVEL_ERROR * block_error(array_of(two), answer)
+        step_on = LEVEL_ERROR[design.pad.kind] * block_error(array_of(two), answer)
         levels = step_on or richardson_factor(coarse, fine) * block_error(array_of(one), answer)
     else:
         cell, answer = two, array_of(two)

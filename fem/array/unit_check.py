@@ -11,18 +11,17 @@ from time import perf_counter
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
-from fem.array.plate import Plate
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import ELECTRODE_MEANS, PADS, lone_unit, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
+from fem.discretization.plate import Plate, tied
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.layout import ELECTRODES, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 from geometry.storage.seal import say_made_anew
@@ -131,7 +130,11 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     # one component of the displacement, for means over rectangles: component i of its node n is unknown n·3 + i
     component = Basis(tets, ElementTetP2(), intorder=2)
     pads, electrodes = (patch_means(component, squares(design)) for squares in (pad_squares, electrode_squares))
-    T = sp.block_diag([bonded(design, free, component.doflocs), sp.eye_array(div_u.shape[0])], format="csr")
+    plates = []
+    for square in pad_squares(design) if design.pad.kind == "stiff" else ():
+        bonded, motions = Plate(square, design.unit.height_mm).followers(free, component.doflocs)
+        plates.append((np.searchsorted(free, bonded), motions))
+    T = tied(K.shape[0], plates)
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
     x, residual = checked_solve(K, factorized(K), T.T @ f)
@@ -147,20 +150,3 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
         seconds={"solve": perf_counter() - start},
         method="taylor-hood",
     )
-
-
-def bonded(design: SensorDesign, free: NDArray[np.int64], nodes_mm: FloatArray) -> sp.csr_array:
-    """Free displacements (n) from those that no plate holds and, after them, six motions of each plate, (n, m).
-
-    `free` numbers unknowns node·3 + axis of nodes (3, n_nodes). Of soft pads there are no plates: the identity. An even
-    load on a pad is a force on its plate's middle, since its moment about that is 0.
-    """
-    plates = [Plate(square, design.unit.height_mm) for square in pad_squares(design)]
-    held = [plate.followers(free, nodes_mm) for plate in plates if design.pad.kind == "stiff"]
-    own = np.isin(free, [unknown for unknowns, _ in held for unknown in unknowns], invert=True)
-    columns = [sp.eye_array(len(free), format="csc")[:, own]]
-    for unknowns, motions in held:
-        place = np.zeros((len(free), motions.shape[1]))
-        place[np.searchsorted(free, unknowns)] = motions
-        columns.append(sp.csc_array(place))
-    return sp.hstack(columns, format="csr")

@@ -26,7 +26,14 @@ from fem.discretization.lagrange import (
     shape_functions,
     term_scales,
 )
-from fem.discretization.mirrors import Mirror, folded_integrals, folded_point, held_components, parities
+from fem.discretization.mirrors import (
+    Mirror,
+    folded_integrals,
+    folded_point,
+    held_components,
+    parities,
+)
+from fem.discretization.plate import Plate, folded_plates
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Probe, Region, Scene, regions_at
 from geometry.design import Material
@@ -202,6 +209,27 @@ class BoxSystem:
         for load in self.scene.dead_loads:
             forces += self.share * self._integrals(load.rectangle) * np.array(load.traction_mpa)
         return np.where(self.held, 0.0, forces).ravel()
+
+    def plates(self) -> list[tuple[IntArray, FloatArray]]:
+        """Unknowns bonded to each plate of the scene and its motions there, as `plate.tied` wants them."""
+        at = (lobatto_points(self.order) + 1) / 2
+        lattice = np.stack(np.unravel_index(self._surface, (self.order + 1,) * 3), axis=1)
+        points = np.empty((len(self._number), 3))
+        points[self._nodes.of_elements] = self.low[:, None] + at[lattice] * self.size[:, None]
+        places = points[self._free].T
+        lines = [np.unique(axis) for axis in places]
+        shift = np.tile(self.scene.height_mm * np.array(self.lean), 2)
+        free, found = np.flatnonzero(~self.held), []
+        rectangles = self.scene.plate_rectangles_mm - shift
+        for plate, parity in folded_plates(rectangles, self.scene.height_mm, self.mirrors, self.parity):
+            corners = plate.rectangle_mm.copy()
+            for side in range(4):  # edges a hair from a face are on its line: see `box_refinement.first_mesh`
+                line = lines[side % 2]
+                nearest = line[np.abs(line - corners[side]).argmin()]
+                if line[0] <= corners[side] <= line[-1]:
+                    corners[side] = nearest
+            found.append(Plate(corners, self.scene.height_mm).followers(free, places, parity))
+        return found
 
     def probe_rows(self) -> FloatArray:
         """Rows that take unknowns to the probes' displacements, shape (n_probes, 3, n_unknowns)."""

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, PortModes, condensation
 from fem.array.coupled_cells import CoupledArray
-from fem.array.plate import Plate, without_plate
 from fem.array.substructured import cell_grid, elastic_body, lone_unit, pad_plate, whole_grid
 from fem.discretization.elasticity import ElasticBody
 from fem.discretization.elements import Elements
 from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
+from fem.discretization.plate import Plate, without_plate
 from fem.fields.stress import CornerStress, corner_stress
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material, SensorDesign

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fem.discretization.graded_box import Level, box_part
 from fem.discretization.grid import VTK_PLACES, GridBasis, grid_body, grid_stiffness, lattice_boxes
 from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
+from fem.discretization.plate import folded_plates, tied
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene, regions_at
@@ -94,14 +95,21 @@ def picture_field(scene: Scene, plan: Plan) -> Field:
         return basis.patch_integrals(rectangle[None]).toarray()[0]
 
     parts = []
+    shift = np.tile(np.array(part.grid.lean) * scene.height_mm, 2)
+    places = basis.doflocs - np.array([*part.grid.lean, 0.0])[:, None] * basis.doflocs[2]
     for parity in parities(plan.mirrors):
         body = grid_body(basis, stiffness, parity)
         forces = np.zeros((basis.N, 3))
         for load in scene.dead_loads:
             integrals = folded_integrals(integral, np.array(load.rectangle), plan.mirrors, parity)
             forces += part.share * integrals * np.array(load.traction_mpa)
-        factor = factorized(body.matrix, definite=True)
-        x, _ = checked_solve(body.matrix, factor, body.loads(forces.reshape(-1, 1)))
-        parts.append((parity, body.displacements(x).reshape(-1, 3)))
+        plates = []
+        for plate, own in folded_plates(scene.plate_rectangles_mm - shift, scene.height_mm, plan.mirrors, parity):
+            at_plate, motions = plate.followers(body.free, places, own)
+            plates.append((np.searchsorted(body.free, at_plate), motions))
+        T = tied(body.matrix.shape[0], plates)
+        matrix = (T.T @ body.matrix @ T).tocsr() if plates else body.matrix
+        x, _ = checked_solve(matrix, factorized(matrix, definite=True), T.T @ body.loads(forces.reshape(-1, 1)))
+        parts.append((parity, body.displacements(T @ x).reshape(-1, 3)))
     halves, cells = lattice_boxes(part.grid.lines)
     return unfolded_field(scene, plan, crossings(halves), cells, parts)

@@ -12,6 +12,7 @@ from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem, Condensed, Kind
 from fem.discretization.grid import lattice_boxes
 from fem.discretization.indicator import dual_weights
+from fem.discretization.plate import tied
 from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_field import crossings, picture_lines, unfolded_field
@@ -55,16 +56,20 @@ class SplitBoxes:
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         system = BoxSystem(self.scene, self.plan.regions, self.plan.mirrors, self.mesh, self._condensed, self.order)
+        plates = system.plates() if len(self.scene.plate_rectangles_mm) else []
+        T = tied(system.n_unknowns, plates)
+        matrix = (T.T @ system.matrix @ T).tocsr() if plates else system.matrix
         forces, rows = system.loads(), system.probe_rows()
         watch.spent("assemble")
-        factor = factorized(system.matrix, definite=True)
+        factor = factorized(matrix, definite=True)
         watch.spent("factor")
-        x, residual = checked_solve(system.matrix, factor, forces[:, None])
-        u = x[:, 0]
+        x, residual = checked_solve(matrix, factor, T.T @ forces[:, None])
+        u = (T @ x)[:, 0]
         probes = rows @ u
         weights, scales = dual_weights(probes)
         unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
-        duals, _ = checked_solve(system.matrix, factor, np.ascontiguousarray(unit))
+        x, _ = checked_solve(matrix, factor, np.ascontiguousarray(T.T @ unit))
+        duals = T @ x
         del factor
         indicators = system.indicators(u, duals, scales)
         watch.spent("solve")

@@ -60,7 +60,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
         of_ports = largest_error(lower, two)
         if design.is_homogeneous:
             factor = richardson_factor(coarse, fine, GRID_RATE[design.pad.kind])
-            of_levels = LEVEL_ERROR * factor * largest_error(one, two)
+            of_levels = LEVEL_ERROR[design.pad.kind] * factor * largest_error(one, two)
             two = {name: mean + factor * (mean - one[name]) for name, mean in two.items()}
         else:
             of_levels = richardson_factor(coarse, fine) * largest_error(one, two)

@@ -44,9 +44,9 @@ def iterations(scene: Scene, regions: Sequence[Region]) -> float:
 
 
 def seconds_by_order(scene: Scene, regions: Sequence[Region], mirrors: tuple[Mirror, ...]) -> float:
-    """Processor seconds of `fem.methods.high_order`; infinite where its iteration would give up."""
+    """Processor seconds of `fem.methods.high_order`; infinite where its iteration would give up or knows no plates."""
     steps = iterations(scene, regions)
-    if steps > MAX_ITERATIONS:
+    if steps > MAX_ITERATIONS or scene.stiff_loads:
         return np.inf
     unknowns = float(np.prod(box_part(scene, regions, mirrors, USUAL).shape))
     narrow = any(min(load.size_mm) < scene.height_mm / 2 for load in scene.loads)
@@ -75,6 +75,7 @@ SAVINGS = {
 ELEMENTS = {
     "Qp": "few hexahedra whose order rises with the layers toward singular edges, the matrix never formed",
     "Q4": "boxes of order 4, split where the probes need it, factored: whatever contrast, ν, shear and slenderness",
+    "Q2": "quadratic hexahedra that crowd at the edges of plates, two levels extrapolated",
     "Q2P": "quadratic hexahedra, the pressure linear in each and found there: neo-Hookean rubber does not lock",
     "TH": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
 }
@@ -155,7 +156,7 @@ def make_plan(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False)
             symmetry = _folded(mirrors)
         decisions.append(symmetry)
     elif method != "nothing":
-        element = "Q2P" if method == "finite" else "TH"
+        element = "Q2P" if method == "finite" else "Q2" if method == "cells" and not regions else "TH"
         why = ELEMENTS[element]
     if element:
         decisions.append(Decision(name="element", choice=element, reason=why))
@@ -211,9 +212,7 @@ def _method(scene: Scene, regions: list[Region], keeps: frozenset[str], field: b
     if seen_by_means and "substructuring" not in keeps and has_alike_plates(scene):
         reason = "plates lie on all units alike: one is condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
-    if scene.stiff_loads:
-        return tetrahedra(f"they follow the outline of {_count(scene.stiff_loads, 'stiff plate')}")
-    if units > 1 and seen_by_means and "substructuring" not in keeps:
+    if units > 1 and not scene.stiff_loads and seen_by_means and "substructuring" not in keeps:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
     oblique = sum(not prism.is_upright for prism, _ in regions)

@@ -4,14 +4,11 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.array.plate import Plate
-from fem.discretization.elasticity import MIN_POISSON, ElasticBody, lame_of_regions, taylor_hood
+from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
     cell_sizes,
@@ -22,6 +19,7 @@ from fem.discretization.indicator import (
     uniform_tractions,
 )
 from fem.discretization.patch import patch_integrals
+from fem.discretization.plate import Plate, tied
 from fem.discretization.richardson import MIN_MESHES
 from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
 from fem.linear.linear_solver import checked_solve, factorized
@@ -69,17 +67,17 @@ class BisectedTetrahedra:
         loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
         forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
         rows = probe_rows(scene, body.basis)
-        plates = [Plate(np.array(load.rectangle), scene.height_mm) for load in scene.stiff_loads]
-        motions = following(body, plates)
+        plates = []
+        for rectangle in scene.plate_rectangles_mm:
+            bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
+            plates.append((np.searchsorted(body.free, bonded), own))
+        motions = tied(body.matrix.shape[0], plates)
         matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
         watch.spent("assemble")
         factor = factorized(matrix)
         watch.spent("factor")
 
         pushing = motions.T @ body.loads(forces)
-        pushing[len(pushing) - 6 * len(plates) :, 0] += [
-            value for load in scene.stiff_loads for value in (*load.force_n, *load.moment_nmm)
-        ]
         reduced, residual = checked_solve(matrix, factor, pushing)
         x = motions @ reduced
         u = body.displacements(x)
@@ -95,8 +93,7 @@ class BisectedTetrahedra:
 
         def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
             pressing = uniform_tractions(rectangles, traction) if len(rectangles) else None
-            bonded = np.array([plate.rectangle_mm for plate in plates]).reshape(-1, 4)
-            return residuals(body, u, p, region, lame_mpa, mu_mpa, pressing, bonded)
+            return residuals(body, u, p, region, lame_mpa, mu_mpa, pressing, scene.plate_rectangles_mm)
 
         of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
         of_duals = [
@@ -134,27 +131,10 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
     watch = Stopwatch()
     mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions], cached=plan.saves("cache"))
     steps = [f"{mesh.nelements} tetrahedra {'from the cache' if kept else 'by the mesher'}"]
-    plates = np.array([load.rectangle for load in scene.stiff_loads]).reshape(-1, 4)
-    mesh = with_edges_across(mesh, np.vstack([scene.load_rectangles_mm, plates, scene.probe_rectangles_mm]))
+    narrow = np.vstack([scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm])
+    mesh = with_edges_across(mesh, narrow)
     watch.spent("mesh")
     return solve_adaptively(scene, BisectedTetrahedra(scene, plan, mesh), watch, steps, with_field)
-
-
-def following(body: ElasticBody, plates: Sequence[Plate]) -> sp.csr_matrix:
-    """Columns that take the system's free unknowns, then six motions of every plate, to all of a body's unknowns."""
-    n = body.matrix.shape[0]
-    if not plates:
-        return sp.eye_array(n, format="csr")
-    held, blocks = [], []
-    for plate in plates:
-        numbers, motions = plate.followers(body.free, body.basis.doflocs)
-        held.append(np.searchsorted(body.free, numbers))
-        at = np.broadcast_to(np.arange(6), motions.shape)
-        place = np.broadcast_to(held[-1][:, None], motions.shape)
-        blocks.append(sp.csr_matrix((motions.ravel(), (place.ravel(), at.ravel())), shape=(n, 6)))
-    kept = np.setdiff1d(np.arange(n), np.concatenate(held))
-    free = sp.csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
-    return sp.hstack([free, *blocks], format="csr")
 
 
 def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:

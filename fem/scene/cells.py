@@ -56,8 +56,8 @@ def design_of_cells(scene: Scene, body: Sensor) -> SensorDesign:
 
 def forces_on_cells(scene: Scene, body: Sensor, local: dict[Rectangle, int]) -> FloatArray:
     """Forces of the loads on each cell, (n_units, k, 3) [N], at the k rectangles of cells that `local` then numbers."""
-    loads = [(load.rectangle, np.prod(load.size_mm) * np.array(load.traction_mpa)) for load in scene.dead_loads]
-    loads += [(load.rectangle, np.array(load.force_n)) for load in scene.stiff_loads]
+    loads = [(load.rectangle, np.zeros(3)) for load in scene.stiff_loads]  # their forces are among the dead loads
+    loads += [(load.rectangle, np.prod(load.size_mm) * np.array(load.traction_mpa)) for load in scene.dead_loads]
     parts = [split_by_cells(rectangle, body, local) for rectangle, _ in loads]
     newtons = np.zeros((body.design.n_units, len(local), 3))
     for (_, whole), shares in zip(loads, parts, strict=True):

@@ -91,6 +91,24 @@ class StiffLoad(_OnRectangle):
         super().__post_init__()
         require_vectors(self, {"force_n": 3, "moment_nmm": 3}, LARGEST_MPA)
 
+    @property
+    def spread(self) -> tuple[DeadLoad, ...]:
+        """Tractions on the plate and on its halves with the same force and moment: all one to a rigid plate.
+
+        Moments about x and y are couples of forces along z, about z of forces along y, half a plate apart.
+        """
+        (x, y), (a, b) = self.center_mm, self.size_mm
+        mx, my, mz = self.moment_nmm
+        loads = [(self.center_mm, self.size_mm, self.force_n)]
+        for side in (-1, 1):
+            loads.append(((x + side * a / 4, y), (a / 2, b), (0.0, side * 2 * mz / a, -side * 2 * my / a)))
+            loads.append(((x, y + side * b / 4), (a, b / 2), (0.0, 0.0, side * 2 * mx / b)))
+        return tuple(
+            DeadLoad(center_mm=center, size_mm=(w, d), traction_mpa=tuple(n / (w * d) for n in force))  # type: ignore[arg-type]  # three
+            for center, (w, d), force in loads
+            if any(force)
+        )
+
 
 Load = DeadLoad | FollowerLoad | StiffLoad
 LOAD_KINDS: dict[str, type[Load]] = {load.kind: load for load in (DeadLoad, FollowerLoad, StiffLoad)}

@@ -293,16 +293,22 @@ class Scene:
 
     @property
     def dead_loads(self) -> tuple[DeadLoad, ...]:
-        """The loads that are not stiff as small strain sees them: a pressure pushes along −z."""
-        return tuple(
-            DeadLoad(
-                center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=(*load.traction_mpa, -load.pressure_mpa)
-            )
-            if isinstance(load, FollowerLoad)
-            else load
-            for load in self.loads
-            if not isinstance(load, StiffLoad)
-        )
+        """The loads as small strain sees them: a pressure pushes along −z, a plate's force is spread over the plate."""
+        found: list[DeadLoad] = []
+        for load in self.loads:
+            if isinstance(load, StiffLoad):
+                found += load.spread
+            elif isinstance(load, FollowerLoad):
+                traction = (*load.traction_mpa, -load.pressure_mpa)
+                found.append(DeadLoad(center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=traction))
+            else:
+                found.append(load)
+        return tuple(found)
+
+    @property
+    def plate_rectangles_mm(self) -> FloatArray:
+        """Rectangles of the stiff loads' plates, loaded or not, shape (n_plates, 4)."""
+        return self._on_top([load.rectangle for load in self.stiff_loads])
 
     @property
     def load_rectangles_mm(self) -> FloatArray:
@@ -358,8 +364,7 @@ class Scene:
     @property
     def is_unloaded(self) -> bool:
         """True if no load remains once those on equal rectangles are added up."""
-        pushed = any(any(load.force_n + load.moment_nmm) for load in self.stiff_loads)
-        return not pushed and not self.summed_tractions
+        return not self.summed_tractions
 
     def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
         """Rectangles without what rounding puts past the top face."""

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from fem.array.cell import PortModes, condense, condense_by_parity
-from fem.array.plate import Plate
 from fem.array.solving import ResponseSettings, solve_response
 from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.discretization.plate import Plate
+from fem.methods.solving import solve_scene
+from fem.scene.loads import StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
+from geometry.layout import electrode_squares, unit_centres
 from geometry.storage.files import digest
 from tests.fem.test_cell import HALF, HEIGHT, QUARTER, RECTANGLES, RUBBER, UP, assert_same, mirrored
 
@@ -64,3 +68,49 @@ def test_stiff_pads_may_not_touch():
     """Between two plates that touch the rubber could not follow both."""
     with pytest.raises(DesignError, match="stiff pads may not touch"):
         replace(STIFF, pad=Pad(kind="stiff", size_mm=STIFF.array.pitch_mm))
+
+
+def on_electrodes(design, forces_n, tolerance):
+    """A scene with a plate on every unit under forces (n_units, 3), its probes all electrodes."""
+    loads = [
+        StiffLoad(center_mm=tuple(centre), size_mm=(12.0, 12.0), force_n=tuple(force))
+        for centre, force in zip(unit_centres(design), forces_n, strict=True)
+    ]
+    probes = [
+        Probe(name=str(number), kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0))
+        for number, (x0, y0, x1, y1) in enumerate(electrode_squares(design))
+    ]
+    body = Sensor(design=design)
+    return Scene(body=body, material=design.matrix_material, loads=loads, probes=probes, tolerance=tolerance)
+
+
+def moved(solution):
+    return np.array(list(solution.probes.values()))
+
+
+def off(one, other):
+    return np.linalg.norm(one - other, axis=1).max() / np.linalg.norm(other, axis=1).min()
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
+def test_boxes_bond_plates_as_cells_do(force):
+    """A quarter of a unit by its parity, the whole of it and its cell: one answer to the sum of the estimates."""
+    alone = replace(STIFF, array=Array(rows=1, cols=1))
+    scene = on_electrodes(alone, [force], 2e-2)
+    quarter, plan = solve_scene(scene, no_skip=["substructuring"])
+    whole, _ = solve_scene(replace(scene, tolerance=6e-2), no_skip=["substructuring", "symmetry"])
+    assert plan.element == "Q4"
+    assert [len(mirror.parities) for mirror in plan.mirrors] == [1, 1]
+    cell = solve_response(alone, ResponseSettings(tolerance=1e-2))
+    expected = cell.influence_mm_per_n[0, 0, :, :, 0, 0, :] @ np.array(force)
+    assert off(moved(quarter), moved(whole)) < quarter.error_estimate + whole.error_estimate
+    assert off(moved(quarter), expected) < quarter.error_estimate + cell.error_estimate
+
+
+def test_forces_and_moments_are_spread_over_the_plate():
+    """Couples on its halves: their sum and their moment about the middle are those stated."""
+    load = StiffLoad(center_mm=(3.0, 1.0), size_mm=(4.0, 2.0), force_n=(1.0, -2.0, 3.0), moment_nmm=(5.0, 7.0, -4.0))
+    forces = np.array([np.prod(one.size_mm) * np.array(one.traction_mpa) for one in load.spread])
+    arms = np.array([(*one.center_mm, 0.0) for one in load.spread]) - (3.0, 1.0, 0.0)
+    assert np.allclose(forces.sum(axis=0), load.force_n)
+    assert np.allclose(np.cross(arms, forces).sum(axis=0), load.moment_nmm)

@@ -52,7 +52,7 @@ def test_a_common_material_fills_the_rubbers_that_the_design_leaves_open():
 
 
 def test_kinds_of_loads_and_a_model_are_read_as_written():
-    """In linear scenes a pressure pushes along −z; plates are no tractions."""
+    """In linear scenes a pressure pushes along −z; force and moment of a plate are spread over it and its halves."""
     stiff = 'kind = "stiff"\ncenter_mm = [5, 5]\nsize_mm = [4, 4]\nforce_n = [1, 2, -3]\nmoment_nmm = [0, 4, 0]\n'
     follower = 'kind = "follower"\ncenter_mm = [25, 5]\nsize_mm = [4, 2]\npressure_mpa = 2\ntraction_mpa = [0.5, 0]\n'
     text = BLOCK.replace("poisson = 0.49", 'poisson = 0.49\nmodel = "neo-hookean"')
@@ -61,8 +61,14 @@ def test_kinds_of_loads_and_a_model_are_read_as_written():
     assert {material.model for _, material in scene.regions} == {"neo-hookean"}
     assert [type(load) for load in scene.loads] == [DeadLoad, StiffLoad, FollowerLoad]
     assert scene.stiff_loads[0].moment_nmm == (0.0, 4.0, 0.0)
-    assert scene.tractions_mpa.tolist() == [[0.0, 0.0, -1.0], [0.5, 0.0, -2.0]]
-    assert scene.load_rectangles_mm.tolist() == [[10.0, 10.0, 20.0, 20.0], [23.0, 4.0, 27.0, 6.0]]
+    couple = [[3.0, 3.0, 5.0, 7.0], [5.0, 3.0, 7.0, 7.0]]
+    assert scene.load_rectangles_mm.tolist() == [
+        [10.0, 10.0, 20.0, 20.0], [3.0, 3.0, 7.0, 7.0], *couple, [23.0, 4.0, 27.0, 6.0]
+    ]  # fmt: skip
+    assert scene.tractions_mpa.tolist() == [
+        [0.0, 0.0, -1.0], [1 / 16, 2 / 16, -3 / 16], [0.0, 0.0, 0.25], [0.0, 0.0, -0.25], [0.5, 0.0, -2.0]
+    ]  # fmt: skip
+    assert scene.plate_rectangles_mm.tolist() == [[3.0, 3.0, 7.0, 7.0]]
 
 
 def test_a_common_model_fills_the_rubbers_that_state_none():

@@ -76,7 +76,7 @@ def glued_mesh(
     largest_mm, grading : float
         Of netgen.
     hp : (levels, ratio, edges)
-        Geometric refinement toward the named edges: "base", "loads", "regions".
+        Geometric refinement toward the named edges: "base", "loads", "regions"; "corners" are those of loads.
     """
     from netgen.occ import Glue, OCCGeometry
     from ngsolve import Mesh
@@ -96,6 +96,8 @@ def glued_mesh(
         parts.append(_face(corners, h))
         if edge_mm is not None:
             refined(parts[-1].edges, "loads", edge_mm)
+        for vertex in parts[-1].vertices:
+            vertex.hpref = 1 if levels and "corners" in singular else 0
     for prism, edge_mm in prisms:
         parts.append(_solid(prism))
         refined(parts[-1].edges, "regions", edge_mm)

@@ -1,16 +1,17 @@
-"""A rigid plate bonded to a pad: the rubber under it follows six rigid motions.
+"""A rigid plate bonded to the top face: the rubber under it follows six rigid motions.
 
-Its motions are condensed away with the inside of its cell. What is left has the form of any condensed cell, so that
-arrays, files and pictures need not know of plates.
+In a condensed cell these are eliminated with the cell's inside. What is left has the form of any condensed cell, so
+that arrays, files and pictures need not know of plates. In a body of its own they replace what is bonded (`tied`).
 """
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.discretization.mirrors import Parity
+from fem.discretization.mirrors import Mirror, Parity, flipped_rectangles
 from geometry.layout import FloatArray
 
 #: parity of each motion about x = 0 and y = 0: translations along x, y, z, then rotations about x, y, z
@@ -45,11 +46,15 @@ class Plate:
         """Free degrees of freedom that follow the plate, shape (n,), and its motions there, (n, 6 or fewer).
 
         `free` numbers degrees of freedom node·3 + axis of nodes (3, n_nodes). Only motions of a parity count, if one is
-        given: of the quarter that it is a problem of.
+        given: of the quarter that it is a problem of; 0 stands for both along its axis.
         """
         at_plate = free[self.holds(nodes_mm)[free // 3]]
         number, place = np.unique(at_plate // 3, return_inverse=True)
-        kept = [motion for motion, own in enumerate(PARITIES) if parity in (None, own)]
+        kept = [
+            motion
+            for motion, own in enumerate(PARITIES)
+            if parity is None or all(wanted in (0, given) for wanted, given in zip(parity, own, strict=True))
+        ]
         return at_plate, self.motions(nodes_mm[:, number])[place, at_plate % 3][:, kept]
 
     def motions(self, nodes_mm: FloatArray) -> FloatArray:
@@ -62,6 +67,38 @@ class Plate:
         moved[:, :, :3] = np.eye(3)
         moved[:, :, 3:] = np.cross(np.eye(3), arm[:, None, :]).swapaxes(1, 2)
         return moved
+
+
+def folded_plates(
+    rectangles_mm: FloatArray, height_mm: float, mirrors: tuple[Mirror, ...], parity: Parity
+) -> list[tuple[Plate, Parity]]:
+    """The plates that the solved part of a mirrored body has, and the parity of their motions for `Plate.followers`.
+
+    Plates (k, 4) beyond a mirror are images of those before it; one that a mirror cuts keeps motions of the parity.
+    """
+    found: dict[tuple[float, ...], tuple[Plate, Parity]] = {}
+    for rectangle in rectangles_mm:
+        middle, size = rectangle.reshape(2, 2).mean(axis=0), rectangle[2:] - rectangle[:2]
+        off = {mirror.axis: middle[mirror.axis] - mirror.position_mm for mirror in mirrors}
+        own = flipped_rectangles(rectangle, tuple(mirror for mirror in mirrors if off[mirror.axis] < 0))
+        cut = [parity[axis] if abs(off.get(axis, np.inf)) < ON_PLATE * size[axis] else 0 for axis in (0, 1)]
+        found[tuple(own.round(9))] = Plate(own, height_mm), (cut[0], cut[1])
+    return list(found.values())
+
+
+def tied(n: int, plates: list[tuple[NDArray[np.int64], FloatArray]]) -> sp.csr_matrix:
+    """All unknowns (n,) from those that no plate binds, and then the motions of every plate: T, shape (n, m).
+
+    Each plate comes as its followers' places among the unknowns and its motions there; K becomes Tᵀ K T and f Tᵀ f.
+    """
+    loose = np.ones(n, dtype=bool)
+    for places, _ in plates:
+        loose[places] = False
+    parts = [sp.csr_matrix(sp.eye_array(n, format="csc")[:, np.flatnonzero(loose)])]
+    for places, motions in plates:
+        rows, columns = np.repeat(places, motions.shape[1]), np.tile(np.arange(motions.shape[1]), len(places))
+        parts.append(sp.csr_matrix((motions.ravel(), (rows, columns)), shape=(n, motions.shape[1])))
+    return sp.hstack(parts, format="csr")
 
 
 def without_plate(
