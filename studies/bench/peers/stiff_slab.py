@@ -1,21 +1,27 @@
-"""A whole slab under stiff pads by NGSolve: rigid plates bonded to it, solved for every motion of every plate.
+"""``python -m studies.bench.peers.stiff_slab [UNITS]``: a whole slab under stiff pads by NGSolve.
+
+Rigid plates bonded to it, solved for every motion of every plate.
 
 A quarter of the slab, hp-refined toward the edges of pads, is solved for each parity about its middle planes. What
 holds the plates in a motion is a column of a stiffness of all plates' motions; a force moves all by its inverse.
 Nothing in `fem` solves that way: no cells, no ports, no extrapolation.
 """
 
+import sys
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from fem.array.response import ArrayResponse
+from fem.array.solving import solve_response
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Probe, Scene
-from geometry.design import SensorDesign
+from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from studies.bench.peers.ngsolve_peer import Grading, System, reference_mesh
 
+EDGES = ("loads", "corners")  #: that meshes are refined toward: of plates
 ON_PLANE = 1e-9  #: of the height: how far rounding may put a corner off a plane
 
 
@@ -153,3 +159,31 @@ def _flips(place: FloatArray, parity: tuple[int, ...]) -> FloatArray:
 
 def _nearest(places: FloatArray, middles: FloatArray) -> Any:
     return np.linalg.norm(places[:, None] - middles, axis=-1).argmin(axis=1)
+
+
+def distances_from(response: ArrayResponse, grading: Grading) -> dict[str, float]:
+    """Largest distance of any unit's electrodes by forces on an inner, an edge and a corner plate, over that plate's."""
+    rows, cols = response.design.array.rows, response.design.array.cols
+    places = {"inner": rows // 2 * cols + cols // 2, "edge": cols // 2, "corner": 0}
+    columns, _ = stiff_columns(response.design, grading, list(places.values()))
+    found = {}
+    for (place, unit), exact in zip(places.items(), columns, strict=True):
+        influence = response.influence_mm_per_n[:, :, :, :, unit // cols, unit % cols]
+        ours = influence.transpose(4, 0, 1, 2, 3).reshape(exact.shape)
+        apart = np.sqrt(((ours - exact) ** 2).sum(axis=(0, 2, 3)))
+        found[place] = float(apart.max() / np.linalg.norm(exact[:, unit]))
+    return found
+
+
+def main(units: int) -> None:
+    """Print how far responses of so many stiff pads a side are from finer and finer runs of NGSolve."""
+    design = SensorDesign(array=Array(rows=units, cols=units), pad=Pad(kind="stiff"))
+    response = solve_response(design)
+    print(f"estimated error {response.error_estimate:.1e}", flush=True)
+    for order, levels, edge_mm in ((4, 2, 6.0), (5, 2, 6.0), (5, 2, 3.0), (6, 3, 3.0)):
+        grading = Grading(order=order, levels=levels, ratio=0.15, largest_mm=10.0, edge_mm=edge_mm, edges=EDGES)
+        print(grading, distances_from(response, grading), flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2)
