@@ -162,7 +162,7 @@ def _nearest(places: FloatArray, middles: FloatArray) -> Any:
 
 
 def distances_from(response: ArrayResponse, grading: Grading) -> dict[str, float]:
-    """Largest distance of any unit's electrodes by forces on an inner, an edge and a corner plate, over that plate's."""
+    """Largest distance of any unit's electrodes by a force on an inner, edge or corner plate, over that plate's."""
     rows, cols = response.design.array.rows, response.design.array.cols
     places = {"inner": rows // 2 * cols + cols // 2, "edge": cols // 2, "corner": 0}
     columns, _ = stiff_columns(response.design, grading, list(places.values()))
