@@ -1,0 +1,141 @@
+"""``python -m studies.linear_cost DOCS``: what linear elasticity costs, the table and the pictures of docs/linear.md.
+
+Finite and linear answers are of one grid, so that their difference is strain's alone; forces come from the linear map's
+own inverse, which reads the lengths of the pillars exactly as the linear model gives them.
+"""
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.optimize import least_squares
+
+from dataset.protocols import PROTOCOLS
+from dataset.resistance import pillar_lengths, pillar_strains
+from fem.fields.deformed import solve_scene_parts
+from fem.fields.finite_pictures import pressed_sensor
+from fem.finite.samples import SampleSolver
+from fem.pictures.deformation import DeformedPicture
+from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.layout import FloatArray
+from geometry.storage.files import write_text
+from studies.charts import save_small
+from tripillar.terminal.entry import run_alone
+
+SHOWN = ("contact", "three-axis")
+PEAKS_MPA = (0.3, 1.0, 3.0, 5.0)  #: to which the greatest pressure of every sample is scaled
+SAMPLES, SEED = 3, 7  #: of each protocol and peak
+SMALL = 1e-4  #: of a load, at which rubber is linear
+CAP = 0.3  #: largest strain of a pillar, as of datasets
+NEAR = 1e-3  #: of the loads' root mean square: how little a force must miss before the inverse has settled
+DESIGN = SensorDesign(array=Array(rows=3, cols=3), pad=Pad(kind="stiff"))
+TABLE = re.compile("(?<=<!-- table -->\n).*?(?=<!-- end -->)", re.DOTALL)
+PICTURE_MPA = 3.0
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Errors of linear elasticity on samples of one protocol under one greatest pressure."""
+
+    protocol: str
+    peak_mpa: float
+    samples: int
+    displacement: float  #: root mean square over that of the displacements
+    force: FloatArray  #: (3,): root mean square errors of Fx, Fy, Fz over that of all forces of the axis [N]
+    size_n: FloatArray  #: (3,): root mean squares of Fx, Fy, Fz
+
+
+def costs() -> list[Cost]:
+    """Errors by protocol and load, on a 3 × 3 array with stiff pads."""
+    solver = SampleSolver(DESIGN)
+    n, small_n = 3 * DESIGN.n_units, SMALL * DESIGN.pad.size_mm**2
+    ones = small_n * np.eye(n).reshape(n, -1, 3)
+    compliance = solver.displacements(ones).displacement_mm / small_n  # (n, n_units, 2, 3) per newton
+    found = []
+    for protocol in SHOWN:
+        tractions = PROTOCOLS[protocol].draw(np.random.default_rng(SEED), SAMPLES, DESIGN)
+        for peak in PEAKS_MPA:
+            pressed = -tractions[..., 2].min(axis=1)
+            force = tractions * (peak / pressed)[:, None, None] * DESIGN.pad.size_mm**2
+            found.append(cost_of(protocol, peak, force, solver, compliance))
+    return found
+
+
+def cost_of(
+    protocol: str,
+    peak_mpa: float,
+    force_n: FloatArray,
+    solver: SampleSolver,
+    compliance: FloatArray,
+) -> Cost:
+    """Errors on those samples of forces (m, n_units, 3) that settle and strain no pillar by more than `CAP`."""
+    found = solver.displacements(force_n)
+    lengths = pillar_lengths(found.displacement_mm, DESIGN.unit)
+    strain = pillar_strains(found.displacement_mm, lengths, DESIGN.unit).max(axis=(1, 2))
+    kept = (found.change <= solver.tolerance) & (strain <= CAP)
+    finite, force_n = found.displacement_mm[kept], force_n[kept]
+    linear = np.tensordot(force_n.reshape(len(force_n), -1), compliance, 1)
+    read = np.stack([
+        inverse(pillar_lengths(u, DESIGN.unit), compliance).reshape(-1, 3) for u in finite
+    ])  # fmt: skip
+    return Cost(
+        protocol=protocol,
+        peak_mpa=peak_mpa,
+        samples=int(kept.sum()),
+        displacement=float(np.sqrt(((linear - finite) ** 2).mean() / (finite**2).mean())),
+        force=np.sqrt(((read - force_n) ** 2).mean(axis=(0, 1))),
+        size_n=np.sqrt((force_n**2).mean(axis=(0, 1))),
+    )
+
+
+def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
+    """Forces (n,) [N] at which the linear model has the lengths (n_units, 3)."""
+    size = 100.0
+
+    def missed(share: FloatArray) -> FloatArray:
+        return (pillar_lengths(np.tensordot(size * share, compliance, 1), DESIGN.unit) - length_mm).ravel()
+
+    return size * least_squares(missed, np.zeros(len(compliance)), xtol=NEAR * 1e-3).x
+
+
+def as_table(found: list[Cost]) -> str:
+    """The rows of docs/linear.md."""
+    lines = [
+        "| protocol | greatest pressure [MPa] | samples | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for one in found:
+        forces = [
+            f"{e:.1f} of {s:.1f}" if s > 0 else f"{e:.1f} of 0" for e, s in zip(one.force, one.size_n, strict=True)
+        ]
+        lines.append(
+            f"| {one.protocol} | {one.peak_mpa:g} | {one.samples} | {one.displacement:.1%} | {' | '.join(forces)} |"
+        )
+    return "\n".join(lines).replace("%", " %") + "\n"
+
+
+def draw(folder: Path) -> None:
+    """One pad of a row under `PICTURE_MPA` by linear elasticity and at finite strain, true scale, side by side."""
+    rubber, row = Material(model="neo-hookean"), replace(DESIGN, array=Array(rows=1, cols=3))
+    designs = {"linear": row, "finite strain": replace(row, pillar_material=rubber, matrix_material=rubber)}
+    panels = {}
+    for name, design in designs.items():
+        every = pressed_sensor(design, "uniform", PICTURE_MPA)
+        one = tuple(load if load.center_mm == (0.0, 0.0) else load.times(0.0) for load in every.loads)
+        panels[f"{name}: {PICTURE_MPA:g} MPa on one pad"] = solve_scene_parts(replace(every, loads=one), stress=False)
+    picture = DeformedPicture(panels, camera="front")
+    save_small(Image.fromarray(picture.plotter.screenshot(return_img=True)), folder / "linear-and-finite.png")
+    picture.plotter.close()
+
+
+def main(folder: Path) -> None:
+    """Write the table into linear.md, and its picture beside it."""
+    page = folder / "linear.md"
+    write_text(TABLE.sub(lambda _: as_table(costs()), page.read_text(encoding="utf-8")), page)
+    draw(folder)
+
+
+if __name__ == "__main__":
+    run_alone(main)
