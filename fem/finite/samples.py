@@ -26,9 +26,9 @@ ORDERS = 3  #: of the series by which the finer grid corrects
 AT_ONCE = 4  #: samples solved together, which bounds the memory
 COARSE = Lines(pad=(0.5, 1.0), height=(0.5, 1.0))
 FINE = Lines(pad=(0.2, 0.8, 1.0), height=(0.2, 0.8, 1.0))
-#: error of the finer grid over the difference of both, and how much of the difference may be left after it is
-#: subtracted: from a grid of ten times the elements, pairs of units at strains of 0.1 to 0.3
-EXTRAPOLATED, LEFT = 0.28, 0.2
+#: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of ten
+#: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
+EXTRAPOLATED, LEFT = 0.28, 0.4
 TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
 
 IntArray = NDArray[np.int64]
