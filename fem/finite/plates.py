@@ -57,12 +57,12 @@ class Plates:
         return np.searchsorted(self.plate, np.arange(self.count))
 
     def turned(self, rotation: FloatArray) -> FloatArray:
-        """R (X − C) of every bonded node, (..., n, 3), of rotations (..., k, 3, 3)."""
+        """R (X − C) of every bonded node, (..., n, 3), of rotations, or turns, (..., k, 3, 3)."""
         return np.einsum("...nij,nj->...ni", rotation[..., self.plate, :, :], self.arm_mm)
 
-    def displacements(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Of every bonded node, (..., n, 3), for shifts (..., k, 3) of the middles and rotations [mm]."""
-        return shift[..., self.plate, :] + self.turned(rotation) - self.arm_mm
+    def displacements(self, shift: FloatArray, turn: FloatArray) -> FloatArray:
+        """Of every bonded node, (..., n, 3), for shifts (..., k, 3) of the middles and turns R − I [mm]."""
+        return shift[..., self.plate, :] + self.turned(turn)
 
     def resultants(self, forces: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sum (..., k, 3) [N] and moment about the middles (..., k, 3) [N mm] of forces (..., n, 3) on the nodes."""
@@ -72,12 +72,12 @@ class Plates:
         return tuple(np.add.reduceat(v, self.starts, axis=-2) for v in (forces, moments))  # type: ignore[return-value]
 
 
-def rotations(spin: FloatArray) -> FloatArray:
-    """Rotation matrices exp [ω], (..., 3, 3), of vectors ω (..., 3) (Rodrigues).
+def turns(spin: FloatArray) -> FloatArray:
+    """exp [ω] − I, (..., 3, 3), of vectors ω (..., 3) (Rodrigues): what rotations R change, exact to rounding of ω.
 
-    >>> np.round(rotations(np.array([0.0, 0.0, np.pi / 2])) @ np.array([1.0, 0.0, 0.0]), 12)
-    array([0., 1., 0.])
+    >>> np.round(turns(np.array([0.0, 0.0, np.pi / 2])) @ np.array([1.0, 0.0, 0.0]), 12)
+    array([-1.,  1.,  0.])
     """
     angle = np.linalg.norm(spin, axis=-1)[..., None, None]
     W = skew(spin)
-    return np.eye(3) + np.sinc(angle / np.pi) * W + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (W @ W)
+    return np.sinc(angle / np.pi) * W + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (W @ W)

@@ -125,7 +125,7 @@ class PreloadedArray:
                     break
                 about = BaseState.about(self.base(preload_mpa).system, own, self._factor)
                 last = self._relaxed(about, force_n[sample], tolerance, unwanted)
-                for name in ("u", "p", "shift", "rotation"):
+                for name in ("u", "p", "shift", "turn"):
                     getattr(found.state, name)[number] = getattr(last.state, name)[0]
                 found.change[number] = last.change[0]
                 found.iterations[number] += last.iterations[0]

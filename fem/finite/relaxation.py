@@ -65,11 +65,12 @@ class Relaxation:
         """The deformed bodies of vectors (m, n)."""
         blocks = x[:, : self.n_motions].reshape(len(x), -1, 3)
         shift, rotation = self.plates(x)
+        turn = rotation - np.eye(3)
         u = np.zeros((len(x), self.body.n_nodes, 3))
         u[:, self.system.free] = blocks[:, : self.n]
-        u[:, self.system.plates.node] = self.system.plates.displacements(shift, rotation)
+        u[:, self.system.plates.node] = self.system.plates.displacements(shift, turn)
         p = x[:, self.n_motions :].reshape(len(x), -1, N_PRESSURES)
-        return State(u=u, p=p, shift=shift, rotation=rotation)
+        return State(u=u, p=p, shift=shift, turn=turn)
 
     def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
         """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.finite.loads import FollowingFaces, skew
-from fem.finite.plates import Plates, rotations
+from fem.finite.plates import Plates, turns
 from fem.finite.rubber_body import N_NODES, PAIRS, RubberBody, TangentParts
 from fem.linear.refactored import BlockPattern
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
@@ -28,7 +28,12 @@ class State:
     u: FloatArray  #: displacements, (m, n, 3) [mm]
     p: FloatArray  #: pressures as iterates of their own, (m, e, 4) [MPa]
     shift: FloatArray  #: of the plates' middles, (m, k, 3) [mm]
-    rotation: FloatArray  #: of the plates, (m, k, 3, 3)
+    turn: FloatArray  #: R − I of the plates' rotations R, (m, k, 3, 3): R would round small turns to 1e-16 of a radian
+
+    @property
+    def rotation(self) -> FloatArray:
+        """R of the plates, (m, k, 3, 3)."""
+        return np.eye(3) + self.turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +130,19 @@ class FiniteSystem:
         """The body without loads."""
         u, p = self.body.rest()
         k = self.plates.count
-        return State(u=u, p=p, shift=np.zeros((k, 3)), rotation=np.broadcast_to(np.eye(3), (k, 3, 3)))
+        return State(u=u, p=p, shift=np.zeros((k, 3)), turn=np.zeros((k, 3, 3)))
 
     def moved(self, state: State, change: FloatArray, pressure_change: FloatArray | None = None) -> State:
         """A state after a change of the unknowns (..., n_blocks, 3) and, if given, of the pressures."""
         n, k = len(self.free), self.plates.count
         spin = change[..., n + k :, :] / self.plates.half_mm[:, None]
-        shift, rotation = state.shift + change[..., n : n + k, :], rotations(spin) @ state.rotation
+        further = turns(spin)
+        shift, turn = state.shift + change[..., n : n + k, :], further + state.turn + further @ state.turn
         u = state.u.copy()
         u[..., self.free, :] += change[..., :n, :]
-        u[..., self.plates.node, :] = self.plates.displacements(shift, rotation)
+        u[..., self.plates.node, :] = self.plates.displacements(shift, turn)
         p = state.p if pressure_change is None else state.p + pressure_change
-        return State(u=u, p=p, shift=shift, rotation=rotation)
+        return State(u=u, p=p, shift=shift, turn=turn)
 
     def nodal_change(self, rotation: FloatArray, change: FloatArray) -> FloatArray:
         """First-order displacements of all nodes (..., n_nodes, 3) by a change of the unknowns (..., n_blocks, 3)."""
@@ -304,4 +310,4 @@ class FiniteSystem:
 
 def at_state(state: State, number: "int | IntArray") -> State:
     """One of several states, or some."""
-    return replace(state, **{name: getattr(state, name)[number] for name in ("u", "p", "shift", "rotation")})
+    return replace(state, **{name: getattr(state, name)[number] for name in ("u", "p", "shift", "turn")})

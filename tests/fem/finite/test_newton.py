@@ -7,7 +7,7 @@ import pytest
 
 from fem.discretization.grid import Grid
 from fem.finite.mirrored import loads_above, unfolded
-from fem.finite.newton import UnreachableLoadError, find_equilibrium, solve_rest
+from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
 from fem.finite.solving import finite_grid, solve_finite
 from fem.finite.system import FiniteSystem
@@ -37,12 +37,14 @@ def loads_of(kind: str, mpa: float) -> list[Load]:
     }[kind]
 
 
+@pytest.mark.parametrize("mpa", [1e-12, 1e-9, 1e-6])
 @pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
-def test_small_loads_give_the_tangent_s_answer(kind):
-    system = FiniteSystem(BODY, loads_of(kind, 1e-6))
+def test_small_loads_give_the_tangent_s_answer(kind, mpa):
+    """They differ by the strain, which is about mpa / 6, and by what the residual may be; plates tilt as well."""
+    system = FiniteSystem(BODY, loads_of(kind, mpa))
     found = find_equilibrium(system)
-    linear = solve_rest(system, RepeatedFactor(system.pattern))
-    assert np.allclose(system.moved(system.rest(), linear).u, found.state.u, rtol=1e-5, atol=1e-12)
+    linear = system.nodal_change(system.rest().rotation, solve_rest(system, RepeatedFactor(system.pattern)))
+    assert np.abs(found.state.u - linear).max() < (mpa + 10 * RESIDUAL) * np.abs(linear).max()
 
 
 def test_small_loads_give_the_linear_solver_s_answer():

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from fem.discretization.grid import Grid
-from fem.finite.plates import rotations
+from fem.finite.plates import turns
 from fem.finite.rubber_body import RubberBody, cofactors
 from fem.finite.system import FiniteSystem
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
@@ -51,7 +51,7 @@ def test_bar_in_tension_follows_the_closed_form():
 @pytest.mark.parametrize("lean", [(0.0, 0.0), LEAN])
 def test_turning_a_body_stores_nothing(lean):
     block = body(lean)
-    turn = rotations(np.array([0.4, -1.1, 0.7]))
+    turn = np.eye(3) + turns(np.array([0.4, -1.1, 0.7]))
     u = homogeneous(block, turn)
     forces, _, _ = block.internal_forces(u)
     assert np.abs(forces).max() < 1e-12
