@@ -32,6 +32,7 @@ HEXAHEDRON = (0, 2, 4, 1, 3, 6, 7, 5), (
     (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)
 )  # fmt: skip
 TETRAHEDRON = (0, 1, 2, 3), ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+STEPS = 2  #: of the load at finite strain; CalculiX halves those that fail
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  #: nodes of a tetrahedron turned inside out
 
 
@@ -83,7 +84,10 @@ def make_grid(scene: Scene, n: float, element: str, graded: bool) -> QuadraticGr
 
 
 def deck(scene: Scene, grid: QuadraticGrid) -> str:
-    """The input file: one linear static step that prints the displacement of the top."""
+    """The input file: one static step that prints the displacement of the top.
+
+    Neo-Hookean rubber is CalculiX's own, μ/2 (I₁ J^(−2/3) − 3) + K/2 (J − 1)²: this project's law at small strain only.
+    """
     out = StringIO()
     out.write("*NODE, NSET=ALL\n")
     np.savetxt(out, np.column_stack([np.arange(1, len(grid.points_mm) + 1), grid.points_mm]), "%d, %.12g, %.12g, %.12g")
@@ -98,6 +102,7 @@ def deck(scene: Scene, grid: QuadraticGrid) -> str:
     for name, chosen in {"BASE": z == 0.0, "TOP": z == scene.height_mm}.items():
         out.write(f"*NSET, NSET={name}\n")
         np.savetxt(out, np.flatnonzero(chosen) + 1, "%d,")
+    is_finite = scene.material.model == "neo-hookean"
     materials, region = [scene.material], np.zeros(len(grid.cells), dtype=int)
     middles = grid.points_mm[grid.cells].mean(axis=1)
     for inclusion in scene.inclusions:
@@ -107,15 +112,21 @@ def deck(scene: Scene, grid: QuadraticGrid) -> str:
     for number, material in enumerate(materials):
         out.write(f"*ELSET, ELSET=PART{number}\n")
         np.savetxt(out, np.flatnonzero(region == number) + 1, "%d,")
-        out.write(f"*MATERIAL, NAME=RUBBER{number}\n*ELASTIC\n{material.young_mpa:.12g}, {material.poisson:.12g}\n")
+        lame, mu = material.lame_mpa
+        if is_finite:
+            law = f"*HYPERELASTIC, NEO HOOKE\n{mu / 2:.12g}, {2 / (lame + 2 / 3 * mu):.12g}"
+        else:
+            law = f"*ELASTIC\n{material.young_mpa:.12g}, {material.poisson:.12g}"
+        out.write(f"*MATERIAL, NAME=RUBBER{number}\n{law}\n")
         out.write(f"*SOLID SECTION, ELSET=PART{number}, MATERIAL=RUBBER{number}\n")
-    out.write("*BOUNDARY\nBASE, 1, 3\n*STEP\n*STATIC, SOLVER=SPOOLES\n*CLOAD\n")
+    step, times = (", NLGEOM", f"{1 / STEPS:g}, 1.\n") if is_finite else ("", "")
+    out.write(f"*BOUNDARY\nBASE, 1, 3\n*STEP{step}\n*STATIC, SOLVER=SPOOLES\n{times}*CLOAD\n")
     forces = np.zeros((len(grid.points_mm), 3))
     for load in scene.dead_loads:
         forces += np.outer(grid.weights(load.rectangle), load.traction_mpa)
     for node, axis in np.argwhere(forces != 0.0):
         out.write(f"{node + 1}, {axis + 1}, {forces[node, axis]:.12g}\n")
-    out.write("*NODE PRINT, NSET=TOP\nU\n*END STEP\n")
+    out.write(f"*NODE PRINT, NSET=TOP{', FREQUENCY=1000' if is_finite else ''}\nU\n*END STEP\n")
     return out.getvalue()
 
 

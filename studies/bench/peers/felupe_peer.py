@@ -1,6 +1,6 @@
 """FElupe on the same mesh, elements and loads: finite strain solved a second time by other code.
 
-FElupe is under the GPL and no dependency: `pip install felupe` beside the project to run this.
+FElupe is under the GPL and no dependency of the project: the extra `bench` or `pip install felupe` brings it.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from geometry.layout import FloatArray
 STEPS = 8  #: of the load; FElupe's Newton has the pressure as a field of its own, but no step control
 
 
-def felupe_displacements(body: RubberBody, loads: list[Load], state: State) -> FloatArray:
+def felupe_displacements(body: RubberBody, loads: list[Load], state: State, steps: int = STEPS) -> FloatArray:
     """Displacements (n_nodes, 3) of a body of one rubber under the same loads [mm].
 
     Plates are not in FElupe: their nodes are moved as `state` says, and all others are solved for. The law is FElupe's
@@ -68,7 +68,7 @@ def felupe_displacements(body: RubberBody, loads: list[Load], state: State) -> F
     moved = np.zeros_like(points)
     moved[mask] = state.u[mask]
     prescribed = np.concatenate([moved.ravel(), np.zeros(8 * n)])[dof0]
-    for share in np.arange(1, STEPS + 1) / STEPS:
+    for share in np.arange(1, steps + 1) / steps:
         items = [solid]
         if any(isinstance(load, DeadLoad | FollowerLoad) for load in loads):
             items.append(fe.PointLoad(field, np.arange(len(points)), values=share * system.dead))

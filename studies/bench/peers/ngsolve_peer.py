@@ -208,7 +208,7 @@ class System:
 
         f = ng.LinearForm(self.space)
         for load in scene.dead_loads:
-            f += _inside(load.rectangle) * ng.InnerProduct(ng.CF(load.traction_mpa), self.virtual) * ng.ds("top")
+            f += inside(load.rectangle) * ng.InnerProduct(ng.CF(load.traction_mpa), self.virtual) * ng.ds("top")
         f.Assemble()
         return f
 
@@ -255,7 +255,7 @@ def solve_by_ngsolve(
         inverse = system.factor()
         watch.spent("factor")
         u = system.displacement(system.solve(inverse, f))
-        probes = {probe.name: _mean_over(u, probe.rectangle) for probe in scene.mean_probes}
+        probes = {probe.name: mean_over(u, probe.rectangle) for probe in scene.mean_probes}
         watch.spent("solve")
     return Solved(probes, system.space.ndof, watch.seconds)
 
@@ -320,7 +320,7 @@ def _other_rubber(scene: Scene) -> list[tuple[Prism, Material]]:
 # probes
 
 
-def _inside(rectangle: Sequence[float]) -> Any:
+def inside(rectangle: Sequence[float]) -> Any:
     """1 inside a rectangle, 0 outside: constant on each face, for the mesh conforms to its outline."""
     import ngsolve as ng
 
@@ -328,13 +328,13 @@ def _inside(rectangle: Sequence[float]) -> Any:
     return ng.IfPos((ng.x - x0) * (x1 - ng.x), 1, 0) * ng.IfPos((ng.y - y0) * (y1 - ng.y), 1, 0)
 
 
-def _mean_over(u: Any, rectangle: Sequence[float]) -> FloatArray:
+def mean_over(u: Any, rectangle: Sequence[float]) -> FloatArray:
     """Mean displacement over a rectangle of the top whose outline the mesh conforms to, shape (3,): exact."""
     import ngsolve as ng
 
     mesh, order = u.space.mesh, 2 * u.space.globalorder
     x0, y0, x1, y1 = rectangle
-    total = ng.Integrate(_inside(rectangle) * u, mesh, ng.BND, order=order, definedon=mesh.Boundaries("top"))
+    total = ng.Integrate(inside(rectangle) * u, mesh, ng.BND, order=order, definedon=mesh.Boundaries("top"))
     return np.array(total) / ((x1 - x0) * (y1 - y0))
 
 
@@ -347,7 +347,7 @@ def _probed(scene: Scene, u: Any) -> dict[str, FloatArray]:
         if probe.position_mm is not None:
             found[probe.name] = np.array(u(mesh(*probe.position_mm)))
         elif probe.rectangle in conforming:
-            found[probe.name] = _mean_over(u, probe.rectangle)
+            found[probe.name] = mean_over(u, probe.rectangle)
         else:
             x0, y0, x1, y1 = probe.rectangle
             x, y = np.meshgrid((x0 + x1 + (x1 - x0) * places) / 2, (y0 + y1 + (y1 - y0) * places) / 2, indexing="ij")
