@@ -72,7 +72,7 @@ def measure(contender: Contender, case: str, setting: Any) -> Found:
 
 
 def by_default(scene: Scene, tolerance: float) -> Solved:
-    """What `tripillar solve` does."""
+    """The path of `tripillar solve`."""
     start = perf_counter()
     solution, _ = solve_scene(replace(scene, tolerance=tolerance))
     return Solved(solution.probes, solution.unknowns, {"solve": perf_counter() - start})
@@ -182,7 +182,7 @@ def bench_finite(
     found = run_contenders(MODULE, NAME, NAME, CONTENDERS, settings)
     stored = json.loads(REFERENCES.read_text(encoding="utf-8"))
     caption = (
-        f"Processor seconds of one thread. The reference is sure to {stored['uncertainty']:.1%}; CalculiX is held to "
+        f"Processor seconds of one thread. The reference is sure to {stored['uncertainty']:.0e}; CalculiX is held to "
         f"one of its own law, {stored['laws_apart']:.1%} from ours."
     )
     show(record_table(f"{NAME}: finite strain", found, caption))
