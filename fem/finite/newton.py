@@ -4,7 +4,8 @@ The pressure of each element is an iterate of its own: a step moves it to what t
 tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
 many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100. A state whose
 tangent has an eigenvalue below 0 is unstable, and is not taken; but modes within the few elements that a singular edge
-squeezes to nothing are the mesh's own, and are let be.
+squeezes below a fifth of their volume are taken for the mesh's own, and are let be. That is argued, not proven: there
+the discrete rubber is far from the continuous one, and a fold of the true surface at the edge would be let be as well.
 
 No change takes more than a part of an element's volume: J → 0 at the edges of plates, where W grows like −ln J, and
 Newton's method on a logarithm converges from the steep side only.
@@ -12,6 +13,7 @@ Newton's method on a logarithm converges from the steep side only.
 
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +29,7 @@ MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 32  #: of the load, before it is refused
 KEPT_VOLUME = 0.2  #: of every Gauss point's volume, at least, that a change leaves
 DAMPING, DAMPINGS = 0.6, 12  #: factor of a change that leaves less, and how often
-SQUEEZED = 0.2  #: least J of elements at a singular edge whose own modes do not count
+SQUEEZED = 0.2  #: least J below which an element's own modes do not count; a choice, and `is_stable` is then None
 
 
 class UnreachableLoadError(SolverError):
@@ -49,7 +51,10 @@ class Equilibrium:
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
-    is_stable: bool | None = None  #: whether the last tangent is definite; None where it is not symmetric
+    #: True if the last tangent is definite; None where nothing counts its eigenvalues (pressures, moments, no PARDISO),
+    #: or where modes of squeezed elements were left out of the judgement: `stability` says which
+    is_stable: bool | None = None
+    stability: str = ""  #: what is to be said where `is_stable` is None
 
     @property
     def energy_imbalance(self) -> float:
@@ -124,7 +129,7 @@ def find_equilibrium(
         steps=steps,
         stored_mj=system.body.energy_mj(state.u),
         work_mj=path.work() if system.symmetric else np.nan,
-        is_stable=None if factor.n_negative is None else factor.n_negative == 0,
+        **_judgement(system, factor, misfit),
     )
 
 
@@ -180,6 +185,16 @@ def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share
         if judge.n_negative:
             return False
     return True
+
+
+def _judgement(system: FiniteSystem, factor: RepeatedFactor, misfit: Misfit) -> dict[str, Any]:
+    """`is_stable` and `stability` of a state that was taken."""
+    if factor.n_negative is None:
+        return {"is_stable": None, "stability": "stability not checked"}
+    # other parities are judged without the modes of squeezed elements, so what these are there is not known
+    if factor.n_negative or (system.mirrors and misfit.least_j < SQUEEZED):
+        return {"is_stable": None, "stability": f"stable but for modes within elements of J < {SQUEEZED:g}, not judged"}
+    return {"is_stable": True}
 
 
 def _own_displacement(system: FiniteSystem, state: State) -> float:

@@ -124,6 +124,7 @@ def solve_finite(
         steps.append(
             f"level {level}: {system.n_unknowns} unknowns, {equilibrium.iterations} iterations in {equilibrium.steps} "
             f"steps, smallest J {equilibrium.least_j:.3g}; estimated error {estimate:.1e}"
+            + (f"; {equilibrium.stability}" if equilibrium.stability else "")
         )
         if estimate <= scene.tolerance:
             break

@@ -212,5 +212,7 @@ def test_squeezed_elements_take_few_iterations():
     body = RubberBody(finite_grid(scene, 2, mirrors), [material])
     found = find_equilibrium(FiniteSystem(body, loads_above(scene, mirrors), (0, 1)))
     assert found.least_j < 0.1
+    assert found.is_stable is None
+    assert found.stability  # not silently
     assert found.steps == 1
     assert found.iterations <= 10
