@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from fem.fields.array_field import PAD_LOADS, FieldState
+from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
 from fem.methods.cell_scene import forces_on_cells
 from fem.methods.plan import make_plan
@@ -93,6 +94,21 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
         at=between_nodes(grid),
+    )
+
+
+def sampled_array_field(solver: SampleSolver, force_n: FloatArray) -> FiniteArrayField:
+    """An array under forces (n_units, 3) [N] on its stiff pads, on the solver's coarse grid: some percent too stiff."""
+    grid, u = solver.on_coarse_grid(force_n)
+    lines = tuple(np.sort(np.concatenate([line, (line[1:] + line[:-1]) / 2])) for line in grid.lines)
+    return FiniteArrayField(
+        design=solver.design,
+        rectangles_mm=pad_squares(solver.design)[:1],
+        state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
+        has_plates=True,
+        at=RegularGridInterpolator(
+            lines, u.reshape(*(len(line) for line in lines), 3), bounds_error=False, fill_value=None
+        ),
     )
 
 

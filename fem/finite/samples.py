@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.discretization.grid import Grid
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
 from geometry.design import SensorDesign
@@ -90,17 +91,15 @@ class SampleSolver:
         UnreachableLoadError
             If a uniform preload near a sample has no equilibrium.
         """
-        middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
-        levels = np.array(PRELOADS_MPA)
-        preload = levels[np.abs(middle[:, None] - levels).argmin(axis=1)]
+        preload = self._nearest_preloads(force_n)
         m, k = force_n.shape[:2]
         moved, estimate, change = np.empty((m, k, 2, 3)), np.empty(m), np.empty(m)
         iterations = np.empty(m, dtype=np.int64)
-        for level in levels:
+        for level in PRELOADS_MPA:
             mine = np.flatnonzero(preload == level)
             for first in range(0, len(mine), AT_ONCE):
                 own = mine[first : first + AT_ONCE]
-                answer = self._together(float(level), force_n[own])
+                answer = self._together(level, force_n[own])
                 moved[own], estimate[own], change[own], iterations[own] = answer
         return FiniteSamples(
             displacement_mm=moved,
@@ -109,6 +108,18 @@ class SampleSolver:
             iterations=iterations,
             error_estimate=np.hypot(estimate, change),
         )
+
+    def on_coarse_grid(self, force_n: FloatArray) -> tuple[Grid, FloatArray]:
+        """For pictures: the coarse grid and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N]."""
+        preload = float(self._nearest_preloads(force_n[None])[0])
+        found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
+        return self.coarse.body.grid, found.state.u[0]
+
+    def _nearest_preloads(self, force_n: FloatArray) -> FloatArray:
+        """Of `PRELOADS_MPA` those nearest to the middle of the pressures of samples (m, k, 3) [N], (m,)."""
+        middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
+        levels = np.array(PRELOADS_MPA)
+        return np.asarray(levels[np.abs(middle[:, None] - levels).argmin(axis=1)])
 
     def _together(self, preload: float, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Displacements (m, k, 2, 3), what is left of the grids' error, last changes and iterations of a few samples.

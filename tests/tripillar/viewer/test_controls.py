@@ -1,5 +1,8 @@
 """What acts on the page's array: one pad, or a round indenter."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from fem.fields.array_field import bell_pressure, indenter_tractions
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page.controls import sliders_of, traction_of
+from tripillar.viewer.page.finite import FiniteAnswer
 from tripillar.viewer.page.page import Page
 
 
@@ -52,3 +56,21 @@ def test_a_pressure_means_the_same_on_the_page_and_in_a_picture(rows):
     design = SensorDesign(array=Array(rows=rows, cols=rows))
     traction = indenter_tractions(design, traction_of(5.0, 0.0, 0.0), (0.0, 0.0), design.array.pitch_mm)
     np.testing.assert_allclose(traction, bell_pressure(design, 5.0), atol=1e-12)
+
+
+def test_a_load_that_rests_is_shown_at_finite_strain_or_refused(subject):
+    """Linear until it is solved; an answer changes the strain, a refusal leaves it and says why."""
+    page = Page(replace(subject, finite=SimpleNamespace(design=subject.design)))
+    page.set({"pad": 0, "pressure": 3.0})
+    before = page.update()
+    load = np.array(before["state"]["traction_mpa"]).reshape(-1, 3)
+    page._answer = FiniteAnswer(traction_mpa=load, moved_mm=np.full((2, 2, 3), -0.1), field=subject.loads.field)
+    page.scene.show = lambda *args, finite=None: page.scene.pads_bar  # its own picture is that of another test
+    solved = page.update()
+    page._answer = FiniteAnswer(traction_mpa=load, refusal="no equilibrium")
+    refused = page.update()
+    page.close()
+    assert "solving" in before["strain_note"]
+    assert solved["strain_note"].startswith("finite strain")
+    assert solved["strain"] != before["strain"] == refused["strain"]
+    assert (solved["trouble"], refused["trouble"]) == ("", "no equilibrium")

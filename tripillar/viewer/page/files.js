@@ -10,7 +10,7 @@ export function save(name, content) {
 
 // the picture as it is shown, with its keys and the factor of displacement below
 
-export function savePicture(image, { legend, scale_note }, root) {
+export function savePicture(image, { legend, scale_note, strain_note }, root) {
   const style = getComputedStyle(root), ratio = image.naturalWidth / image.clientWidth, strip = 58 * ratio;
   const canvas = document.createElement("canvas"), context = canvas.getContext("2d");
   canvas.width = image.naturalWidth;
@@ -27,7 +27,7 @@ export function savePicture(image, { legend, scale_note }, root) {
     const shades = context.createLinearGradient(left, 0, left + length, 0);
     colours.forEach((colour, k) => shades.addColorStop(k / (colours.length - 1), colour));
     context.textAlign = "left";
-    context.fillText(place ? title : `${title}, ${scale_note}`, left, top + 12);
+    context.fillText(place ? title : `${title}, ${scale_note}${strain_note && `, ${strain_note}`}`, left, top + 12);
     context.fillStyle = shades;
     context.fillRect(left, top + 18, length, 10);
     context.fillStyle = ink;

@@ -58,7 +58,7 @@ def beside_picture(tab: str, unit: int, reading: Reading) -> dict[str, Any]:
     known = error_n[np.isfinite(error_n)]
     at_row, at_col, pillar = np.unravel_index(int(strain.argmax()), strain.shape)
     worst = float(strain.max())
-    beyond = f"; linear, true to {100 * LINEAR_UP_TO:.0f} %" if worst > LINEAR_UP_TO else ""
+    beyond = f"; linear, true to {100 * LINEAR_UP_TO:.0f} %" if reading.is_linear and worst > LINEAR_UP_TO else ""
     of_pillars = np.stack([1e-3 * ohm, 100 * change, 100 * strain], axis=-1)[row, col]
     of_forces = np.stack([applied_n, force_n, error_n], axis=-1)[row, col]
     return of_tab | {

@@ -74,11 +74,13 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     """
     if find_spec("aiohttp") is None:
         raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
+    from dataset.finite_strain import require_finite
     from decoupler.model.model_file import read_model
     from fem.fields.array_field import solve_array_field
-    from geometry.design import SensorDesign
+    from geometry.design import SensorDesign, with_model
     from tripillar.pipeline.run import respond
     from tripillar.terminal.console import say
+    from tripillar.viewer.page.finite import FiniteStrain
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.scene import Superposition
     from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, net_forces
@@ -88,20 +90,26 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     model = None if options.model is None else read_model(options.model)
     if model is not None:
         design = _design_for(model, str(options.model), design)
+    design = design or SensorDesign()
+    is_finite = design.matrix_material.model != "linear"
+    if is_finite:
+        require_finite(design)
     with ExitStack() as stack:
         feed = None
         if options.port is not None and model is not None:
             feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
         with bars:
-            _, response = respond(design or SensorDesign(), bars)
+            _, response = respond(with_model(design, "linear"), bars)
             advance = bars.begin("page", total=2)
             field = solve_array_field(response.design, lambda step: advance(0, step))
             advance(1, "decoupler")
+            by_response = "the linear response's inverse" if is_finite else "the response's inverse"
             subject = Subject(
                 loads=Superposition(field),
                 sensor=SensorModel(response, inverse_forces(response) if model is None else net_forces(model)),
-                decoupler="the response's inverse" if model is None else f"the model {options.model}",
+                decoupler=by_response if model is None else f"the model {options.model}",
                 feed=feed,
+                finite=FiniteStrain(design, response) if is_finite else None,
             )
             advance(1, "")
 

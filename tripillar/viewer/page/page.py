@@ -25,9 +25,11 @@ from tripillar.viewer.page.controls import (
     taken,
     traction_of,
 )
+from tripillar.viewer.page.finite import REST_S, FiniteAnswer, FiniteStrain, is_answer_to
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import ArrayScene, Superposition
 from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
+from tripillar.viewer.sights import LINEAR_UP_TO
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
@@ -41,11 +43,12 @@ class Subject:
     sensor: SensorModel
     decoupler: str  #: name of what turns resistances into forces
     feed: SensorFeed | None = None  #: of a sensor that can load the array in place of the controls
+    finite: FiniteStrain | None = None  #: solves neo-Hookean rubber; `loads` and `sensor` stay linear
 
     @property
     def design(self) -> SensorDesign:
         """The design of the array."""
-        return self.loads.field.design
+        return self.loads.field.design if self.finite is None else self.finite.design
 
 
 class Page:
@@ -66,6 +69,8 @@ class Page:
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
         self.is_changed = asyncio.Event()
         self.is_changed.set()
+        self._answer: FiniteAnswer | None = None  # of the last load solved at finite strain
+        self._is_unsolved = asyncio.Event()
         self.scene = ArrayScene(subject.loads)
         self.pictures = Pictures(self.scene.plotter, self.scene.fit)
         if subject.feed is not None:
@@ -146,6 +151,20 @@ class Page:
             return {"name": "scene.toml", "text": numbers.scene_of(self._design, self._traction, self.controls["pad"])}
         return {"name": "tripillar.csv", "text": numbers.csv_of(self._design, self._reading)}
 
+    async def solve(self) -> None:
+        """Solve at finite strain for loads that rest, until cancelled."""
+        while True:
+            await self._is_unsolved.wait()
+            before = self._traction.copy()
+            await asyncio.sleep(REST_S)
+            self._is_unsolved.clear()
+            finite = self._subject.finite
+            if finite is None or is_answer_to(self._answer, self._traction):
+                continue
+            if np.array_equal(before, self._traction):
+                self._answer = await finite.answer(before)
+            self.is_changed.set()
+
     # what the browser shows
 
     def update(self) -> dict[str, Any]:
@@ -155,35 +174,56 @@ class Page:
         """
         start = time.perf_counter()
         try:
-            reading = self._reading = self._loaded()
+            answer, reading = self._loaded()
+            self._reading = reading
         except TriPillarError as error:
             return {"trouble": str(error)}
         self._traction, controls = reading.traction_mpa, self.controls
-        shown = (controls[name] for name in ("colour", "scale", "pad", "dark"))
-        legend = self.scene.show(self._traction, reading.change.reshape(-1, 3), *shown)
+        finite = None if answer is None else answer.field
+        legend = self.scene.show(
+            self._traction, reading.change.reshape(-1, 3), controls["colour"], controls["scale"], controls["pad"],
+            controls["dark"], finite,
+        )  # fmt: skip
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
         feed = self._subject.feed
         heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
         return numbers.beside_picture(controls["tab"], controls["pad"], reading) | heard | {
-            "trouble": "" if feed is None else feed.trouble,
+            "trouble": (feed.trouble if feed is not None else "") or (answer.refusal if answer is not None else ""),
             "legend": [numbers.legend(bar) for bar in (legend, self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
+            "strain_note": self._strain_note(answer, reading),
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
             "state": {"controls": dict(controls), "traction_mpa": self._traction.ravel().round(4).tolist()},
         }  # fmt: skip
 
-    def _loaded(self) -> Reading:
-        """Load the array as the controls or the sensor say, and read it."""
+    def _strain_note(self, answer: FiniteAnswer | None, reading: Reading) -> str:
+        """What the picture and the numbers are worth."""
+        largest = float(reading.strain.max())
+        beyond = f"linear, but {largest:.0%} strain" if largest > LINEAR_UP_TO else "linear"
+        if self._subject.finite is None:
+            return beyond
+        if answer is None:
+            return beyond + ("" if self.controls["source"] == "sensor" else "; solving finite strain …")
+        if answer.field is None:
+            return f"{beyond}; no answer at finite strain"
+        return f"finite strain, estimated error {answer.error_estimate:.1%}"
+
+    def _loaded(self) -> tuple[FiniteAnswer | None, Reading]:
+        """Load the array as the controls or the sensor say, and read it: at finite strain once that is solved."""
         controls, sensor, feed = self.controls, self._subject.sensor, self._subject.feed
         if controls["source"] == "sensor" and feed is not None and feed.scan is not None:
-            return sensor.follow(feed.scan)
+            return None, sensor.follow(feed.scan)
         if controls["source"] == "indenter":
             at_middle, centre = self._held("peak", "drag", "drag_angle"), (controls["at_x"], controls["at_y"])
             self._traction = indenter_tractions(self._design, at_middle, centre, controls["width"])
-        reading = sensor.read(self._traction, controls["noise"], self._generator)
+        answer = self._answer if is_answer_to(self._answer, self._traction) else None
+        if answer is None and self._subject.finite is not None and controls["source"] != "sensor":
+            self._is_unsolved.set()
+        finite_mm = None if answer is None else answer.moved_mm
+        reading = sensor.read(self._traction, controls["noise"], self._generator, finite_mm)
         unknown = np.full_like(reading.applied_n, np.nan)
-        return replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
+        return answer, replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
 
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""

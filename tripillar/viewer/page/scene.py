@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fem.fields.array_field import ArrayField, FieldState
 from fem.fields.deformed import APART_MM, Part, pillar_surface
+from fem.fields.finite_pictures import FiniteArrayField
 from fem.pictures.colours import PAD_TITLES, QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
 from fem.pictures.deformation import draw_off_screen, place
 from fem.pictures.scenery import draw_scenery, unit_names
@@ -102,7 +103,14 @@ class ArrayScene:
         self.look_from_the_start()
 
     def show(
-        self, traction_mpa: FloatArray, change: FloatArray, colour: Shown, scale: float, chosen: int, is_dark: bool
+        self,
+        traction_mpa: FloatArray,
+        change: FloatArray,
+        colour: Shown,
+        scale: float,
+        chosen: int,
+        is_dark: bool,
+        finite: FiniteArrayField | None = None,
     ) -> Bar:
         """Bring the scene to a load; returns the colour bar of the pillars.
 
@@ -118,9 +126,14 @@ class ArrayScene:
         chosen : int
             Unit whose pad is marked.
         is_dark : bool
+        finite : FiniteArrayField, optional
+            The array under this load at finite strain, to be drawn in place of linear rubber; without stress.
         """
         state = self._loads.state(traction_mpa)
-        moved_mm = self._displacement.displacement_mm(state)
+        if finite is None:
+            moved_mm = self._displacement.displacement_mm(state)
+        else:
+            moved_mm = finite.observe(self._displacement.points_mm).displacement_mm(finite.state)
         drawn_mm = (self._rest_mm + scale * moved_mm).astype(np.float32)
         for mesh, own in self._moving:
             mesh.points = drawn_mm[:, own].reshape(-1, 3)

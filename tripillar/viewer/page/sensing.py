@@ -44,6 +44,7 @@ class Reading:
     change: FloatArray  #: (rows, cols, 3): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
     strain: FloatArray  #: (rows, cols, 3): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
+    is_linear: bool = True  #: whether by linear rubber
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +54,24 @@ class SensorModel:
     response: ArrayResponse
     decouple: Decouple
 
-    def read(self, traction_mpa: FloatArray, noise: float, generator: np.random.Generator) -> Reading:
-        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
+    def read(
+        self,
+        traction_mpa: FloatArray,
+        noise: float,
+        generator: np.random.Generator,
+        finite_mm: FloatArray | None = None,
+    ) -> Reading:
+        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances.
+
+        Electrodes move as in linear rubber, unless displacements (n_units, 2, 3) [mm] at finite strain are given.
+        """
         design = self.response.design
-        lengths_mm, strain = self._deformed(traction_mpa)
+        lengths_mm, strain = self._deformed(traction_mpa, finite_mm)
         exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
         ohm = measured(exact_ohm, noise, None, generator)
         applied_n = by_unit(forces(traction_mpa, design), design)
-        return self._reading(traction_mpa, applied_n, ohm, self.decouple(ohm), strain)
+        reading = self._reading(traction_mpa, applied_n, ohm, self.decouple(ohm), strain)
+        return replace(reading, is_linear=finite_mm is None)
 
     def follow(self, scan: ScanForces) -> Reading:
         """Reading of a sensor's scan; strains are those under the forces found, since nobody knows what acts."""
@@ -68,10 +79,10 @@ class SensorModel:
         _, strain = self._deformed(traction_mpa)
         return self._reading(traction_mpa, np.full_like(strain, np.nan), scan.resistance_ohm, scan.force_n, strain)
 
-    def _deformed(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _deformed(self, traction_mpa: FloatArray, finite_mm: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Lengths [mm] and strains of all pillars, each (rows, cols, 3)."""
         design = self.response.design
-        moved_mm = displacements(self.response, traction_mpa[None])[0]
+        moved_mm = displacements(self.response, traction_mpa[None])[0] if finite_mm is None else finite_mm
         lengths_mm = pillar_lengths(moved_mm, design.unit)
         strains = pillar_strains(moved_mm, lengths_mm, design.unit)
         return by_unit(lengths_mm, design), by_unit(strains, design)

@@ -52,8 +52,10 @@ class Session:
         await self._send({"facts": self._page.facts()})
         working = [
             asyncio.create_task(work)
-            for work in (self._tell(), self._page.pictures.run(self._socket.send_bytes), self._listen())
-        ]
+            for work in (
+                self._tell(), self._page.pictures.run(self._socket.send_bytes), self._page.solve(), self._listen()
+            )
+        ]  # fmt: skip
         try:
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
