@@ -106,6 +106,13 @@ class PreloadedArray:
         """Forces (3 k) that move the linear array most nearly by displacements (6 k), as a matrix [N/mm]."""
         return np.asarray(np.linalg.pinv(self.influence))
 
+    def linear_field(self, force_n: FloatArray) -> FloatArray:
+        """Linear displacements (n_nodes, 3) [mm] of the array at rest under forces (3 k,) on its pads [N]."""
+        rest = self.base(0.0)
+        loads = np.zeros((1, rest.system.n_blocks, 3))
+        loads[0, -2 * self.design.n_units : -self.design.n_units] = force_n.reshape(-1, 3)
+        return np.asarray(rest.system.nodal_change(rest.state.rotation, rest.solve(loads)[0]))
+
     def solve(
         self,
         preload_mpa: float,

@@ -109,11 +109,16 @@ class SampleSolver:
             error_estimate=np.hypot(estimate, change),
         )
 
-    def on_coarse_grid(self, force_n: FloatArray) -> tuple[Grid, FloatArray]:
-        """For pictures: the coarse grid and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N]."""
+    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Grid, FloatArray]:
+        """For pictures: the coarse grid and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
+
+        Small linear ones are added that bring the electrodes to their answer (k, 2, 3) [mm], as nearly as forces can.
+        """
         preload = float(self._nearest_preloads(force_n[None])[0])
         found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
-        return self.coarse.body.grid, found.state.u[0]
+        missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
+        more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
+        return self.coarse.body.grid, found.state.u[0] + more
 
     def _nearest_preloads(self, force_n: FloatArray) -> FloatArray:
         """Of `PRELOADS_MPA` those nearest to the middle of the pressures of samples (m, k, 3) [N], (m,)."""

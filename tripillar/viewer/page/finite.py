@@ -69,7 +69,7 @@ class FiniteStrain:
             traction_mpa=traction_mpa,
             error_estimate=float(found.error_estimate[0]),
             moved_mm=found.displacement_mm[0],
-            field=sampled_array_field(self._solver, force_n),
+            field=sampled_array_field(self._solver, force_n, found.displacement_mm[0]),
         )
 
 
