@@ -34,6 +34,7 @@ class Protocol:
     summary: str  #: one line for people
     axes: tuple[str, ...]  #: axes along which pads are loaded
     draw: Draw
+    is_light: bool = False  #: whether no pad takes more than `LIGHT_N`
 
 
 #: of protocols that load one axis alone: its number, sign, range and preload
@@ -141,7 +142,13 @@ PROTOCOLS = {
     ),
     "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
     "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
-    "light-fz": Protocol("nothing, or 0-10 N of pressure on 1-3 pads", ("z",), partial(_light_alone, axis="z")),
-    "light-fx": Protocol("nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), partial(_light_alone, axis="x")),
-    "light": Protocol("nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light),
+    "light-fz": Protocol(
+        "nothing, or 0-10 N of pressure on 1-3 pads", ("z",), partial(_light_alone, axis="z"), is_light=True
+    ),
+    "light-fx": Protocol(
+        "nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), partial(_light_alone, axis="x"), is_light=True
+    ),
+    "light": Protocol(
+        "nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light, is_light=True
+    ),
 }

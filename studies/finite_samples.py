@@ -52,7 +52,7 @@ def main() -> None:
     rows = []
     for protocol in PROTOCOLS:
         settings = DatasetSettings(protocol=protocol, samples=asked.samples, seed=17)
-        solver = GroupSolver(response, settings.cap)
+        solver = GroupSolver(response, settings)
         for number in range(-(-asked.samples // GROUP)):
             group = solver.group(settings, number)
             for sample in range(min(GROUP, asked.samples - number * GROUP)):

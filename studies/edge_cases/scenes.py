@@ -136,7 +136,7 @@ def two_rubbers_finite(ratio: float, pressure_mpa: float) -> Judged:
     leaning = leaning_inclusion()
     inside = replace(leaning.inclusions[0], material=replace(RUBBER, young_mpa=ratio * YOUNG_MPA))
     load = FollowerLoad(center_mm=(4.0, 4.0), size_mm=(5.0, 5.0), pressure_mpa=pressure_mpa)
-    scene = replace(leaning, inclusions=(inside,), loads=(load,), tolerance=4e-2)
+    scene = replace(leaning, inclusions=(inside,), loads=(load,), tolerance=2e-2)
     if pressure_mpa > SMALL_MPA:
         return compared_with_tighter(finite(scene))
     found, linear = solve_scene(finite(scene))[0], solve_scene(scene)[0]

@@ -29,7 +29,7 @@ def response() -> ArrayResponse:
 
 @pytest.fixture(scope="module")
 def solver(response) -> GroupSolver:
-    return GroupSolver(response, SETTINGS.cap)
+    return GroupSolver(response, SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def samples(response, groups) -> Samples:
 
 def test_a_group_is_to_the_last_bit_the_same_whoever_makes_it(response, groups):
     """By a new solver, without the groups before it, and through the text in which it is kept."""
-    alone = GroupSolver(response, SETTINGS.cap).group(replace(SETTINGS, samples=1, noise=0.0), 1)
+    alone = GroupSolver(response, SETTINGS).group(replace(SETTINGS, samples=1, noise=0.0), 1)
     for group in (alone, Group.of_plain(groups[1].as_plain())):
         for name, values in vars(groups[1]).items():
             assert np.array_equal(getattr(group, name), values)
@@ -85,7 +85,7 @@ def test_more_samples_leave_the_first_ones_as_they_are(response, samples, groups
 
 def test_what_cannot_be_solved_is_refused(response, solver, monkeypatch):
     with pytest.raises(DesignError, match="finite strain needs stiff pads"):
-        GroupSolver(replace(response, design=replace(DESIGN, pad=Pad())), 0.3)
+        GroupSolver(replace(response, design=replace(DESIGN, pad=Pad())), SETTINGS)
     monkeypatch.setattr("dataset.finite_strain.MAX_DRAWS", 1)
     with pytest.raises(LoadError, match=r"beyond cap=0\.01 in 1 draws on end"):
         solver.group(replace(SETTINGS, cap=0.01), 0)

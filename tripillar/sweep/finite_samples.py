@@ -57,7 +57,7 @@ def group_row(task: GroupTask, job: GroupJob) -> GroupRow:
         try:
             if job.cache_key not in _solvers:
                 _solvers.clear()
-                _solvers[job.cache_key] = GroupSolver(job.response, job.settings.cap)
+                _solvers[job.cache_key] = GroupSolver(job.response, job.settings)
             group = _solvers[job.cache_key].group(job.settings, task.number)
         except TriPillarError as error:
             return GroupRow(cache_key=task.cache_key, number=task.number, reason=str(error), refused=True)
