@@ -73,7 +73,7 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Calibration file to write (JSON).")],
     loads: Annotated[
         Path | None,
-        typer.Option(help="CSV file: load,row,col,fx_n,fy_n,fz_n; in a recording with from_s,to_s, too."),
+        typer.Option(help="CSV file of known loads: load,row,col,fz_n and more; in a recording with from_s,to_s, too."),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -112,25 +112,25 @@ def calibrate(
     known = None if calibration is None else read_calibration(calibration).electronics
     electronics = electronics_of(known, switch_ohm, line_ohm)
     if not Path(port).is_file():
-        pairs = measured_live(port, loads, sensor, electronics, seconds, force, baud=baud, timeout=timeout)
+        pairs, serial = measured_live(port, loads, sensor, electronics, seconds, force, baud=baud, timeout=timeout)
     elif loads is not None:
-        pairs = measured_in_recording(Path(port), loads, sensor, electronics, force)
+        pairs, serial = measured_in_recording(Path(port), loads, sensor, electronics, force)
     else:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     with progress_bars(verbosity) as bars:
         _, solved = respond(sensor, bars)
-    found, residual = calibrated(pairs, solved, electronics, noise, force)
+    found, residual = calibrated(pairs, solved, electronics, serial, noise, force)
     write_calibration(found, out)
     result = {
         "file": str(out),
-        "loads": len(pairs.names),
+        "loads": len(pairs),
         "noise": found.made_from["noise"],
         "gain": [float(found.gain.min()), float(found.gain.max())],
         "offset_ohm": [float(found.offset_ohm.min()), float(found.offset_ohm.max())],
         "residual": residual,
     }
     text = (
-        f"{len(pairs.names)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
+        f"{len(pairs)} loads: gains {found.gain.min():.3f} to {found.gain.max():.3f}, offsets "
         f"{found.offset_ohm.min():.0f} to {found.offset_ohm.max():.0f} Ω; what is left: {100 * residual:.2f} %"
     )
     answer(json_, result, text, out)

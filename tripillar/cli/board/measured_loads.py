@@ -2,18 +2,22 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from decoupler.data.load_table import KnownLoad, as_pairs, read_loads
+from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
 from hardware.link.frames import Info
 from hardware.readout.averaging import averaged, movement
 from hardware.readout.calibration import Electronics
-from hardware.readout.known_loads import KnownLoad, MeasuredLoads, read_loads, weight
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.known_loads import weight
 from hardware.recording import read_recording
 from hardware.session import connect, counts_within
 
@@ -26,15 +30,14 @@ def measured_live(
     seconds: float,
     force: bool = False,
     **settings: Any,
-) -> MeasuredLoads:
+) -> tuple[Pairs, int]:
     """Ask for one load after another, of a table or as typed weights, and measure each for some seconds.
 
     What moves meanwhile is measured again, unless `force` takes it as it is.
     """
     with connect(port, **settings) as (scanner, _):
         _require_design(design, scanner.info)
-        rows, cols = scanner.info.rows, scanner.info.cols
-        asked = _typed(rows, cols) if loads is None else iter(read_loads(loads, rows, cols))
+        asked = _typed(design) if loads is None else iter(loads_of(loads, design))
         taken, crossbar = [], electronics.crossbar(scanner.info)
         for load in asked:
             if loads is not None:
@@ -43,13 +46,13 @@ def measured_live(
             while not force and (moved := movement(counts, crossbar, scanner.info.rate_hz)):
                 _ask(f"the sensor moves: {moved} within {seconds:g} s; let it come to rest, then press Enter: ")
                 counts = counts_within(scanner, seconds)
-            taken.append((load, *averaged(counts, crossbar)))
-    return _collected(taken, scanner.info.serial)
+            taken.append(_read(load, counts, crossbar))
+    return as_pairs(taken, port), scanner.info.serial
 
 
 def measured_in_recording(
     path: Path, loads: Path, design: SensorDesign, electronics: Electronics, force: bool = False
-) -> MeasuredLoads:
+) -> tuple[Pairs, int]:
     """Find the loads of a table in a recording, by their times since its first frame.
 
     Raises
@@ -63,7 +66,7 @@ def measured_in_recording(
     crossbar = electronics.crossbar(info)
     since_s = recording.time_s - recording.time_s[0]
     taken = []
-    for load in read_loads(loads, info.rows, info.cols):
+    for load in loads_of(loads, design):
         if load.from_s is None or load.to_s is None:
             raise FileFormatError(f"{loads}: load '{load.name}' has no from_s and to_s: say when it is in {path}.")
         within = (since_s >= load.from_s) & (since_s <= load.to_s)
@@ -77,8 +80,8 @@ def measured_in_recording(
                 f"{path}: the sensor moves under load '{load.name}', from {load.from_s:g} s to {load.to_s:g} s: "
                 f"{moved}: correct its times, or take it as it is with --force."
             )
-        taken.append((load, *averaged(recording.counts[within], crossbar)))
-    return _collected(taken, info.serial)
+        taken.append(_read(load, recording.counts[within], crossbar))
+    return as_pairs(taken, path), info.serial
 
 
 def _require_design(design: SensorDesign, info: Info) -> None:
@@ -89,12 +92,18 @@ def _require_design(design: SensorDesign, info: Info) -> None:
         )
 
 
-def _typed(rows: int, cols: int) -> Iterator[KnownLoad]:
+def loads_of(table: Path, design: SensorDesign) -> list[KnownLoad]:
+    """The loads of a table on the sensor of a design."""
+    return read_loads(table, design.array.rows, design.array.cols, design.pad.size_mm**2)
+
+
+def _typed(design: SensorDesign) -> Iterator[KnownLoad]:
+    rows, cols = design.array.rows, design.array.cols
     _ask("take everything off the sensor, then press Enter: ")
-    yield KnownLoad(name="nothing", force_n=np.zeros((rows, cols, 3)))
+    yield KnownLoad(name="nothing", force_n=np.zeros((rows, cols, 3)), unknown_n=np.zeros((0, rows, cols, 3)))
     while line := _ask("row column grams, once they lie there (nothing to end): ").strip():
         try:
-            yield weight(line, rows, cols)
+            yield weight(line, rows, cols, design.pad.size_mm**2)
         except FileFormatError as error:
             print(error, file=sys.stderr)
 
@@ -115,12 +124,7 @@ def _ask(question: str) -> str:
     return line
 
 
-def _collected(taken: list[tuple[KnownLoad, FloatArray, float]], serial: int) -> MeasuredLoads:
-    loads, ohms, noises = zip(*taken, strict=True)
-    return MeasuredLoads(
-        names=[load.name for load in loads],
-        force_n=np.stack([load.force_n for load in loads]),
-        measured_ohm=np.stack(ohms),
-        noise=float(np.median(noises)),
-        serial=serial,
-    )
+def _read(load: KnownLoad, counts: NDArray[Any], crossbar: Crossbar) -> KnownLoad:
+    """The load with the mean readings under it."""
+    resistance_ohm, noise = averaged(counts, crossbar)
+    return replace(load, resistance_ohm=resistance_ohm, noise=noise)

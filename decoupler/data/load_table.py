@@ -1,0 +1,324 @@
+"""Tables of known loads, CSV: a line for each loaded pad, plate or air pressure, what is known of it and how well.
+
+The table of `tripillar identify` and `calibrate`. The readings stand in the same lines, or in a recording, or are
+taken live; docs/measuring.md says how to make each load.
+"""
+
+import csv
+import math
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dataset.samples import read_samples
+from decoupler.data.pairs import Pairs
+from geometry.errors import FileFormatError
+from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.storage.text_file import why_unreadable
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+UNITS_N = {
+    "": 1.0,
+    "n": 1.0,
+    "kn": 1e3,
+    "g": 1e-3 * STANDARD_GRAVITY,
+    "kg": STANDARD_GRAVITY,
+}  #: that a force may be written in
+KINDS = ("pad", "plate", "air", "nothing")
+FORCES = tuple(f"f{axis}_n" for axis in AXES)
+KNOWN = ("error", "tilt", "share")  #: columns that say how well a load is known
+TIMES = ("from_s", "to_s")  #: when the load was on, since the recording's first scan
+COLUMNS = ("load", "kind", "row", "col", *FORCES, "kpa", *KNOWN, *TIMES, "noise", "note")
+ERROR = 0.01  #: standard deviation of a load's size where none is stated, relative
+TILT = 0.01  #: of the force across the stated one, relative to it: 0.6 degrees
+SHARES = {"plate": 0.3, "air": 0.02}  #: of each pad's share, relative to the mean share
+RUBBED = 0.1  #: shear between a plate and its pads, relative to the mean pressing force, since pressed rubber spreads
+NOISE = 1e-3  #: relative standard deviation of a reading where none is stated
+MAX_MPA = 20.0  #: largest mean stress on a pad that is believed; the sensor's range ends at 5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownLoad:
+    """Forces on an array that were measured otherwise, how well they are known, and when they acted."""
+
+    name: str
+    force_n: FloatArray  #: (rows, cols, 3) along x, y, z; Fz positive in compression [N]
+    unknown_n: FloatArray  #: (k, rows, cols, 3): independent errors of one standard deviation, as of `Pairs` [N]
+    from_s: float | None = None
+    to_s: float | None = None
+    resistance_ohm: FloatArray | None = None  #: (rows, cols, 3) [Ω]; NaN where not read; None if not in the table
+    noise: float = NOISE  #: of these, relative
+
+
+def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
+    """Measured pairs of a data set (.nc) or a table of loads with readings (.csv).
+
+    Parameters
+    ----------
+    path : Path
+        NetCDF as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
+    rows, cols : int
+        Of the array.
+    pad_mm2 : float
+        Area of a pad [mm²], that a pressure acts on.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing or makes no sense, is of another array, or a load has no readings.
+    """
+    if Path(path).suffix == ".nc":
+        pairs = Pairs.of(read_samples(path, labels_only=True))
+        if pairs.force_n.shape[1:3] != (rows, cols):
+            given = " × ".join(map(str, pairs.force_n.shape[1:3]))
+            raise FileFormatError(
+                f"{path} holds {given} units, the design {rows} × {cols}: give --design of this sensor."
+            )
+        return pairs
+    return as_pairs(read_loads(path, rows, cols, pad_mm2), path)
+
+
+def as_pairs(loads: list[KnownLoad], source: object, bits: int | None = None) -> Pairs:
+    """Pairs of loads with readings; `source` is their file, for messages."""
+    unread = [load.name for load in loads if load.resistance_ohm is None]
+    if unread:
+        raise FileFormatError(
+            f"{source}: load '{unread[0]}' has no readings: give columns r_0_0_z, r_0_0_x and so on [Ω], or the "
+            "recording of these loads."
+        )
+    return Pairs(
+        resistance_ohm=np.stack([load.resistance_ohm for load in loads if load.resistance_ohm is not None]),
+        force_n=np.stack([load.force_n for load in loads]),
+        unknown_n=tuple(load.unknown_n for load in loads),
+        noise=float(np.median([load.noise for load in loads])),
+        bits=bits,
+        names=tuple(load.name for load in loads),
+    )
+
+
+def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLoad]:
+    """Known loads of a CSV table, in its order.
+
+    Parameters
+    ----------
+    path : Path
+        With a header and some of the columns `COLUMNS`; lines of the same `load` act together. `kind` is pad (the
+        default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and
+        `col` are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as
+        500 g; of air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit.
+        Readings stand in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative.
+    rows, cols : int
+        Of the array.
+    pad_mm2 : float
+        Area of a pad [mm²].
+
+    Raises
+    ------
+    FileFormatError
+        If the file or a column is missing, or a line makes no sense; it names the line.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as opened:
+            reader = csv.DictReader(opened, skipinitialspace=True, restkey="")
+            lines = list(reader)
+            header = list(reader.fieldnames or [])
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
+    readings = reading_columns(rows, cols)
+    unknown = [name for name in header if name not in COLUMNS and name not in readings]
+    if not lines or "load" not in header or unknown or not {*FORCES, "kpa", "kind"} & {*header}:
+        spare = f"; not {', '.join(map(repr, unknown[:3]))}" if unknown else ""
+        raise FileFormatError(
+            f"{path}: needs a header and lines with load, row, col and fz_n; it may have {', '.join(COLUMNS)}, and "
+            f"{readings[0]} to {readings[-1]}{spare}; it has {', '.join(header[:12]) if lines else 'no lines'}."
+        )
+    grouped: dict[str, list[tuple[int, Mapping[str, str]]]] = {}
+    for number, line in enumerate(lines, start=2):
+        if line.get(""):
+            raise FileFormatError(f"{path}, line {number}: has more values than the header has columns.")
+        grouped.setdefault((line["load"] or "").strip(), []).append((number, line))
+    return [_load(path, name, numbered, rows, cols, pad_mm2) for name, numbered in grouped.items()]
+
+
+def reading_columns(rows: int, cols: int) -> list[str]:
+    """Names of the columns of readings, in the order of an array (rows, cols, 3).
+
+    >>> reading_columns(1, 1)
+    ['r_0_0_z', 'r_0_0_x', 'r_0_0_y']
+    """
+    return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in PILLARS]
+
+
+def _load(
+    path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], rows: int, cols: int, pad_mm2: float
+) -> KnownLoad:
+    force_n, unknown_n, times, noise = np.zeros((rows, cols, len(AXES))), [], set(), NOISE
+    resistance_ohm = None
+    for number, line in numbered:
+        source = f"{path}, line {number}"
+        part_n, unknown = known_forces(line, rows, cols, pad_mm2, source)
+        force_n = force_n + part_n
+        unknown_n.append(unknown)
+        times.add(tuple(_number(line, column, source) if line.get(column) else None for column in TIMES))
+        texts = [(line.get(column) or "").strip() for column in reading_columns(rows, cols)]
+        if any(texts):
+            if resistance_ohm is not None:
+                raise FileFormatError(f"{source}: load '{name}' has readings in two lines: give them in one.")
+            columns = zip(reading_columns(rows, cols), texts, strict=True)
+            ohms = [_number(line, column, source) if text else math.nan for column, text in columns]
+            resistance_ohm = np.reshape(ohms, force_n.shape)
+        if (line.get("noise") or "").strip():
+            noise = _deviation(line, "noise", {"": 1.0, "%": 0.01}, NOISE, source)
+    first, *others = times
+    if others:
+        raise FileFormatError(f"{path}: load '{name}' has lines with different times: give all of them the same.")
+    from_s, to_s = first
+    if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and not from_s < to_s):
+        raise FileFormatError(f"{path}: load '{name}' acts from {from_s} s to {to_s} s: give both, the later one last.")
+    return KnownLoad(
+        name=name, force_n=force_n, unknown_n=np.concatenate(unknown_n), from_s=from_s, to_s=to_s,
+        resistance_ohm=resistance_ohm, noise=noise,
+    )  # fmt: skip
+
+
+def known_forces(
+    line: Mapping[str, str], rows: int, cols: int, pad_mm2: float, source: str
+) -> tuple[FloatArray, FloatArray]:
+    """Expected forces (rows, cols, 3) [N] of a line of a table, and their independent errors (k, rows, cols, 3).
+
+    Notes
+    -----
+    Along each axis a force has an error of `error` of itself and of `tilt` of the forces across it. A plate's pads
+    share the sum: shares have an error of `share` of the mean one, sum 0, and so do the shears that hold the rubber as
+    it spreads, `RUBBED` of the mean pressing force. Air has an error common to all pads, and of each pad `share`.
+    """
+    kind = (line.get("kind") or "").strip() or "pad"
+    if kind not in KINDS:
+        raise FileFormatError(f"{source}: kind is {kind!r}, must be one of {', '.join(KINDS)}.")
+    stated = [axis for axis in (*FORCES, "kpa") if (line.get(axis) or "").strip() not in ("", "0")]
+    allowed = {"air": ["kpa"], "nothing": []}.get(kind, list(FORCES))
+    if wrong := [name for name in stated if name not in allowed]:
+        raise FileFormatError(
+            f"{source}: {wrong[0]} is no part of kind {kind}; it takes {', '.join(allowed) or 'none'}."
+        )
+    nothing = np.zeros((rows, cols, 3)), np.zeros((0, rows, cols, 3))
+    if kind == "nothing":
+        return nothing
+    share = _deviation(line, "share", {"": 1.0, "%": 0.01}, SHARES.get(kind, 0.0), source)
+    if share and kind == "pad":
+        raise FileFormatError(f"{source}: share is {line['share']!r}, but one pad takes all: leave it out.")
+    pads = _pads(line, rows, cols, kind, source)
+    n = int(pads.sum())
+    if kind == "air":
+        newtons = 1e-3 * _number(line, "kpa", source) * pad_mm2
+        total_n = np.array([0.0, 0.0, newtons])
+        _require_bearable(total_n, pad_mm2, source)
+        units = {"": 1e-3 * pad_mm2, "kpa": 1e-3 * pad_mm2, "%": 0.01 * abs(newtons)}
+        common_n = _deviation(line, "error", units, ERROR * abs(newtons), source)
+        own_n = share * abs(newtons) * np.eye(n)
+        directions = np.concatenate([np.full((1, n), common_n), own_n])[:, :, None] * [0.0, 0.0, 1.0]
+        return _placed(total_n * np.ones((1, n, 1)), pads)[0], _placed(directions, pads)
+    total_n = np.array([_newtons(line, column, source) for column in FORCES])
+    _require_bearable(total_n / n, pad_mm2, source)
+    size = np.abs(total_n)
+    across_n = np.sqrt((size**2).sum() - size**2)
+    error_n, tilt_n = (
+        np.array([_deviation(line, name, UNITS_N | {"%": 0.01 * f}, usual * f, source) if f else 0.0 for f in of_n])
+        for name, usual, of_n in (("error", ERROR, size), ("tilt", TILT, across_n))
+    )
+    axes = np.diag(np.hypot(error_n, tilt_n))
+    sums = np.repeat(axes[axes.any(axis=1)][:, None, :] / n, n, axis=1)
+    shared_n = share * size / n
+    shared_n[:2] = np.hypot(shared_n[:2], RUBBED * size[2] / n)
+    k = np.arange(1, n)[:, None]
+    zero_sum = np.sqrt(2.0 / n) * np.cos(np.pi * k * (np.arange(n) + 0.5) / n)  # orthonormal rows
+    shares = (zero_sum[:, None, :, None] * np.diag(shared_n)[None, :, None, :]).reshape(-1, n, 3)
+    shares = shares[shares.any(axis=(1, 2))]
+    return _placed(total_n / n * np.ones((1, n, 1)), pads)[0], _placed(np.concatenate([sums, shares]), pads)
+
+
+def _placed(values: FloatArray, pads: np.ndarray) -> FloatArray:
+    """Values (k, n, 3) of n pads of the array, (k, rows, cols, 3); 0 elsewhere."""
+    placed = np.zeros((len(values), *pads.shape, 3))
+    placed[:, pads] = values
+    return placed
+
+
+def _pads(line: Mapping[str, str], rows: int, cols: int, kind: str, source: str) -> np.ndarray:
+    """The pads that a line loads, (rows, cols)."""
+    within = []
+    for name, count in (("row", rows), ("col", cols)):
+        text = (line.get(name) or "").strip()
+        first, dash, last = text.partition("-") if text and kind != "pad" else (text, "", "")
+        if not text and kind != "pad":
+            within.append(slice(0, count))
+            continue
+        low, high = _whole(first, name, source), _whole(last if dash else first, name, source)
+        within.append(slice(low, high + 1))
+        if not 0 <= low <= high < count:
+            raise FileFormatError(
+                f"{source}: the array has no unit in {name} {text}; rows are 0 to {rows - 1}, columns 0 to {cols - 1}."
+            )
+    pads = np.zeros((rows, cols), dtype=bool)
+    pads[within[0], within[1]] = True
+    return pads
+
+
+def _require_bearable(force_n: FloatArray, pad_mm2: float, source: str) -> None:
+    if (mpa := float(np.abs(force_n).max()) / pad_mm2) > MAX_MPA:
+        raise FileFormatError(
+            f"{source}: {np.abs(force_n).max():g} N on a pad is {mpa:.3g} MPa, more than {MAX_MPA:g}: forces are in "
+            "newtons; write grams as '500 g', and pressures in kpa."
+        )
+
+
+def _newtons(line: Mapping[str, str], column: str, source: str) -> float:
+    text = (line.get(column) or "").strip()
+    if not text:
+        return 0.0
+    if (value := _quantity(text, UNITS_N)) is None:
+        raise FileFormatError(
+            f"{source}: {column} is {text!r}, must be a number of newtons, or with a unit: N, kN, g, kg."
+        )
+    return value
+
+
+def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float], default: float, source: str) -> float:
+    """A standard deviation in one of the units, "%" among them; the default where there is none."""
+    text = (line.get(column) or "").strip()
+    if not text:
+        return default
+    value = _quantity(text, units)
+    if value is None or value < 0:
+        raise FileFormatError(
+            f"{source}: {column} is {text!r}, must be a number from 0 on, or a percentage such as 2 %."
+        )
+    return value
+
+
+def _quantity(text: str, units: Mapping[str, float]) -> float | None:
+    """The value of a number with one of the units; None if it is none."""
+    if (parts := re.fullmatch(r"([-+.\d]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%]*)", text)) is None:
+        return None
+    with suppress(ValueError, KeyError):
+        if math.isfinite(value := float(parts[1]) * units[parts[2].lower()]):
+            return value
+    return None
+
+
+def _number(line: Mapping[str, str], column: str, source: str) -> float:
+    text = (line.get(column) or "").strip()
+    with suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise FileFormatError(f"{source}: {column} is {text!r}, must be a number.")
+
+
+def _whole(text: str, column: str, source: str) -> int:
+    with suppress(ValueError):
+        return int(text)
+    raise FileFormatError(f"{source}: {column} is {text!r}, must be a whole number.")
