@@ -3,6 +3,7 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
+from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 64  #: samples whose derivatives are in memory together
+MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
 
@@ -43,6 +46,7 @@ class Decoupler:
     resting: Resting | None = None  #: readings at rest; None without a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
+    usual: UsualLoads | None = None  #: loads that it knows; None in files of before
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
 
@@ -98,6 +102,39 @@ class Decoupler:
         shape = (-1, self.rows, self.cols, len(self.component.axes))
         one, two = self.half_widths_of(self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
+
+    def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
+        """χ², over its degrees of freedom, of readings (n, rows, cols, 3) [Ω] if a usual load is on the sensor, (n,).
+
+        Above `load_test.limit` no load that the model knows explains a reading: a dead wire, another sensor, a load
+        beyond its range.
+
+        Raises
+        ------
+        SampleError
+            As `forces` does, and if the model was written without the loads that it knows.
+        """
+        if self.load_test is None:
+            raise SampleError("this model does not say which loads it knows: train it again.")
+        return self.load_test.chi2(self.forces(resistance_ohm).reshape(len(resistance_ohm), -1))
+
+    @cached_property
+    def load_test(self) -> LoadTest | None:
+        """The test whether a usual load explains a reading; None if loads, deviations or rest are unknown."""
+        rest_ohm = self.rest_resistances()
+        if self.usual is None or self.uncertainty is None or rest_ohm is None:
+            return None
+        rest = self.columns(rest_ohm[None])
+        reading = reading_deviation(rest, self.uncertainty.noise, self.uncertainty.bits)
+        by_noise = self.derivatives(rest)[0] * reading
+        covariance = by_noise @ by_noise.T
+        deviation_n = np.maximum(self.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
+        covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
+        if self.inverse is not None:
+            pressed_ohm = self.inverse.forward.resistances(self.output_scaling.centre[None])
+            shown_ohm = pressed_ohm if self.calibration is None else self.calibration.shown(pressed_ohm)
+            deviation_n = np.maximum(deviation_n, self.half_widths_of(shown_ohm)[0][0])
+        return LoadTest.by(self.usual, covariance, deviation_n)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""

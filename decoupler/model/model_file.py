@@ -16,6 +16,7 @@ from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty
+from decoupler.model.usual import UsualLoads
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 5  #: raise when the same settings train other weights, so that old models are not reused
+METHOD = 6  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 #: place of each array of a file in a model, and its shape by the names of `_sizes`
 _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -55,11 +56,15 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
     "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
     "light_n2": ("uncertainty.light_n2", ("1",)),
+    "usual_low_n": ("usual.low_n", ("axes",)),
+    "usual_high_n": ("usual.high_n", ("axes",)),
+    "friction": ("usual.friction", ("1",)),
     "least_squares": ("least_squares.coefficients", ("in + 1", "out")),
     "dead": ("dead", ("rows", "cols", "3")),
 }
 _NOT_BELOW_0 = {name for name in _ARRAYS if name.endswith(("_half_range", "_n2")) or name.startswith("widths")} | {
-    "ohm_per_mm2"
+    "ohm_per_mm2",
+    "friction",
 }
 _MEND = "give a file made by 'tripillar train'"
 
@@ -266,6 +271,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
         dead=dead,
         uncertainty=uncertainty,
+        usual=UsualLoads(**held("usual")) if "friction" in arrays else None,
         least_squares=least_squares,
         made_from=dict(header["made_from"]),
     )

@@ -31,6 +31,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import leverage
+from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.levenberg_marquardt import train_lm
@@ -191,6 +192,7 @@ def _untrained(
         calibration=calibration,
         resting=resting,
         dead=dead,
+        usual=UsualLoads.of(force_n, component),
         least_squares=LeastSquares.fitted(data, component),
     )
 

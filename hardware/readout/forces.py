@@ -47,6 +47,19 @@ class Forces:
         parts = [self.model.half_widths(self.resistance_ohm[k : k + CHUNK])[0] for k in range(0, n, CHUNK)]
         return np.concatenate(parts)
 
+    @cached_property
+    def chi2(self) -> FloatArray | None:
+        """χ² over its degrees of freedom if a load that the model knows is on the sensor, (n,); None if unknown."""
+        test = None if self.model is None else self.model.load_test
+        return None if test is None else test.chi2(self.force_n.reshape(len(self.force_n), -1))
+
+    @property
+    def unexplained(self) -> NDArray[np.bool_]:
+        """Which scans no load explains that the model knows, (n,): χ² is beyond the 99.9 % of readings at rest."""
+        if self.chi2 is None or self.model is None or self.model.load_test is None:
+            return np.zeros(len(self.force_n), dtype=bool)
+        return np.asarray(~(self.chi2 <= self.model.load_test.limit))
+
 
 class ForceReader:
     """Turns counts of one board into the forces on its sensor.
@@ -99,6 +112,8 @@ class ForceReader:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
             if steps > model.reading_noise:  # a plain divider amplifies its converter's steps
                 self._uncertain = model.read_by(steps)
+        if self._uncertain:
+            _ = self._uncertain.load_test  # prepared before the first scan
 
     def _require_fit(self) -> None:
         calibration, model = self.calibration, self.model
@@ -141,6 +156,16 @@ class ScanForces:
     def deviation_n(self) -> FloatArray | None:
         """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
         return None if self.source.deviation_n is None else self.source.deviation_n[0]
+
+    @property
+    def chi2(self) -> float | None:
+        """χ² over its degrees of freedom if a load that the model knows is on the sensor; None if unknown."""
+        return None if self.source.chi2 is None else float(self.source.chi2[0])
+
+    @property
+    def is_explained(self) -> bool:
+        """A load that the model knows explains the scan, or nothing is known of loads."""
+        return not self.source.unexplained[0]
 
 
 class LiveSensor:
@@ -225,13 +250,16 @@ def write_forces(recording: Recording, forces: Forces, axes: tuple[str, ...], pa
     import xarray as xr
 
     over_units = ("frame", "row", "col", "axis")
-    variables = {
+    variables: dict[str, Any] = {
         "force_n": (over_units, forces.force_n, {"units": "N"}),
         "saturated": (("frame", "row", "col", "pillar"), forces.saturated.astype(np.int8)),
     }
     if forces.deviation_n is not None:
         meaning = {"units": "N", "meaning": "half-width that holds 68 % of errors"}
         variables["deviation_n"] = (over_units, forces.deviation_n, meaning)
+    if forces.chi2 is not None:
+        meaning = {"units": "1", "meaning": "chi squared over its degrees of freedom if a known load is on the sensor"}
+        variables["chi2"] = (("frame",), forces.chi2, meaning)
     data = xr.Dataset(
         variables,
         coords={"time_s": ("frame", recording.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},

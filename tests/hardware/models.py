@@ -6,7 +6,7 @@ class PillarModel:
 
     design_hash = None
     is_fine_tuned = knows_uncertainty = False
-    reading_noise = 0.0
+    reading_noise, load_test = 0.0, None
 
     def __init__(self, forces, rows=6, cols=6, rest_ohm=None):
         self.forces, self.rows, self.cols, self.rest_ohm = forces, rows, cols, rest_ohm

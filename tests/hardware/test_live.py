@@ -30,7 +30,7 @@ class Shares:
 
     design_hash = None
     is_fine_tuned = knows_uncertainty = False
-    reading_noise = 0.0
+    reading_noise, load_test = 0.0, None
 
     def read_by(self, noise):
         wider = Shares(self.knows_rest)

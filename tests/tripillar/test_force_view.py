@@ -65,6 +65,7 @@ class Sensor:
             time_s = scan.time_s
             force_n = np.full((1, 2, 1), scan.frame.sequence + 1 / 3)
             saturated = np.zeros((1, 2, 3), bool)
+            chi2, is_explained = 1.23456, True
 
             @property
             def deviation_n(self):
@@ -90,6 +91,7 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert [line["sequence"] for line in lines] == list(range(RATE_HZ))
     assert [line["force_n"] for line in lines] == [[[[round(k + 1 / 3, 4)]] * 2] for k in range(RATE_HZ)]
     assert {line["dropped"] for line in lines} == {3}
+    assert {(line["chi2"], line["explained"]) for line in lines} == {(1.235, True)}
     assert sensor.calculated <= 11
     if knows_uncertainty:
         ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]

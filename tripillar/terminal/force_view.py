@@ -92,6 +92,10 @@ def show_forces(sensor: LiveSensor, seconds: float) -> None:
             found = sensor.forces(latest)
             if n_saturated := int(found.saturated.sum()):
                 notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
+            if not found.is_explained:
+                notes.append(
+                    f"χ² {found.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
+                )
             full_scale = max(full_scale, float(abs(found.force_n).max()))
             rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
             view = live_view(found.force_n, found.deviation_n, axes, full_scale, rate_hz, scanner.stats, notes)
@@ -122,6 +126,8 @@ def print_lines(sensor: LiveSensor, seconds: float) -> None:
                 "sequence": scan.frame.sequence,
                 "axes": sensor.model.component.axes,
                 "force_n": found.force_n.round(4).tolist(),
+                "chi2": None if found.chi2 is None else float(f"{found.chi2:.4g}"),
+                "explained": found.is_explained,
                 "saturated": int(found.saturated.sum()),
                 "dropped": sensor.scanner.dropped,
             }

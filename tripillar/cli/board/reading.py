@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -277,13 +277,17 @@ def replay(
             write_mcap(used, out, found.force_n, found.deviation_n, decoupler.component.axes)
         else:
             write_forces(used, found, decoupler.component.axes, out)
-    result = {"frames": frames, "saturated_frames": saturated, "statistics": asdict(recorded.statistics)}
-    result["axes"] = decoupler.component.axes
+    unexplained = int(found.unexplained.sum())
+    result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
+    result |= {"statistics": asdict(recorded.statistics), "axes": decoupler.component.axes}
     if json_ and out is None:
         result |= {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist()}
+        result["chi2"] = None if found.chi2 is None else found.chi2.tolist()
     lines = [f"{frames} frames, {recorded.statistics.lost} lost, {saturated} with a saturated pillar (extrapolated)"]
     for name, newtons in zip(decoupler.component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
+    if unexplained:
+        lines.append(f"{unexplained} that no load explains which the model knows: dead wire? another sensor?")
     answer(json_, result, "\n".join(lines), *([] if out is None else [out]))
 
 

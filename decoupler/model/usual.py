@@ -1,0 +1,80 @@
+"""Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.special import chdtri
+
+from decoupler.data.columns import Component
+from geometry.layout import FloatArray
+
+MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loads
+FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
+SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
+FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UsualLoads:
+    """Forces that a pad takes, rest included; shears on a pad are at most `friction` times its pressure."""
+
+    low_n: FloatArray  #: (n_axes,) [N]
+    high_n: FloatArray  #: (n_axes,) [N]
+    friction: FloatArray  #: (1,); 0 where any shear is known
+
+    @classmethod
+    def of(cls, force_n: FloatArray, component: Component) -> Self:
+        """The loads of training, (n, n_forces) [N], a little beyond them, and rest."""
+        pads = force_n.reshape(-1, len(component.axes))
+        low, high = np.minimum(pads.min(axis=0), 0.0), np.maximum(pads.max(axis=0), 0.0)
+        friction = 0.0
+        if component.axes == ("x", "y", "z"):
+            shear = np.hypot(pads[:, 0], pads[:, 1])
+            if (shear <= np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).all():
+                friction = FRICTION
+        return cls(low_n=(1.0 + MARGIN) * low, high_n=(1.0 + MARGIN) * high, friction=np.array([friction]))
+
+    def nearest(self, force_n: FloatArray) -> FloatArray:
+        """Forces brought into the ranges, then shears onto the cone, (n, n_forces) [N]."""
+        pads = force_n.reshape(-1, len(self.low_n))
+        near = np.minimum(np.maximum(pads, self.low_n), self.high_n)
+        if self.friction[0]:
+            shear = np.sqrt(near[:, 0] ** 2 + near[:, 1] ** 2)
+            held = np.minimum(self.friction[0] * near[:, 2] / np.maximum(shear, 1e-12), 1.0)
+            near[:, :2] *= held[:, None]
+        return near.reshape(force_n.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadTest:
+    """The test whether some usual load explains forces: χ² of how far they are outside, over its degrees of freedom.
+
+    χ²/n = mean of ((F − F')/σ)², F' the usual forces near F and σ the deviation of F.
+    """
+
+    usual: UsualLoads
+    deviation_n: FloatArray  #: σ, (n_forces,) [N]
+    limit: float  #: of χ²/n, that `FALSE_ALARMS` of readings are beyond if all errors lead out of the usual loads
+
+    @classmethod
+    def by(cls, usual: UsualLoads, covariance_n2: FloatArray, deviation_n: FloatArray) -> Self:
+        """The test for errors of this covariance (n_forces, n_forces) [N²] at rest, and of these deviations.
+
+        Notes
+        -----
+        Errors of forces go together, so their sum of squares is that of independent ones with weights λ, the
+        eigenvalues of their correlation. Its quantile is that of the χ², scaled and shifted, with the same mean,
+        variance and skewness: ν = (Σλ²)³/(Σλ³)² degrees of freedom (Pearson's approximation).
+        """
+        size = np.sqrt(covariance_n2.diagonal())
+        eigenvalues = np.linalg.eigvalsh(covariance_n2 / np.outer(size, size))
+        squares, cubes = (eigenvalues**2).sum(), (eigenvalues**3).sum()
+        freedom = squares**3 / cubes**2
+        beyond = np.sqrt(squares / freedom) * (chdtri(freedom, FALSE_ALARMS) - freedom)
+        return cls(usual, deviation_n, float(1.0 + beyond / len(size)))
+
+    def chi2(self, force_n: FloatArray) -> FloatArray:
+        """χ² over its degrees of freedom, (n, n_forces) [N] -> (n,)."""
+        beyond = (force_n - self.usual.nearest(force_n)) / self.deviation_n
+        return np.asarray(np.einsum("nf,nf->n", beyond, beyond) / force_n.shape[1])

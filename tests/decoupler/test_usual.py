@@ -1,0 +1,81 @@
+"""The χ² of a reading: quiet under every load that the model knows, loud where none explains it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset.measurement import measured
+from decoupler.data.columns import component_named
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.model_file import read_model, write_model
+from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
+from decoupler.training.trainer import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+SENSOR = sensor(3, 3)
+FORWARD = ForwardModel.of(response(SENSOR), component_named("all"))
+NOISE = 1e-3
+
+
+def readings(force_n, seed=1):
+    """What the sensor shows under forces (n, 27), with noise."""
+    ohms = FORWARD.resistances(force_n)
+    return measured(ohms, NOISE, None, np.random.default_rng(seed)).reshape(-1, 3, 3, 3)
+
+
+def loads(n, seed):
+    """Presses of 0 to 720 N on each pad, with shears within a cone of 0.2."""
+    force_n = np.random.default_rng(seed).uniform(0.0, 1.0, (n, 9, 3)) * [0.14, 0.14, 1.0]
+    force_n = force_n * 720.0 * np.random.default_rng(seed + 1).uniform(0.0, 1.0, (n, 1, 1))
+    force_n[..., :2] *= force_n[..., 2:] / 720.0
+    return force_n.reshape(n, -1)
+
+
+@pytest.fixture(scope="module")
+def model():
+    force_n = loads(400, 5)
+    data = replace(
+        labelled(SENSOR, "xyz", 400, 0),
+        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), noise=NOISE,
+    )  # fmt: skip
+    return train(data, "all", response=response(SENSOR))
+
+
+def test_usual_loads_raise_no_alarm(model):
+    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit."""
+    one_pad = np.zeros((2000, 27))
+    one_pad[np.arange(2000), 3 * np.random.default_rng(0).integers(9, size=2000) + 2] = 300.0
+    for force_n in (np.zeros((2000, 27)), one_pad, loads(2000, 9)):
+        assert (model.chi2(readings(force_n)) > model.load_test.limit).mean() <= 3 * FALSE_ALARMS
+
+
+def test_what_no_load_explains_is_told(model):
+    """A broken pillar, another gain, loads 1.3 times beyond the range, tension and shear without pressure."""
+    usual, at_rest = readings(loads(200, 9)), readings(np.zeros((200, 27)))
+    broken = usual.copy()
+    broken[:, 1, 1, 0] = 1e9
+    heavy = np.tile([0.0, 0.0, 1.3 * 720.0], (200, 9))
+    pull, drag = np.tile([0.0, 0.0, -20.0], (200, 9)), np.tile([40.0, 0.0, 0.0], (200, 9))
+    for reading in (broken, 1.02 * at_rest, readings(heavy), readings(pull), readings(drag)):
+        assert (model.chi2(reading) > model.load_test.limit).all()
+
+
+def test_the_limit_is_the_quantile_of_correlated_errors():
+    """Of errors that all go together χ² has one degree of freedom, of independent ones all, of a mixture some."""
+    usual = UsualLoads(low_n=np.zeros(1), high_n=np.zeros(1), friction=np.zeros(1))
+    draws = np.random.default_rng(0).standard_normal((100_000, 30))
+    for common in (0.0, 0.5, 0.99):
+        correlation = (1.0 - common) * np.eye(30) + common
+        test = LoadTest.by(usual, correlation, np.ones(30))
+        errors = draws @ np.linalg.cholesky(correlation).T
+        # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
+        assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)
+
+
+def test_files_keep_the_loads_and_old_ones_have_none(model, tmp_path):
+    write_model(model, tmp_path / "model.safetensors")
+    ohms = readings(loads(5, 3))
+    assert np.array_equal(read_model(tmp_path / "model.safetensors").chi2(ohms), model.chi2(ohms))
+    write_model(replace(model, usual=None), tmp_path / "old.safetensors")
+    assert read_model(tmp_path / "old.safetensors").load_test is None
