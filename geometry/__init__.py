@@ -7,13 +7,14 @@ and `mould.py` (solids), `surface.py` (checked triangles), `mesh.py` (tetrahedra
 for all stages). The names below load no CAD and no mesher.
 """
 
-from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
 from geometry.design_file import design_from_toml, design_to_toml, read_design, write_design
 from geometry.errors import DesignError, FileFormatError, GeometryError, TriPillarError
 
 __all__ = [
     "Array",
     "DesignError",
+    "Electrics",
     "FileFormatError",
     "GeometryError",
     "Material",

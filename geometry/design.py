@@ -144,6 +144,43 @@ class Material:
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 
+MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
+ELECTRIC_MODELS = ("eq1", "conduction")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Electrics:
+    """Model of the resistance of deformed pillars: the paper's eq. 1, or conduction.
+
+    Elastoresistance is the relative change of resistivity per strain, m₁₁ along the current and m₁₂ across it (Mason
+    and Thurston, J. Acoust. Soc. Am. 29 (1957) 1096).
+    """
+
+    model: str = quantity("eq1", "eq1: R = ρ l²/V; conduction: potentials in the deformed pillars", optional=True)
+    elastoresistance_along: float = quantity(0.0, "m₁₁ of the pillars' rubber, conduction only", optional=True)
+    elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", optional=True)
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
+        if self.model not in ELECTRIC_MODELS:
+            raise DesignError(f"model={self.model!r} must be one of {', '.join(ELECTRIC_MODELS)}; of the electrics.")
+        given = (self.elastoresistance_along, self.elastoresistance_across)
+        if self.model == "eq1" and any(given):
+            raise DesignError(
+                "eq. 1 has no elastoresistance: write model = 'conduction' in [electrics], or leave "
+                "elastoresistance_along and elastoresistance_across at 0."
+            )
+        if max(map(abs, given)) > MAX_ELASTORESISTANCE:
+            raise DesignError(
+                f"elastoresistance_along={given[0]:g}, elastoresistance_across={given[1]:g} must each be from "
+                f"-{MAX_ELASTORESISTANCE:g} to {MAX_ELASTORESISTANCE:g}: beyond, strain leaves no resistivity above 0."
+            )
+
+    @property
+    def is_conduction(self) -> bool:
+        return self.model == "conduction"
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorDesign:
     """Everything that defines a sensor; the default is the paper's."""
@@ -160,6 +197,9 @@ class SensorDesign:
     pad: Pad = field(
         default_factory=Pad,
         metadata={"meaning": "the square on each unit's top through which it is loaded"},
+    )
+    electrics: Electrics = field(
+        default=Electrics(), metadata={"meaning": "how resistance follows deformation", "optional": True}
     )
     pillar_material: Material = field(
         default_factory=Material,

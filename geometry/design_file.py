@@ -28,7 +28,7 @@ def design_to_toml(design: SensorDesign) -> str:
 
 def _key_line(values: Any, spec: Any) -> str:
     assignment = f"{spec.name} = {getattr(values, spec.name)!r}"
-    return f"{assignment:28}# {spec.metadata['meaning']}"
+    return f"{assignment:27} # {spec.metadata['meaning']}"
 
 
 def design_from_dict(table: dict[str, Any], source: str = "the design") -> SensorDesign:

@@ -85,6 +85,8 @@ def _require_linear(design: SensorDesign) -> None:
             f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
             "materials, or solve it as a scene."
         )
+    if design.electrics.is_conduction:
+        raise DesignError("responses know eq. 1 alone so far: write model = 'eq1' in [electrics].")
 
 
 def solve_response(

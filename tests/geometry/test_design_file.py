@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from geometry import (
     Array,
     DesignError,
+    Electrics,
     Material,
     Pad,
     SensorDesign,
@@ -21,6 +22,7 @@ from geometry import (
     write_design,
 )
 from geometry.design_file import whole_design
+from geometry.storage.files import digest, stated
 
 lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
@@ -172,3 +174,27 @@ def test_a_key_of_thousands_of_parts_is_refused_before_it_takes_memory(text):
     begin = time.process_time()
     assert "a key has more than 16 parts" in refusal(text)
     assert time.process_time() - begin < 1  # the parser takes 1.7 GB and minutes
+
+
+def test_electrics_are_optional_and_leave_older_files_and_hashes_alone():
+    """Eq. 1 is the default, and does not count in hashes; conduction and its coefficients come back from a file."""
+    text = design_to_toml(SensorDesign())
+    before = text[: text.index("[electrics]")] + text[text.index("[pillar_material]") :]
+    assert whole_design(before, "an older file") == SensorDesign()
+    assert "electrics" not in stated(SensorDesign())
+    design = SensorDesign(electrics=Electrics(model="conduction", elastoresistance_along=-1.5))
+    assert whole_design(design_to_toml(design), "a file") == design
+    assert digest(design) != digest(SensorDesign())
+
+
+@pytest.mark.parametrize(
+    ("electrics", "said"),
+    [
+        ({"model": "ohm"}, "model='ohm' must be one of eq1, conduction"),
+        ({"elastoresistance_across": 1.0}, "eq. 1 has no elastoresistance"),
+        ({"model": "conduction", "elastoresistance_along": 11.0}, "from -10 to 10"),
+    ],
+)
+def test_electrics_that_make_no_sense_are_refused(electrics, said):
+    with pytest.raises(DesignError, match=said):
+        Electrics(**electrics)

@@ -22,7 +22,8 @@ def _numeric_keys(table: Table, prefix: str = "") -> dict[str, type]:
     return keys
 
 
-KEYS = _numeric_keys(asdict(SensorDesign()))  #: every numeric key of a design by its dotted name, with its type
+#: every numeric key of a design by its dotted name, with its type; sweeps judge designs by eq. 1
+KEYS = _numeric_keys({name: value for name, value in asdict(SensorDesign()).items() if name != "electrics"})
 LABELS = {
     "resistivity_ohm_mm": ("resistivity", "Ω mm"),
     "unit.span_mm": ("span", "mm"),
