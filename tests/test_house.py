@@ -22,7 +22,7 @@ RIDDLES = ("What", "How", "Who")
 #: rooms of each floor, in the order of the data: none imports one to its right
 ROOMS = {
     "geometry": ["storage"],
-    "fem": ["scene", "linear", "discretization", "finite", "array", "methods", "fields", "pictures"],
+    "fem": ["scene", "linear", "discretization", "conduction", "finite", "array", "methods", "fields", "pictures"],
     "decoupler": ["data", "inverse", "model", "training", "evaluation", "export"],
     "hardware": ["link", "recording", "readout", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "face", "cli"],

@@ -1,0 +1,88 @@
+"""Hexahedra of any order between terminals, and their Gauss points."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.discretization.elasticity import IntArray
+from fem.discretization.lagrange import gauss_points, lobatto_points, shape_functions
+from geometry.layout import FloatArray
+
+SAME = 1e-8  #: of the body's extent: nodes closer than that are one
+
+Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hexahedra:
+    """Trilinear hexahedra with Lagrange functions of an order along each edge; corners and nodes run z fastest."""
+
+    order: int
+    corners_mm: FloatArray  #: (n_elements, 8, 3)
+    nodes_mm: FloatArray  #: (n_nodes, 3)
+    elements: IntArray  #: (n_elements, (order + 1)³): nodes of each
+    terminals: tuple[IntArray, ...]  #: nodes on each terminal
+    constraint: sp.csr_matrix  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
+
+    @cached_property
+    def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, w = gauss_points(self.order + 1)
+        linear, bent = shape_functions(1, x), shape_functions(self.order, x)
+        places = np.einsum("ai,bj,ck->abcijk", linear[0], linear[0], linear[0]).reshape(-1, 8)
+        jacobian = np.einsum("qdn,enx->eqxd", _slopes(*linear), self.corners_mm)  # ∂x/∂ξ
+        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ _slopes(*bent)
+        weights = np.einsum("a,b,c->abc", w, w, w).ravel() * np.abs(np.linalg.det(jacobian))
+        return (places @ self.corners_mm).reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Gauss points of all elements, one after the other, (n_points, 3)."""
+        return self._gauss[0]
+
+    @property
+    def weight_mm3(self) -> FloatArray:
+        """Volume of each of `points_mm`, (n_points,)."""
+        return self._gauss[1]
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Gradients of the element's functions at `points_mm`, (n_points, 3, (order + 1)³) [1/mm]."""
+        return self._gauss[2]
+
+
+def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
+    """Hexahedra that share the nodes of common faces.
+
+    Parameters
+    ----------
+    corners_mm : array, shape (n_elements, 8, 3)
+        Of conforming elements, either orientation.
+    order : int
+    on_terminals : sequence of functions
+        Points (n, 3) to booleans: those on each terminal.
+    """
+    share = (lobatto_points(order) + 1) / 2
+    linear = np.stack([1 - share, share], axis=1)
+    places = (np.einsum("ai,bj,ck->abcijk", linear, linear, linear).reshape(-1, 8) @ corners_mm).reshape(-1, 3)
+    rounded = np.round(places / (SAME * np.ptp(places, axis=0).max())).astype(np.int64)
+    _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    nodes = places[first]
+    return Hexahedra(
+        order=order,
+        corners_mm=corners_mm,
+        nodes_mm=nodes,
+        elements=numbers.reshape(len(corners_mm), -1),
+        terminals=tuple(np.flatnonzero(on(nodes)) for on in on_terminals),
+        constraint=sp.eye(len(nodes), format="csr"),
+    )
+
+
+def _slopes(values: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Derivatives of products of three functions along each axis, from (k, n) of one, shape (k³, 3, n³)."""
+    k, n = values.shape
+    sides = [[slopes if d == axis else values for d in range(3)] for axis in range(3)]
+    return np.stack([np.einsum("ai,bj,ck->abcijk", *three).reshape(k**3, n**3) for three in sides], axis=1)

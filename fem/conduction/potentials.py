@@ -1,0 +1,172 @@
+"""Conductances between terminals of a conductor by the potentials in it, at rest and deformed. Open this file first.
+
+div(σ grad φ) = 0 with φ = 1 on one terminal and 0 on the others, insulating elsewhere. Deformation changes neither the
+mesh nor the equation: σ is pulled back to the shape at rest.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from fem.conduction.conductivity import Piezoresistivity, pulled_back
+from fem.conduction.hexahedra import Hexahedra
+from fem.conduction.unit_mesh import unit_hexahedra
+from fem.linear.linear_solver import checked_solve, factorized
+from geometry.design import Unit
+from geometry.layout import FloatArray
+
+#: points (n, 3) [mm] at rest, in the unit's frame, to deformation gradients ∂x/∂X (n, 3, 3)
+Deformation = Callable[[FloatArray], FloatArray]
+
+TERMINALS = ("U1", "U2", "L1", "L2")  #: electrodes of a unit
+PILLAR_TERMINALS = ((0, 2), (0, 3), (1, 2))  #: numbers of those at the ends of the z, x and y pillars
+MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit
+MESHES_INSIDE = ((2, 1), (3, 2))  #: where the electrodes are narrower than the pillars: edges on all sides
+#: of the difference of both, added to the finer one's and taken as its error: at rest 0.13 (z) and 0.19 (x, y) by
+#: meshes of order 4 and 5
+EXTRAPOLATED = 0.16
+
+
+class Conductor:
+    """Potentials in a body on one mesh."""
+
+    def __init__(self, mesh: Hexahedra) -> None:
+        self.mesh = mesh
+        n = mesh.elements.shape[1]
+        self._rows, self._cols = np.repeat(mesh.elements, n, axis=1).ravel(), np.tile(mesh.elements, (1, n)).ravel()
+
+    def stiffness(self, conductivity: FloatArray) -> sp.csr_matrix:
+        """∫ ∇φₐ·σ∇φ_b dV of the unknowns, from σ (n_points, 3, 3) at the mesh's points."""
+        weighted = conductivity * self.mesh.weight_mm3[:, None, None]
+        n_elements, n = self.mesh.elements.shape
+        K = np.empty((n_elements, n, n))
+        gradients = self.mesh.gradient.reshape(n_elements, -1, 3, n)
+        for number, (S, B) in enumerate(zip(weighted.reshape(n_elements, -1, 3, 3), gradients, strict=True)):
+            SB = S[:, :, 0, None] * B[:, None, 0] + S[:, :, 1, None] * B[:, None, 1] + S[:, :, 2, None] * B[:, None, 2]
+            K[number] = B.reshape(-1, n).T @ SB.reshape(-1, n)
+        nodes, T = len(self.mesh.nodes_mm), self.mesh.constraint
+        return (T.T @ sp.csr_matrix((K.ravel(), (self._rows, self._cols)), shape=(nodes, nodes)) @ T).tocsr()
+
+    @cached_property
+    def _held(self) -> FloatArray:
+        """Unknowns on each terminal as columns of 0 and 1, (n_unknowns, n_terminals)."""
+        held = np.zeros((len(self.mesh.nodes_mm), len(self.mesh.terminals)))
+        for column, nodes in enumerate(self.mesh.terminals):
+            held[nodes, column] = 1.0
+        return np.asarray(self.mesh.constraint.T @ held > 0.5, dtype=np.float64)
+
+    def potentials(self, stiffness: sp.csr_matrix) -> FloatArray:
+        """Unknowns (n_unknowns, n_terminals) of potential 1 on each terminal and 0 on the others."""
+        phi = self._held.copy()
+        free = np.flatnonzero(~phi.any(axis=1))
+        rows = stiffness[free]
+        K = rows[:, free].tocsr()
+        phi[free, :-1], _ = checked_solve(K, factorized(K, definite=True).solve, -(rows @ phi[:, :-1]))
+        phi[free, -1] = 1 - phi[free, :-1].sum(axis=1)
+        return phi
+
+    def conductances(
+        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+    ) -> FloatArray:
+        """Conductances between the terminals times the resistivity at rest, shape (n, n) [mm]; see `Conductances`."""
+        points = self.mesh.points_mm
+        F = np.broadcast_to(np.eye(3), (len(points), 3, 3)) if deformation is None else deformation(points)
+        K = self.stiffness(pulled_back(F, piezoresistivity))
+        phi = self.potentials(K)
+        return np.asarray(phi.T @ (K @ phi))
+
+    def gradients(self, potentials: FloatArray) -> FloatArray:
+        """∇φ at the mesh's points of potentials (n_unknowns, k), shape (n_points, 3, k) [1/mm]."""
+        n_elements, n = self.mesh.elements.shape
+        nodal = (self.mesh.constraint @ potentials)[self.mesh.elements]  # (n_elements, n, k)
+        found = self.mesh.gradient.reshape(n_elements, -1, n) @ nodal
+        return np.asarray(found.reshape(len(self.mesh.points_mm), 3, -1))
+
+
+def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
+
+    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
+
+    Returns
+    -------
+    array, shape (3, n_points, 3, 3)
+        Of the z, x and y pillars, by ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
+    """
+    mesh = conductor.mesh
+    K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
+    phi = conductor.potentials(K)
+    slopes, matrix = conductor.gradients(phi), phi.T @ (K @ phi)
+    piezo = piezoresistivity or Piezoresistivity()
+    derivatives = []
+    for i, j in PILLAR_TERMINALS:
+        one, other = slopes[..., i], slopes[..., j]
+        dot = (one * other).sum(axis=1)[:, None, None]
+        cross = one[:, :, None] * other[:, None, :]
+        # δσ = (1 − m₁₂) tr g − (1 + (m₁₁ − m₁₂)/2) (g + gᵀ) for g = grad u
+        slope = (1 - piezo.across) * dot * np.eye(3)
+        slope = slope - (1 + (piezo.along - piezo.across) / 2) * (cross + cross.swapaxes(1, 2))
+        derivatives.append(slope * mesh.weight_mm3[:, None, None] / matrix[i, j] ** 2)
+    return np.array(derivatives)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Conductances:
+    """Conductances between a unit's electrodes U1, U2, L1 and L2, times the resistivity at rest."""
+
+    matrix_mm: FloatArray  #: (4, 4): currents into the electrodes by their potentials; symmetric, rows sum to 0
+    error_estimate: FloatArray  #: relative, of the resistances of the z, x and y pillars, (3,)
+
+    @property
+    def pillars_per_mm(self) -> FloatArray:
+        """Resistances of the z, x and y pillars over the resistivity, (3,), as an ideal crossbar reads them.
+
+        One electrode at 1 V, the current into the other, both others and that one at 0 V: R = −1/Gᵢⱼ.
+        """
+        return pillars_per_mm(self.matrix_mm)
+
+
+def pillars_per_mm(matrix_mm: FloatArray) -> FloatArray:
+    """Resistances of the z, x and y pillars over the resistivity (..., 3), from conductances (..., 4, 4)."""
+    upper, lower = np.array(PILLAR_TERMINALS).T
+    return np.asarray(-1 / matrix_mm[..., upper, lower])
+
+
+def unit_conductances(
+    unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+) -> Conductances:
+    """Conductances between a unit's electrodes, at rest or deformed.
+
+    Parameters
+    ----------
+    unit : Unit
+    deformation : function, optional
+        Points (n, 3) at rest in the unit's frame [mm] to ∂x/∂X (n, 3, 3); default: at rest.
+    piezoresistivity : Piezoresistivity, optional
+
+    Raises
+    ------
+    DesignError
+        If the oblique pillars touch each other, or a pillar is deformed inside out.
+
+    Notes
+    -----
+    From two meshes, extrapolated; what that adds to a pillar's resistance is the estimate of its error.
+    """
+    coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in unit_conductors(unit))
+    matrix = fine + EXTRAPOLATED * (fine - coarse)
+    return Conductances(
+        matrix_mm=matrix,
+        error_estimate=np.abs(pillars_per_mm(matrix) / pillars_per_mm(fine) - 1),
+    )
+
+
+@cache
+def unit_conductors(unit: Unit) -> tuple[Conductor, Conductor]:
+    """The pillars of a unit on the coarser and on the finer mesh."""
+    meshes = MESHES if unit.electrode_mm >= unit.pillar_width_mm else MESHES_INSIDE
+    coarse, fine = (Conductor(unit_hexahedra(unit, order, levels)) for order, levels in meshes)
+    return coarse, fine
