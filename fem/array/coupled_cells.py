@@ -76,6 +76,50 @@ class CoupledArray:
             residual = max(residual, misfit)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
+    def derivatives(
+        self,
+        changes: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
+        loads: Sequence[int],
+        observed: Sequence[int],
+    ) -> tuple[FloatArray, float]:
+        """Derivatives of `influence` by parameters that change every cell alike.
+
+        Parameters
+        ----------
+        changes : sequence of (dS, dL, dC)
+            For each parameter the derivatives of a cell's stiffness, reach and compliance.
+        loads, observed : sequences of int
+            As in `influence`.
+
+        Returns
+        -------
+        array, shape (n_changes, rows, cols, n_observed, rows, cols, n_loads)
+            Derivatives [mm/N per unit of the parameter].
+        float
+            The largest residual.
+
+        Notes
+        -----
+        With K q = L f and u = Lᵀ q + C f, du = dLᵀ q + q̂ᵀ (dL f − dS q) + dC f, where q̂ answers a force on what is
+        observed.
+        """
+        seen, n = [*loads, *observed], self.n_cells
+        forces = np.zeros((n, self.cell.reach.shape[1], n, len(seen)))
+        for number in range(n):
+            forces[number, seen, number, np.arange(len(seen))] = 1.0
+        q, residual = self.port_displacements(forces.reshape(*forces.shape[:2], -1))
+        by_load, by_observed = np.split(q.reshape(n, -1, n, len(seen)), [len(loads)], axis=3)
+        own = np.arange(n)
+        found = np.empty((len(changes), n, len(observed), n, len(loads)))
+        for du, (dS, dL, dC) in zip(found, changes, strict=True):
+            pulled = (dS @ by_load.reshape(n, dS.shape[0], -1)).reshape(by_load.shape)
+            du[:] = -np.tensordot(by_observed, pulled, axes=([0, 1], [0, 1]))
+            du += np.einsum("mo,cmdl->codl", dL[:, observed], by_load)
+            du += np.einsum("dmco,ml->codl", by_observed, dL[:, loads])
+            du[own, :, own] += dC[np.ix_(observed, loads)]
+        shape = (len(changes), self.rows, self.cols, len(observed), self.rows, self.cols, len(loads))
+        return found.reshape(shape), residual
+
     def _product(self, q: FloatArray) -> FloatArray:
         """Stiffness of all ports times their displacements (n, k), cell by cell: faster than the sparse product."""
         pulls = np.tensordot(self.cell.stiffness, q[self._dofs], axes=(1, 1))  # (n_modes·3, n_cells, k), in one product

@@ -1,0 +1,256 @@
+"""Derivatives of an array's response by the uncertain parameters of its design.
+
+Stiffness is exact: B ~ 1/E. The others are differences of condensed cells on one grid whose lines move with the edges
+of the design, so that discretisation errors cancel; derivatives of the coupled array follow from those of its cell.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
+from fem.array.coupled_cells import CoupledArray
+from fem.array.response import INFLUENCE_DIMS
+from fem.array.solving import ResponseSettings, array_response, response_cache_key
+from fem.array.substructured import (
+    ELECTRODE_MEANS,
+    PADS,
+    cell_grid,
+    influence_range,
+    is_mirrored,
+    lone_unit,
+    pad_plate,
+    unrolled,
+    whole_grid,
+)
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.discretization.mirrors import QUARTER, flipped_rectangles
+from geometry.design import SensorDesign
+from geometry.design_file import design_from_toml, design_to_toml
+from geometry.errors import DesignError, FileFormatError
+from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.storage.files import cache_folder, digest, keep
+from geometry.storage.netcdf import read_netcdf, write_netcdf
+from geometry.storage.seal import say_made_anew
+from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
+
+VERSION = 1  #: raise when the same design gives other derivatives, so that cached ones are not reused
+LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
+STEP = 0.05  #: of a parameter's deviation, to either side
+FAR = 1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
+DIMS = ("parameter", *INFLUENCE_DIMS)
+Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, reach and compliance, per unit
+Sides = tuple[CondensedCell, CondensedCell]  #: cells a step above and below in a parameter
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResponseSensitivities:
+    """Derivatives of an influence matrix by k parameters of the design, and how far each may be off."""
+
+    design: SensorDesign
+    parameters: tuple[str, ...]  #: keys of the design, see `geometry.tolerances`; those alone that bend the body
+    deviation: FloatArray  #: (k,): standard deviation of each before anything is measured, in its key's unit
+    influence_mm_per_n: FloatArray  #: (k, rows, cols, 2, 3, rows, cols, 3): ∂B/∂θ [mm/N per the key's unit]
+    cache_key: str = ""  #: hash of what it was made from
+
+    @property
+    def values(self) -> FloatArray:
+        """Each parameter's value in the design, (k,)."""
+        return np.array([value_of(self.design, name) for name in self.parameters])
+
+    def with_tolerances(self, deviation: Mapping[str, float]) -> Self:
+        """The same with other standard deviations; what is known exactly (0) is left out."""
+        known = [deviation.get(name, usual) for name, usual in zip(self.parameters, self.deviation, strict=True)]
+        kept = np.flatnonzero(known)
+        return replace(
+            self,
+            parameters=tuple(self.parameters[k] for k in kept),
+            deviation=np.array(known)[kept],
+            influence_mm_per_n=self.influence_mm_per_n[kept],
+        )
+
+
+def response_sensitivities(
+    design: SensorDesign,
+    settings: ResponseSettings | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> tuple[ResponseSensitivities, Path, bool]:
+    """Derivatives of a sensor's response, from the cache if they are there.
+
+    Parameters and errors as of `array_response`, whose answer is scaled for the derivative by E; the other derivatives
+    come from cells, whatever the method. Returns them, their file, and whether it was there already.
+
+    Raises
+    ------
+    DesignError
+        If pillars and matrix are of two rubbers.
+    """
+    settings = (settings or ResponseSettings()).suited(design)
+    bent = replace(design, resistivity_ohm_mm=1.0)
+    cache_key = digest("sensitivities", VERSION, response_cache_key(design, settings))
+    path = cache_folder() / f"sensitivities-{cache_key}.nc"
+    try:
+        kept = read_sensitivities(path)
+        if kept.cache_key == cache_key:
+            return replace(kept, design=design), path, True
+    except FileFormatError:
+        say_made_anew(path)
+    response, _, _ = array_response(design, settings, progress)
+    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
+    derivatives = _derivatives(bent, deviations, progress)
+    derivatives |= {"rubber.young_mpa": -response.influence_mm_per_n / design.matrix_material.young_mpa}
+    sensitivities = ResponseSensitivities(
+        design=design,
+        parameters=tuple(deviations),
+        deviation=np.array(list(deviations.values())),
+        influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
+        cache_key=cache_key,
+    )
+    keep(lambda path: write_sensitivities(sensitivities, path), path)
+    return sensitivities, path, False
+
+
+def _derivatives(
+    design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None]
+) -> dict[str, FloatArray]:
+    """∂B/∂θ of all parameters but E, each (rows, cols, 2, 3, rows, cols, 3)."""
+    if not design.is_homogeneous:
+        raise DesignError("derivatives of the response are of sensors of one rubber yet: make both materials alike.")
+    nominal, changes = cell_changes(design, deviations, progress)
+    reach = influence_range(design, FAR)
+    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    progress(f"coupling {rows} × {cols}")
+    found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, ELECTRODE_MEANS)
+    shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
+    return {
+        name: unrolled(du.reshape(shape), design.array.rows, design.array.cols, reach)
+        for name, du in zip(changes, found, strict=True)
+    }
+
+
+def cell_changes(
+    design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None] = lambda step: None
+) -> tuple[CondensedCell, dict[str, Change]]:
+    """A design's condensed cell and its derivatives by every parameter but E."""
+    sides = {name: _sides(design, name, STEP * sd) for name, sd in deviations.items() if not name.endswith("young_mpa")}
+    soft = design.pad.kind == "soft"
+    on_top = [name for name in sides if name == "unit.span_mm" or (soft and name.startswith("pad."))]
+    # loads and electrodes on the same cell: one condensation sees all their places
+    asked = np.stack([_rectangles(one) for one in (design, *(side for name in on_top for side in sides[name][:2]))])
+    different, number = np.unique(asked.reshape(-1, 4), axis=0, return_inverse=True)
+    progress("cell")
+    cell = _condensed(design, design, different)
+    nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
+    cells = dict(zip(on_top, zip(moved[::2], moved[1::2], strict=True), strict=True))
+    if not soft and is_mirrored(design):
+        progress("cell, pad off its middle")
+        cells |= dict(_off_the_middle(design, sides["pad.offset_x_mm"][0]))
+    for name in sides:
+        if name not in cells:
+            progress(f"cell, {name}")
+            plus, minus = (_condensed(design, side, _rectangles(side)) for side in sides[name][:2])
+            cells[name] = plus, minus
+    changes = {name: _slope(*cells[name], sides[name][2]) for name in sides}
+    return nominal, changes
+
+
+def _sides(design: SensorDesign, name: str, step: float) -> tuple[SensorDesign, SensorDesign, float]:
+    """Designs a step above and below in one parameter, or the design itself where there can be none, and how far they
+    are apart."""
+    found = []
+    for by in (step, -step):
+        try:
+            found.append((changed(design, name, by), by))
+        except DesignError:
+            found.append((design, 0.0))
+    (above, up), (below, down) = found
+    return above, below, up - down
+
+
+def _rectangles(design: SensorDesign) -> FloatArray:
+    alone = lone_unit(design)
+    return np.vstack([pad_squares(alone), electrode_squares(alone)])
+
+
+def _slope(plus: CondensedCell, minus: CondensedCell, width: float) -> Change:
+    return (
+        (plus.stiffness - minus.stiffness) / width,
+        (plus.reach - minus.reach) / width,
+        (plus.compliance - minus.compliance) / width,
+    )
+
+
+def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:
+    """The cell of a design near another, on the other's grid, its lines moved along with the height and the plate."""
+    ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE, DEGREE)
+    quarter = is_mirrored(design) and is_mirrored(side)
+    grid = _moved(cell_grid(design, LEVEL), design, side, quarter)
+    basis = GridBasis(grid)
+    stiffness = grid_stiffness(basis, [side.matrix_material])
+    if quarter:
+        return condense_by_parity(basis, stiffness, ports, rectangles, pad_plate(side))
+    return condense(grid_body(basis, stiffness), ports, rectangles, pad_plate(side))
+
+
+def _moved(quarter: Grid, design: SensorDesign, side: SensorDesign, is_quarter: bool) -> Grid:
+    """The grid of a design, moved to a side's height and, under stiff pads, to its plate's edges."""
+    grid = quarter if is_quarter else whole_grid(quarter)
+    half, lines = design.array.pitch_mm / 2, []
+    for axis, line in enumerate((grid.x, grid.y)):
+        before, after = (pad_squares(lone_unit(one))[0, axis::2] for one in (design, side))
+        if design.pad.kind == "stiff":
+            line = np.interp(line, [-half, *before, half], [-half, *after, half])
+        lines.append(line)
+    return replace(grid, x=lines[0], y=lines[1], z=grid.z * (side.unit.height_mm / design.unit.height_mm))
+
+
+def _off_the_middle(
+    design: SensorDesign, off_x: SensorDesign
+) -> Iterator[tuple[str, tuple[CondensedCell, CondensedCell]]]:
+    """Cells with a plate off the middle along x and y, to either side: images of one, whose plate is off along x."""
+    pad, *electrodes = _rectangles(off_x)
+    seen = np.vstack([pad, electrodes, flipped_rectangles(np.array(electrodes), QUARTER[:1])])
+    plus = _condensed(design, off_x, seen)
+    across = np.array([0, 3, 4, 1, 2])  # each electrode's image in x = 0; y exchanged for x takes U2 to U1's image
+    exchange = np.array([0, 1, 3, 2, 4])
+    minus = plus.mirrored(0, across)
+    own = np.arange(3)
+    yield "pad.offset_x_mm", (plus.seeing(own), minus.seeing(own))
+    yield "pad.offset_y_mm", (plus.exchanged(exchange).seeing(own), minus.exchanged(exchange).seeing(own))
+
+
+def write_sensitivities(sensitivities: ResponseSensitivities, path: Path) -> None:
+    """Write a file of derivatives, whole or not at all."""
+    import xarray as xr
+
+    coordinates = {
+        "parameter": list(sensitivities.parameters),
+        "electrode": list(ELECTRODES),
+        "axis": list(AXES),
+        "load_axis": list(AXES),
+    }
+    variables = {
+        "influence_mm_per_n": (DIMS, sensitivities.influence_mm_per_n, {"units": "mm/N per unit of the parameter"}),
+        "deviation": ("parameter", sensitivities.deviation),
+    }
+    attributes = {"design": design_to_toml(sensitivities.design), "recipe": sensitivities.cache_key}
+    write_netcdf(xr.Dataset(variables, coords=coordinates, attrs=attributes), path)
+
+
+def read_sensitivities(path: Path) -> ResponseSensitivities:
+    """Read a file of `write_sensitivities`; `FileFormatError` if it is missing, damaged or foreign."""
+    made_by = "tripillar identify"
+    data = read_netcdf(path, {"influence_mm_per_n": DIMS, "deviation": ("parameter",)}, made_by)
+    try:
+        return ResponseSensitivities(
+            design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
+            parameters=tuple(str(name) for name in data["parameter"].values),
+            deviation=data["deviation"].to_numpy(),
+            influence_mm_per_n=data["influence_mm_per_n"].to_numpy(),
+            cache_key=str(data.attrs["recipe"]),
+        )
+    except KeyError as error:
+        raise FileFormatError(f"{path}: {error} is missing: give a file made by '{made_by}'.") from None

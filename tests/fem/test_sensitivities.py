@@ -1,0 +1,81 @@
+"""Derivatives of the response by the design's parameters: by theory, and as differences of whole solves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fem.array import sensitivities
+from fem.array.sensitivities import response_sensitivities
+from fem.array.solving import ResponseSettings, array_response, solve_response
+from geometry.design import Array, Pad, SensorDesign
+from geometry.tolerances import changed, usual_deviations, value_of, with_values
+
+SETTINGS = ResponseSettings(tolerance=1e-2)
+PAIR = SensorDesign(array=Array(rows=1, cols=2))
+STIFF = replace(PAIR, pad=Pad(kind="stiff"))
+pytestmark = pytest.mark.usefixtures("shared_cache")  # one set of derivatives serves several tests
+
+
+def test_a_softer_rubber_moves_in_proportion():
+    """B ~ 1/E: ∂B/∂E = −B/E to rounding."""
+    response, _, _ = array_response(PAIR, SETTINGS)
+    found, _, _ = response_sensitivities(PAIR, SETTINGS)
+    by_young = found.influence_mm_per_n[found.parameters.index("rubber.young_mpa")]
+    assert np.allclose(by_young, -response.influence_mm_per_n / 6.1, rtol=1e-14, atol=0)
+
+
+@pytest.mark.parametrize("design", [PAIR, STIFF], ids=["soft", "stiff"])
+def test_derivatives_are_differences_of_whole_solves(design):
+    """All parameters but E moved at once by a deviation; the grids of the solves leave some per cent of it."""
+    found, _, _ = response_sensitivities(design, SETTINGS)
+    signs = {"rubber.poisson": 1, "unit.height_mm": -1, "unit.span_mm": 1, "pad.size_mm": 1}
+    if design is PAIR:  # a plate off its middle has no quarter, and a solve takes a minute
+        signs |= {"pad.offset_x_mm": 1, "pad.offset_y_mm": 1}
+    moved = dict(zip(found.parameters, found.deviation, strict=True))
+    moved = {name: signs.get(name, 0) * sd for name, sd in moved.items()}
+    above, below = (
+        solve_response(
+            with_values(design, {name: value_of(design, name) + side * by for name, by in moved.items()}), SETTINGS
+        ).influence_mm_per_n
+        for side in (1, -1)
+    )
+    expected = np.tensordot(list(moved.values()), found.influence_mm_per_n, axes=1)
+    assert np.linalg.norm((above - below) / 2 - expected) < 0.05 * np.linalg.norm(expected)
+
+
+def test_a_plate_off_its_middle_has_images(monkeypatch):
+    """Of four cells with a plate off along x or y, to either side, one is condensed: the others are as if they were."""
+    monkeypatch.setattr(sensitivities, "LEVEL", 1)
+    monkeypatch.setattr(sensitivities, "DEGREE", 2)
+    sides = [changed(STIFF, f"pad.offset_{axis}_mm", by) for axis in "xy" for by in (0.1, -0.1)]
+    images = [cell for _, cells in sensitivities._off_the_middle(STIFF, sides[0]) for cell in cells]
+    for side, image in zip(sides, images, strict=True):
+        direct = sensitivities._condensed(STIFF, side, sensitivities._rectangles(side))
+        assert np.allclose(image.standing_alone, direct.standing_alone, rtol=0, atol=1e-9)
+
+
+def test_derivatives_are_found_again():
+    found, path, _ = response_sensitivities(PAIR, SETTINGS)
+    again, _, reused = response_sensitivities(replace(PAIR, resistivity_ohm_mm=8000.0), SETTINGS)
+    assert reused
+    assert path.is_file()
+    assert np.array_equal(found.influence_mm_per_n, again.influence_mm_per_n)
+
+
+def test_parameters_that_are_known_are_left_out():
+    found, _, _ = response_sensitivities(PAIR, SETTINGS)
+    some = found.with_tolerances({"unit.height_mm": 0.0, "pad.size_mm": 0.1})
+    assert "unit.height_mm" not in some.parameters
+    assert some.deviation[some.parameters.index("pad.size_mm")] == 0.1
+    assert len(some.influence_mm_per_n) == len(found.parameters) - 1
+
+
+def test_a_changed_parameter_is_that_of_the_design():
+    design = changed(PAIR, "rubber.poisson", -0.01)
+    assert design.is_homogeneous
+    assert design.pillar_material.poisson == pytest.approx(0.48)
+    other = replace(PAIR, pillar_material=replace(PAIR.pillar_material, young_mpa=8.0))
+    assert {"pillar_material.young_mpa", "matrix_material.young_mpa"} < set(usual_deviations(other))
+    for name, sd in usual_deviations(other).items():
+        assert value_of(changed(other, name, sd), name) > value_of(other, name)
