@@ -56,6 +56,36 @@ def pillar_sections(unit: Unit) -> FloatArray:
     return np.array([[w, w], [ow, w], [w, ow]])
 
 
+def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
+    """Share of each box between lines (nx + 1,), (ny + 1,), (nz + 1,) of the unit's frame that its pillars fill.
+
+    Shape (nx, ny, nz). By 8 Gauss points along z of every box: exact where no pillar's face crosses its uprights.
+
+    >>> around_z = np.array([-6.0, -4.0]), np.array([-6.0, -4.0])
+    >>> round(float(pillar_shares(Unit(), *around_z, np.array([4.0, 6.0]))[0, 0, 0]), 9)
+    1.0
+    """
+    points, weights = np.polynomial.legendre.leggauss(8)
+    z = (z_mm[:-1] + z_mm[1:])[:, None] / 2 + np.diff(z_mm)[:, None] / 2 * points
+    ends = pillar_ends(unit)[:, :, :2]
+    middle = ends[:, 0, None, None] + (z / unit.height_mm)[..., None] * (ends[:, 1] - ends[:, 0])[:, None, None]
+    half = pillar_sections(unit)[:, None, None] / 2
+    sections = np.stack([middle - half, middle + half])  # (2, 3, nz, 8, 2): low and high corners of each pillar's
+
+    def filled(*pillars: int) -> FloatArray:
+        """Area of the boxes that all of some pillars cover, its mean along z."""
+        low, high = sections[0, pillars].max(axis=0), sections[1, pillars].min(axis=0)
+        low, high = (np.moveaxis(ends, -1, 0) for ends in (low, high))
+        along = (
+            np.maximum(np.minimum(line[1:, None, None], top) - np.maximum(line[:-1, None, None], bottom), 0.0)
+            for line, bottom, top in zip((x_mm, y_mm), low, high, strict=True)
+        )
+        return np.einsum("xzq,yzq,q->xyz", *along, weights / 2)
+
+    whole = filled(0) + filled(1) + filled(2) - filled(0, 1) - filled(0, 2) - filled(1, 2) + filled(0, 1, 2)
+    return whole / (np.diff(x_mm)[:, None, None] * np.diff(y_mm)[:, None])
+
+
 def electrode_squares(design: SensorDesign) -> FloatArray:
     """Upper electrodes as rectangles of the top face, shape (n_units·2, 4): x0, y0, x1, y1 [mm]."""
     centres = unit_centres(design)[:, None, :] + upper_electrodes(design.unit)[None, :, :2]

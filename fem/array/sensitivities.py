@@ -1,10 +1,13 @@
 """Derivatives of an array's response by the uncertain parameters of its design.
 
-Stiffness is exact: B ~ 1/E. The others are differences of condensed cells on one grid whose lines move with the edges
+One modulus is exact: B ~ 1/E. The others are differences of condensed cells on one grid whose lines move with the edges
 of the design, so that discretisation errors cancel; derivatives of the coupled array follow from those of its cell.
+Pillars of another rubber are mixed into the boxes that they cross: meshes of tetrahedra differ by chance, by more than
+a step changes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -31,7 +34,7 @@ from fem.discretization.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
-from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares, pillar_shares
 from geometry.storage.files import cache_folder, digest, keep
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.storage.seal import say_made_anew
@@ -39,11 +42,14 @@ from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
 VERSION = 1  #: raise when the same design gives other derivatives, so that cached ones are not reused
 LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
-STEP = 0.05  #: of a parameter's deviation, to either side
+STEP = 0.01  #: of a parameter's deviation
 FAR = 1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
 DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, reach and compliance, per unit
-Sides = tuple[CondensedCell, CondensedCell]  #: cells a step above and below in a parameter
+Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
+PILLARS_YOUNG = "pillar_material.young_mpa"
+SCALES = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that the others and B itself tell
+OFF_X, OFF_Y = "pad.offset_x_mm", "pad.offset_y_mm"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,16 +86,14 @@ def response_sensitivities(
 ) -> tuple[ResponseSensitivities, Path, bool]:
     """Derivatives of a sensor's response, from the cache if they are there.
 
-    Parameters and errors as of `array_response`, whose answer is scaled for the derivative by E; the other derivatives
+    Parameters and errors as of `array_response`, which is scaled for the derivative by the matrix's E; the others
     come from cells, whatever the method. Returns them, their file, and whether it was there already.
 
-    Raises
-    ------
-    DesignError
-        If pillars and matrix are of two rubbers.
+    Notes
+    -----
+    E_p ∂B/∂E_p + E_m ∂B/∂E_m = −B of pillars and matrix, as B halves where both moduli double.
     """
     settings = (settings or ResponseSettings()).suited(design)
-    bent = replace(design, resistivity_ohm_mm=1.0)
     cache_key = digest("sensitivities", VERSION, response_cache_key(design, settings))
     path = cache_folder() / f"sensitivities-{cache_key}.nc"
     try:
@@ -100,8 +104,11 @@ def response_sensitivities(
         say_made_anew(path)
     response, _, _ = array_response(design, settings, progress)
     deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
-    derivatives = _derivatives(bent, deviations, progress)
-    derivatives |= {"rubber.young_mpa": -response.influence_mm_per_n / design.matrix_material.young_mpa}
+    derivatives = _derivatives(design, deviations, progress)
+    by_scale = -response.influence_mm_per_n
+    if PILLARS_YOUNG in derivatives:
+        by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
+    derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
     sensitivities = ResponseSensitivities(
         design=design,
         parameters=tuple(deviations),
@@ -116,9 +123,7 @@ def response_sensitivities(
 def _derivatives(
     design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None]
 ) -> dict[str, FloatArray]:
-    """∂B/∂θ of all parameters but E, each (rows, cols, 2, 3, rows, cols, 3)."""
-    if not design.is_homogeneous:
-        raise DesignError("derivatives of the response are of sensors of one rubber yet: make both materials alike.")
+    """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, 2, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
     reach = influence_range(design, FAR)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
@@ -134,40 +139,37 @@ def _derivatives(
 def cell_changes(
     design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None] = lambda step: None
 ) -> tuple[CondensedCell, dict[str, Change]]:
-    """A design's condensed cell and its derivatives by every parameter but E."""
-    sides = {name: _sides(design, name, STEP * sd) for name, sd in deviations.items() if not name.endswith("young_mpa")}
+    """A design's condensed cell and its derivatives by every parameter but those of `SCALES`."""
+    sides = {name: _sides(design, name, STEP * sd) for name, sd in deviations.items() if name not in SCALES}
     soft = design.pad.kind == "soft"
-    on_top = [name for name in sides if name == "unit.span_mm" or (soft and name.startswith("pad."))]
+    on_top = [name for name in sides if soft and name.startswith("pad.")]
+    if design.is_homogeneous:
+        on_top.append("unit.span_mm")
     # loads and electrodes on the same cell: one condensation sees all their places
-    asked = np.stack([_rectangles(one) for one in (design, *(side for name in on_top for side in sides[name][:2]))])
+    asked = np.stack([_rectangles(one) for one in (design, *(side for name in on_top for side, _ in sides[name]))])
     different, number = np.unique(asked.reshape(-1, 4), axis=0, return_inverse=True)
     progress("cell")
     cell = _condensed(design, design, different)
     nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
-    cells = dict(zip(on_top, zip(moved[::2], moved[1::2], strict=True), strict=True))
-    if not soft and is_mirrored(design):
-        progress("cell, pad off its middle")
-        cells |= dict(_off_the_middle(design, sides["pad.offset_x_mm"][0]))
-    for name in sides:
+    cells: dict[str, Sides] = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
+    for name, ((side, by), *_) in sides.items():
         if name not in cells:
             progress(f"cell, {name}")
-            plus, minus = (_condensed(design, side, _rectangles(side)) for side in sides[name][:2])
-            cells[name] = plus, minus
-    changes = {name: _slope(*cells[name], sides[name][2]) for name in sides}
+            if name == OFF_X and _is_quarter(design):
+                cells |= _off_the_middle(design, side, by)
+            else:
+                cells[name] = [(_condensed(design, side, _rectangles(side)), by)]
+    changes = {name: _slope(*[*cells[name], (nominal, 0.0)][:2]) for name in sides}
     return nominal, changes
 
 
-def _sides(design: SensorDesign, name: str, step: float) -> tuple[SensorDesign, SensorDesign, float]:
-    """Designs a step above and below in one parameter, or the design itself where there can be none, and how far they
-    are apart."""
+def _sides(design: SensorDesign, name: str, step: float) -> list[tuple[SensorDesign, float]]:
+    """Designs a step above and below in one parameter, as far as they can be made, and the steps."""
     found = []
     for by in (step, -step):
-        try:
+        with suppress(DesignError):
             found.append((changed(design, name, by), by))
-        except DesignError:
-            found.append((design, 0.0))
-    (above, up), (below, down) = found
-    return above, below, up - down
+    return found
 
 
 def _rectangles(design: SensorDesign) -> FloatArray:
@@ -175,7 +177,9 @@ def _rectangles(design: SensorDesign) -> FloatArray:
     return np.vstack([pad_squares(alone), electrode_squares(alone)])
 
 
-def _slope(plus: CondensedCell, minus: CondensedCell, width: float) -> Change:
+def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float]) -> Change:
+    (plus, above), (minus, below) = one, other
+    width = above - below
     return (
         (plus.stiffness - minus.stiffness) / width,
         (plus.reach - minus.reach) / width,
@@ -183,16 +187,24 @@ def _slope(plus: CondensedCell, minus: CondensedCell, width: float) -> Change:
     )
 
 
+def _is_quarter(design: SensorDesign) -> bool:
+    """True if a cell is its own mirror image in x and in y."""
+    return design.is_homogeneous and is_mirrored(design)
+
+
 def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:
     """The cell of a design near another, on the other's grid, its lines moved along with the height and the plate."""
     ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE, DEGREE)
-    quarter = is_mirrored(design) and is_mirrored(side)
+    quarter = _is_quarter(design) and _is_quarter(side)
     grid = _moved(cell_grid(design, LEVEL), design, side, quarter)
-    basis = GridBasis(grid)
-    stiffness = grid_stiffness(basis, [side.matrix_material])
+    basis, plate = GridBasis(grid), pad_plate(side)
     if quarter:
-        return condense_by_parity(basis, stiffness, ports, rectangles, pad_plate(side))
-    return condense(grid_body(basis, stiffness), ports, rectangles, pad_plate(side))
+        return condense_by_parity(basis, grid_stiffness(basis, [side.matrix_material]), ports, rectangles, plate)
+    rubbers, shares = [side.matrix_material], None
+    if not side.is_homogeneous:
+        pillars = pillar_shares(side.unit, *grid.lines)
+        rubbers, shares = [*rubbers, side.pillar_material], np.stack([1 - pillars, pillars])
+    return condense(grid_body(basis, grid_stiffness(basis, rubbers, shares)), ports, rectangles, plate)
 
 
 def _moved(quarter: Grid, design: SensorDesign, side: SensorDesign, is_quarter: bool) -> Grid:
@@ -207,19 +219,21 @@ def _moved(quarter: Grid, design: SensorDesign, side: SensorDesign, is_quarter: 
     return replace(grid, x=lines[0], y=lines[1], z=grid.z * (side.unit.height_mm / design.unit.height_mm))
 
 
-def _off_the_middle(
-    design: SensorDesign, off_x: SensorDesign
-) -> Iterator[tuple[str, tuple[CondensedCell, CondensedCell]]]:
-    """Cells with a plate off the middle along x and y, to either side: images of one, whose plate is off along x."""
+def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:
+    """Cells of one rubber with a plate off the middle along x and along y, to either side.
+
+    All are images of one, whose plate is off along x; its electrodes are seen with their images in x = 0.
+    """
     pad, *electrodes = _rectangles(off_x)
     seen = np.vstack([pad, electrodes, flipped_rectangles(np.array(electrodes), QUARTER[:1])])
-    plus = _condensed(design, off_x, seen)
-    across = np.array([0, 3, 4, 1, 2])  # each electrode's image in x = 0; y exchanged for x takes U2 to U1's image
-    exchange = np.array([0, 1, 3, 2, 4])
-    minus = plus.mirrored(0, across)
-    own = np.arange(3)
-    yield "pad.offset_x_mm", (plus.seeing(own), minus.seeing(own))
-    yield "pad.offset_y_mm", (plus.exchanged(exchange).seeing(own), minus.exchanged(exchange).seeing(own))
+    above = _condensed(design, off_x, seen)
+    below = above.mirrored(0, np.array([0, 3, 4, 1, 2]))
+    own, exchanged = np.arange(3), np.array([0, 1, 3, 2, 4])  # y for x takes U2 to U1's image
+    cells = ((above, by), (below, -by))
+    return {
+        OFF_X: [(cell.seeing(own), by) for cell, by in cells],
+        OFF_Y: [(cell.exchanged(exchanged).seeing(own), by) for cell, by in cells],
+    }
 
 
 def write_sensitivities(sensitivities: ResponseSensitivities, path: Path) -> None:

@@ -244,22 +244,24 @@ def lattice_boxes(lines: Sequence[FloatArray]) -> tuple[list[FloatArray], NDArra
     return halves, cells.astype(np.int64)
 
 
-def grid_stiffness(basis: GridBasis, material: list[Material]) -> sp.csr_matrix:
+def grid_stiffness(basis: GridBasis, material: list[Material], shares: FloatArray | None = None) -> sp.csr_matrix:
     """Stiffness of all displacement degrees of freedom, shape (3 N, 3 N), interleaved n·3 + i [N/mm].
 
-    `material` lists the rubbers by the numbers of the grid's regions.
+    `material` lists the rubbers by the numbers of the grid's regions. With `shares`, shape (n_materials, nx, ny, nz),
+    boxes hold that much of each instead, evenly mixed: stiffer than truth where rubbers meet inside a box.
     """
     grid = basis.grid
-    region = np.broadcast_to(grid.region, grid.shape).ravel()
+    if shares is None:
+        shares = np.broadcast_to(grid.region, grid.shape) == np.arange(len(material)).reshape(-1, 1, 1, 1)
     size = np.stack(np.meshgrid(*[np.diff(lines) for lines in grid.lines], indexing="ij"), axis=-1).reshape(-1, 3)
     dofs = basis.element_dofs
     by_place = LOCAL @ np.array([9, 3, 1])  # from scikit-fem's order of local nodes to z fastest
-    K = np.empty((len(size), 3, 3, 27, 27))
-    for number, rubber in enumerate(material):
-        mine = region == number
+    K = np.zeros((len(size), 3, 3, 27, 27))
+    for share, rubber in zip(shares.reshape(len(material), -1), material, strict=True):
+        mine = share > 0
         pairs, terms = element_terms(rubber, grid.lean, cube_products(2, 2), cube_products(2, 3))
         terms = terms[:, by_place][:, :, :, by_place].transpose(0, 2, 4, 1, 3)
-        K[mine] = np.tensordot(term_scales(pairs, size[mine]), terms, 1)
+        K[mine] += np.tensordot(share[mine, None] * term_scales(pairs, size[mine]), terms, 1)
     pattern = SparsePattern(dofs, dofs, (basis.N, basis.N))
     return pattern.vector_matrix(K.transpose(0, 3, 4, 1, 2))
 
