@@ -6,6 +6,7 @@ taken live; docs/measuring.md says how to make each load.
 
 import csv
 import math
+import os
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -52,6 +53,7 @@ class KnownLoad:
     to_s: float | None = None
     resistance_ohm: FloatArray | None = None  #: (rows, cols, 3) [Ω]; NaN where not read; None if not in the table
     noise: float = NOISE  #: of these, relative
+    lines: tuple[Mapping[str, str], ...] = ()  #: of its table, by column
 
 
 def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
@@ -144,6 +146,37 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
     return [_load(path, name, numbered, rows, cols, pad_mm2) for name, numbered in grouped.items()]
 
 
+def keep_pair(path: Path, load: KnownLoad) -> None:
+    """Add a load with its readings to a table, which is begun if there is none; on disk when this returns.
+
+    Raises
+    ------
+    FileFormatError
+        If the table has other columns than this array's, or cannot be written.
+    """
+    assert load.resistance_ohm is not None
+    rows, cols, _ = load.resistance_ohm.shape
+    columns = [name for name in COLUMNS if name not in TIMES] + reading_columns(rows, cols)
+    ohms = ["" if math.isnan(ohm) else f"{ohm:.8g}" for ohm in load.resistance_ohm.ravel()]
+    readings = dict(zip(reading_columns(rows, cols), ohms, strict=True)) | {"noise": f"{load.noise:.3g}"}
+    try:
+        with Path(path).open("a+", newline="", encoding="utf-8") as opened:
+            opened.seek(0)
+            header = opened.readline().rstrip("\r\n")
+            if header and header != ",".join(columns):
+                raise FileFormatError(f"{path}: has other columns than a table of this array's pairs: give a new name.")
+            writer = csv.DictWriter(opened, columns, extrasaction="ignore", restval="")
+            if not header:
+                writer.writeheader()
+            for number, line in enumerate(load.lines or ({"kind": "nothing"},)):
+                stated = {name: line.get(name) or "" for name in COLUMNS} | {"load": load.name}
+                writer.writerow(stated | (readings if number == 0 else {}))
+            opened.flush()
+            os.fsync(opened.fileno())
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be written: {error.strerror}.") from None
+
+
 def reading_columns(rows: int, cols: int) -> list[str]:
     """Names of the columns of readings, in the order of an array (rows, cols, 3).
 
@@ -180,9 +213,15 @@ def _load(
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and not from_s < to_s):
         raise FileFormatError(f"{path}: load '{name}' acts from {from_s} s to {to_s} s: give both, the later one last.")
     return KnownLoad(
-        name=name, force_n=force_n, unknown_n=np.concatenate(unknown_n), from_s=from_s, to_s=to_s,
-        resistance_ohm=resistance_ohm, noise=noise,
-    )  # fmt: skip
+        name=name,
+        force_n=force_n,
+        unknown_n=np.concatenate(unknown_n),
+        from_s=from_s,
+        to_s=to_s,
+        resistance_ohm=resistance_ohm,
+        noise=noise,
+        lines=tuple(line for _, line in numbered),
+    )
 
 
 def known_forces(

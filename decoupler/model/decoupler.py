@@ -121,20 +121,31 @@ class Decoupler:
     @cached_property
     def load_test(self) -> LoadTest | None:
         """The test whether a usual load explains a reading; None if loads, deviations or rest are unknown."""
-        rest_ohm = self.rest_resistances()
-        if self.usual is None or self.uncertainty is None or rest_ohm is None:
+        if self.usual is None or self.uncertainty is None or (self.inverse is None and self.design is None):
             return None
-        rest = self.columns(rest_ohm[None])
+        if self.inverse is None:
+            rest_ohm = self.rest_resistances()
+            assert rest_ohm is not None
+            rest = self.columns(rest_ohm[None])
+        else:
+            rest, pressed = (
+                self._shown(np.zeros_like(self.output_scaling.centre)),
+                self._shown(self.output_scaling.centre),
+            )
         reading = reading_deviation(rest, self.uncertainty.noise, self.uncertainty.bits)
         by_noise = self.derivatives(rest)[0] * reading
         covariance = by_noise @ by_noise.T
         deviation_n = np.maximum(self.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
         covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
         if self.inverse is not None:
-            pressed_ohm = self.inverse.forward.resistances(self.output_scaling.centre[None])
-            shown_ohm = pressed_ohm if self.calibration is None else self.calibration.shown(pressed_ohm)
-            deviation_n = np.maximum(deviation_n, self.half_widths_of(shown_ohm)[0][0])
+            deviation_n = np.maximum(deviation_n, self.half_widths_of(pressed)[0][0])
         return LoadTest.by(self.usual, covariance, deviation_n)
+
+    def _shown(self, force_n: FloatArray) -> FloatArray:
+        """Columns of resistances (1, n_in) [Ω] that its own response and calibration give under forces (n_out,) [N]."""
+        assert self.inverse is not None
+        modelled = self.inverse.forward.resistances(force_n[None])
+        return modelled if self.calibration is None else self.calibration.shown(modelled)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""

@@ -37,7 +37,7 @@ def weight(text: str, rows: int, cols: int, pad_mm2: float) -> KnownLoad:
     except ValueError:
         raise FileFormatError(f"{text!r} is no weight: type row, column and grams, such as 2 3 500.") from None
     force_n, unknown_n = known_forces(line, rows, cols, pad_mm2, f"{text!r}")
-    return KnownLoad(name=text, force_n=force_n, unknown_n=unknown_n)
+    return KnownLoad(name=text, force_n=force_n, unknown_n=unknown_n, lines=(line,))
 
 
 def calibrated(

@@ -1,11 +1,13 @@
 """Measured pairs, and the tables of known loads that people write."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dataset import Samples
 from dataset.samples import SampleError
-from decoupler.data.load_table import read_loads, read_pairs
+from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 
@@ -80,6 +82,25 @@ def test_readings_in_the_table_are_pairs(tmp_path):
     assert [len(unknown) for unknown in pairs.unknown_n] == [0, 3]
     with pytest.raises(FileFormatError, match=r"load 'x' has no readings: give columns r_0_0_z"):
         read_pairs(table(tmp_path, "x,0,0,2.5", header="load,row,col,fz_n"), 1, 1, PAD_MM2)
+
+
+def test_pairs_that_are_kept_come_back(tmp_path):
+    """One after another, with all that is known of their forces; a table of another array is left alone."""
+    path, ohms = tmp_path / "pairs.csv", np.array([[[9900.0, np.nan, 13990.0]]])
+    header = "load,kind,row,col,fx_n,fz_n,error,tilt"
+    loads = read_loads(
+        table(tmp_path, "a,,0,0,,1 kg,2 %,", "b,,0,0,5,,,0", "b,,0,0,,1,,", header=header), 1, 1, PAD_MM2
+    )
+    for load in loads:
+        keep_pair(path, replace(load, resistance_ohm=ohms, noise=2e-4))
+    back = read_pairs(path, 1, 1, PAD_MM2)
+    assert (back.names, back.noise) == (("a", "b"), 2e-4)
+    assert np.array_equal(back.resistance_ohm[1], ohms, equal_nan=True)
+    for k, load in enumerate(loads):
+        assert np.array_equal(back.force_n[k], load.force_n)
+        assert np.array_equal(back.unknown_n[k], load.unknown_n)
+    with pytest.raises(FileFormatError, match="has other columns"):
+        keep_pair(path, replace(loads[0], resistance_ohm=np.ones((1, 2, 3))))
 
 
 @pytest.mark.parametrize(

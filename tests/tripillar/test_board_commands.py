@@ -17,6 +17,7 @@ import pytest
 import xarray as xr
 
 from dataset.imperfections import Imperfections
+from decoupler.data.load_table import read_pairs
 from hardware.boards.simavr_board import find_tools
 from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info
@@ -250,9 +251,12 @@ def test_nobody_at_the_sensor_calibrates_nothing(house, port, monkeypatch):
 
 
 def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, monkeypatch):
-    """Nothing lies on the simulated sensor, whatever is typed: that is refused, and taken only by force."""
+    """Nothing lies on the simulated sensor, whatever is typed: that is refused, and taken only by force.
+
+    The pairs are kept all the same, as they were measured.
+    """
     done = []
-    for flags in [], ["--force"]:
+    for flags in ["--keep", "pairs.csv"], ["--force"]:
         monkeypatch.setattr(sys, "stdin", StringIO("\nspam\n0 0 9000\n\n"))
         words = *CALIBRATE, drifted, "-o", "typed.json", "--seconds", "0.3", "--json", "-q", *flags
         done.append(house.tripillar(*words))
@@ -262,6 +266,9 @@ def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, mon
     assert forced.returncode == 0, forced.stderr
     assert "'spam' is no weight" in forced.stderr
     assert json.loads(forced.stdout)["loads"] == 2
+    kept = read_pairs(house.folder / "pairs.csv", 1, 2, 144.0)
+    assert kept.names == ("nothing", "0 0 9000")
+    assert kept.force_n[1, 0, 0, 2] == pytest.approx(9 * 9.80665)
 
 
 def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):

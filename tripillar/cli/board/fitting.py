@@ -79,6 +79,10 @@ def calibrate(
         Path | None,
         typer.Option(help="Calibration file to take switches and wires from; gains and tare are made anew."),
     ] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="Table (CSV) to which each pair is added once measured; one that is there is continued."),
+    ] = None,
     weights: Annotated[
         bool, typer.Option("--weights", help="Ask for each weight, in grams, as you put it on.")
     ] = False,
@@ -112,7 +116,11 @@ def calibrate(
     known = None if calibration is None else read_calibration(calibration).electronics
     electronics = electronics_of(known, switch_ohm, line_ohm)
     if not Path(port).is_file():
-        pairs, serial = measured_live(port, loads, sensor, electronics, seconds, force, baud=baud, timeout=timeout)
+        pairs, serial = measured_live(
+            port, loads, sensor, electronics, seconds, force, keep, baud=baud, timeout=timeout
+        )
+    elif keep is not None:
+        raise DesignError("--keep is for a board: pairs of a recording are kept already.")
     elif loads is not None:
         pairs, serial = measured_in_recording(Path(port), loads, sensor, electronics, force)
     else:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.load_table import KnownLoad, as_pairs, read_loads
+from decoupler.data.load_table import KnownLoad, as_pairs, keep_pair, read_loads
 from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
@@ -29,17 +29,25 @@ def measured_live(
     electronics: Electronics,
     seconds: float,
     force: bool = False,
+    keep: Path | None = None,
     **settings: Any,
 ) -> tuple[Pairs, int]:
     """Ask for one load after another, of a table or as typed weights, and measure each for some seconds.
 
-    What moves meanwhile is measured again, unless `force` takes it as it is.
+    What moves meanwhile is measured again, unless `force` takes it as it is. Each pair is added to the table `keep` at
+    once; loads of a table that are in it already are not asked for again.
     """
     with connect(port, **settings) as (scanner, _):
         _require_design(design, scanner.info)
         asked = _typed(design) if loads is None else iter(loads_of(loads, design))
-        taken, crossbar = [], electronics.crossbar(scanner.info)
+        taken = loads_of(keep, design) if keep is not None and keep.exists() else []
+        crossbar, known = electronics.crossbar(scanner.info), {load.name for load in taken}
         for load in asked:
+            if load.name in known and loads is not None:
+                continue
+            while load.name in known:  # a weight that was typed before
+                load = replace(load, name=f"{load.name}, again")
+            known.add(load.name)
             if loads is not None:
                 _ask(f"put on load '{load.name}', then press Enter: ")
             counts = counts_within(scanner, seconds)
@@ -47,6 +55,8 @@ def measured_live(
                 _ask(f"the sensor moves: {moved} within {seconds:g} s; let it come to rest, then press Enter: ")
                 counts = counts_within(scanner, seconds)
             taken.append(_read(load, counts, crossbar))
+            if keep is not None:
+                keep_pair(keep, taken[-1])
     return as_pairs(taken, port), scanner.info.serial
 
 
