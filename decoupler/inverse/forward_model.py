@@ -4,13 +4,15 @@ The inverse is approximate: a fixed number of corrections costs little and alway
 learns. `limits.py` has the inverse iterated to the end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import Component, rowwise
+from decoupler.inverse.effective_forces import EffectiveForces
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ class ForwardModel:
     top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar
     rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
     ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1
+    correction: EffectiveForces | None = None  #: from forces at finite strain to the effective F of R; None: linear
 
     @classmethod
     def of(cls, response: "ArrayResponse", component: Component) -> Self:
@@ -68,8 +71,18 @@ class ForwardModel:
     def n_forces(self) -> int:
         return len(self.influence)
 
+    @cached_property
+    def linear(self) -> "ForwardModel":
+        """The same without its correction: the model of effective forces."""
+        return self if self.correction is None else replace(self, correction=None)
+
+    def effective(self, force_n: FloatArray) -> FloatArray:
+        """Forces that cause the same in the linear model, both (n, n_forces) [N]."""
+        return force_n if self.correction is None else self.correction.effective(force_n)
+
     def vectors(self, force_n: FloatArray) -> FloatArray:
         """From each lower electrode to the upper one, (n, n_forces) [N] -> (n, 3, n_pillars) [mm]."""
+        force_n = self.effective(force_n)
         moved = rowwise(force_n, self.influence).reshape(len(force_n), 3, -1)
         vectors = moved.take(self.top, axis=2, mode="clip")  # faster than checking; no index is out of bounds
         vectors += self.rest_mm
@@ -95,6 +108,12 @@ class ForwardModel:
 
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths (n, n_pillars) [mm] and their derivatives (n, n_pillars, n_forces) [mm/N]."""
+        if self.correction is not None:
+            effective_n = self.effective(force_n)
+            lengths, J = self.linear.jacobian(effective_n)
+            _, by_effective = self.correction.jacobian(effective_n)
+            by_force = np.linalg.solve(by_effective.swapaxes(1, 2), J.swapaxes(1, 2)).swapaxes(1, 2)
+            return lengths, np.asarray(by_force, dtype=np.float64)
         vectors, lengths = self.vectors(force_n), self.lengths(force_n)
         B = self.influence.reshape(self.n_forces, 3, -1)[:, :, self.top]
         return lengths, np.einsum("nip,fip->npf", vectors / lengths[:, None], B, optimize=True)
@@ -102,10 +121,13 @@ class ForwardModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelInverse:
-    """A forward model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ..."""
+    """A forward model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ...
+
+    These give effective forces, from which a correction of the model makes those that act.
+    """
 
     forward: ForwardModel
-    centre_n: FloatArray  #: (n_forces,): where it starts
+    centre_n: FloatArray  #: (n_forces,): effective forces where it starts
     centre_mm: FloatArray  #: (n_pillars,): lengths there
     correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
 
@@ -124,24 +146,25 @@ class ModelInverse:
         elsewhere. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is kept
         where pillars cannot be read, since there the lengths would be asked for more than they can tell.
         """
+        linear, force_n = forward.linear, forward.effective(force_n)
         centre = force_n.mean(axis=0)
-        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
-        tangent = _tangent(forward, centre, force_n, readable, unsure_mm)
+        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(linear.rest_mm, axis=0)
+        tangent = _tangent(linear, centre, force_n, readable, unsure_mm)
         usual_n = _enough_loads(force_n)
         loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
         spread_n = np.std(usual_n - centre)
-        lengths = forward.lengths(loads_n)
+        lengths = linear.lengths(loads_n)
         found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
         while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n):
-            residual = np.where(readable, lengths - forward.lengths(found), 0.0)
+            residual = np.where(readable, lengths - linear.lengths(found), 0.0)
             weighted = weight[:, None] * residual
             G = residual.T @ weighted
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
             missing = loads_n - found - residual @ tangent
             correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
             found = found + residual @ correctors[-1]
-        centre_mm = forward.lengths(centre[None])[0]
+        centre_mm = linear.lengths(centre[None])[0]
         return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -150,8 +173,8 @@ class ModelInverse:
         forces = rowwise(lengths - self.centre_mm, self.correctors[0])
         forces += self.centre_n
         for corrector in self.correctors[1:]:
-            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
-        return forces
+            forces += rowwise(lengths - self.forward.linear.lengths(forces), corrector)
+        return forces if self.forward.correction is None else self.forward.correction.actual(forces)
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
         """Derivatives of `forces` by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
@@ -159,9 +182,11 @@ class ModelInverse:
         forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
         by_length = np.broadcast_to(self.correctors[0], (len(lengths), *self.correctors[0].shape))
         for corrector in self.correctors[1:]:
-            modelled, J = self.forward.jacobian(forces)
+            modelled, J = self.forward.linear.jacobian(forces)
             by_length = by_length + corrector - (by_length @ J.swapaxes(1, 2)) @ corrector
             forces = forces + rowwise(lengths - modelled, corrector)
+        if self.forward.correction is not None:
+            by_length = by_length @ self.forward.correction.jacobian(forces)[1].swapaxes(1, 2)
         return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
 
 

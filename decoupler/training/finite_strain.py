@@ -1,0 +1,68 @@
+"""Learns forces at finite strain from few samples, on top of the linear response."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from decoupler.inverse.effective_forces import OWN, EffectiveForces, neighbours
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import exact_inverse
+from decoupler.model.uncertainty import leverage
+from decoupler.training.error_bars import MIN_FREEDOM, best_ridge
+from geometry.layout import FloatArray
+
+
+def at_finite_strain(
+    forward: ForwardModel, size: tuple[int, int], resistance_ohm: FloatArray, force_n: FloatArray
+) -> ForwardModel:
+    """The forward model of a linear array with what samples at finite strain add.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        Of all forces and pillars.
+    size : tuple
+        Rows and columns of the array.
+    resistance_ohm, force_n : arrays, shapes (n, n_pillars) and (n, n_forces)
+        Samples at finite strain [Ω], [N], of a sensor as designed.
+
+    Raises
+    ------
+    SampleError
+        If some sample's resistances are none that the linear array can have.
+
+    Notes
+    -----
+    Every unit of every sample is one equation an axis, by ridge regression; generalised cross-validation chooses the
+    ridge, each feature scaled to its root mean square.
+    """
+    linear = replace(forward, correction=None)
+    effective_n = exact_inverse(linear, resistance_ohm, force_n.mean(axis=0))
+    k = linear.n_forces // 3
+    moved = (effective_n @ linear.influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
+    sizes = np.concatenate([effective_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)])
+    empty = EffectiveForces(
+        influence=linear.influence,
+        near=neighbours(*size),
+        sizes=sizes,
+        weights=np.zeros((OWN, 9 * OWN + OWN * (OWN + 1) // 2, 3)),
+        misfit_n=np.zeros(3),
+    )
+    o = empty.own(effective_n)
+    z = empty.around(o)
+    A = (o[..., :, None] * z[..., None, :]).reshape(-1, OWN * z.shape[-1])
+    targets = (force_n - effective_n).reshape(-1, 3)
+    root_mean_square = np.sqrt((A**2).mean(axis=0))
+    A /= root_mean_square
+    ridge = best_ridge(A, targets)
+    M = A.T @ A
+    M.flat[:: len(M) + 1] += ridge
+    inverse = np.linalg.inv(M).astype(np.float64)
+    weights = inverse @ (A.T @ targets)
+    left_out = (targets - A @ weights) / np.maximum(1.0 - leverage(A, inverse), MIN_FREEDOM)[:, None]
+    correction = replace(
+        empty,
+        weights=(weights / root_mean_square[:, None]).reshape(empty.weights.shape),
+        misfit_n=np.sqrt((left_out**2).mean(axis=0)),
+    )
+    return replace(linear, correction=correction)

@@ -1,0 +1,70 @@
+"""Forces at finite strain: a law of the learned form comes back, derivatives are slopes, rest stays rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler import SampleError, component_named
+from decoupler.data.columns import force_columns
+from decoupler.inverse.effective_forces import EffectiveForces, neighbours
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.limits import exact_inverse
+from decoupler.training.finite_strain import at_finite_strain
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+SENSOR = sensor(2, 3)
+LINEAR = ForwardModel.of(response(SENSOR), component_named("all"))
+FORCES = force_columns(labelled(SENSOR, "xyz", n_samples=600, seed=0).force_n, component_named("all"))
+SIZES = np.concatenate([np.full(3, np.std(FORCES)), np.std(FORCES @ LINEAR.influence) * np.ones(6)])
+
+
+def law(strength: float) -> ForwardModel:
+    """An array whose effective forces differ from those that act by a random law, a few percent at strength 1."""
+    weights = np.random.default_rng(3).standard_normal((9, 126, 3))
+    weights *= strength * 2e-4 * np.std(FORCES)
+    found = EffectiveForces(
+        influence=LINEAR.influence, near=neighbours(2, 3), sizes=SIZES, weights=weights, misfit_n=np.zeros(3)
+    )
+    return replace(LINEAR, correction=found)
+
+
+def test_law_is_learned_from_samples():
+    """400 samples leave a hundredth of what the linear response misses on 200 others; left-out errors foretell it."""
+    ohms = law(1.0).resistances(FORCES)
+    found = at_finite_strain(LINEAR, (2, 3), ohms[:400], FORCES[:400]).correction
+    assert found is not None
+    effective_n = exact_inverse(LINEAR, ohms[400:], FORCES.mean(axis=0))
+    learned, missed = (np.std(each - FORCES[400:]) for each in (found.actual(effective_n), effective_n))
+    assert learned < 0.01 * missed
+    assert np.sqrt(np.mean(found.misfit_n**2)) == pytest.approx(learned, rel=0.5)
+
+
+def test_derivatives_are_slopes():
+    """Of forces by effective ones, of lengths by forces, of forces by resistances; differences of 1e-3 N and Ω."""
+    model = law(1.0)
+    assert model.correction is not None
+    inverse = ModelInverse.about(model, FORCES[:50], np.ones(model.n_pillars, dtype=bool), 0.0)
+    ohms, at = model.resistances(FORCES[:1]), FORCES[:1]
+    cases = [
+        (model.correction.actual, at, model.correction.jacobian(at)[1]),
+        (model.lengths, at, model.jacobian(at)[1]),
+        (inverse.forces, ohms, inverse.derivatives(ohms)),
+    ]
+    for function, point, slopes in cases:
+        step = 1e-3 * np.eye(point.shape[1])
+        found = (function(point + step) - function(point - step)) / 2e-3
+        np.testing.assert_allclose(found.T, slopes[0], atol=1e-6 * np.abs(slopes).max())
+
+
+def test_effective_forces_are_turned_around_and_rest_is_rest():
+    model = law(1.0).correction
+    assert model is not None
+    np.testing.assert_allclose(model.actual(model.effective(FORCES[:20])), FORCES[:20], atol=1e-7)
+    assert not model.actual(np.zeros((1, LINEAR.n_forces))).any()
+    assert np.array_equal(model.actual(FORCES[3:4])[0], model.actual(FORCES[:7])[3])  # alone and in a batch
+
+
+def test_forces_beyond_the_samples_are_refused():
+    with pytest.raises(SampleError, match="beyond its samples"):
+        law(100.0).lengths(10 * FORCES[:2])
