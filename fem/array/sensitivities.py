@@ -40,9 +40,11 @@ from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.storage.seal import say_made_anew
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
-VERSION = 1  #: raise when the same design gives other derivatives, so that cached ones are not reused
+VERSION = 2  #: raise when the same design gives other derivatives, so that cached ones are not reused
 LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
+#: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
+EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
 FAR = 1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
 DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, reach and compliance, per unit
@@ -54,7 +56,10 @@ OFF_X, OFF_Y = "pad.offset_x_mm", "pad.offset_y_mm"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResponseSensitivities:
-    """Derivatives of an influence matrix by k parameters of the design, and how far each may be off."""
+    """Derivatives of an influence matrix by k parameters of the design, and how far each may be off.
+
+    Moving edges, `EDGES`, have the slope of the chord over a deviation to either side.
+    """
 
     design: SensorDesign
     parameters: tuple[str, ...]  #: keys of the design, see `geometry.tolerances`; those alone that bend the body
@@ -140,7 +145,11 @@ def cell_changes(
     design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None] = lambda step: None
 ) -> tuple[CondensedCell, dict[str, Change]]:
     """A design's condensed cell and its derivatives by every parameter but those of `SCALES`."""
-    sides = {name: _sides(design, name, STEP * sd) for name, sd in deviations.items() if name not in SCALES}
+    sides = {
+        name: _sides(design, name, sd) if name in EDGES else _sides(design, name, STEP * sd)[:1]
+        for name, sd in deviations.items()
+        if name not in SCALES
+    }
     soft = design.pad.kind == "soft"
     on_top = [name for name in sides if soft and name.startswith("pad.")]
     if design.is_homogeneous:
@@ -152,13 +161,13 @@ def cell_changes(
     cell = _condensed(design, design, different)
     nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
     cells: dict[str, Sides] = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
-    for name, ((side, by), *_) in sides.items():
+    for name in sides:
         if name not in cells:
             progress(f"cell, {name}")
             if name == OFF_X and _is_quarter(design):
-                cells |= _off_the_middle(design, side, by)
+                cells |= _off_the_middle(design, *sides[name][0])
             else:
-                cells[name] = [(_condensed(design, side, _rectangles(side)), by)]
+                cells[name] = [(_condensed(design, side, _rectangles(side)), by) for side, by in sides[name]]
     changes = {name: _slope(*[*cells[name], (nominal, 0.0)][:2]) for name in sides}
     return nominal, changes
 
