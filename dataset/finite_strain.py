@@ -66,6 +66,8 @@ def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
 
 def require_finite(design: SensorDesign) -> None:
     """Refuse designs whose samples at finite strain cannot be solved."""
+    if design.electrics.is_conduction:
+        raise DesignError("finite strain takes eq. 1 alone so far: write model = 'eq1' in [electrics].")
     if design.pad.kind != "stiff":
         raise DesignError(
             "finite strain needs stiff pads: a uniform traction of fixed direction on soft rubber has no equilibrium "

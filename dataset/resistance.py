@@ -1,9 +1,15 @@
 """From displaced electrodes to pillar lengths and resistances, geometrically exact."""
 
+from functools import cache
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from geometry.design import SensorDesign, Unit
 from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes, rest_lengths
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse, ConductedPillars
 
 
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -108,10 +114,64 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
     return resistivity_ohm_mm / volume_mm3 * length_mm**2
 
 
+def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
+    """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ).
+
+    Parameters
+    ----------
+    conducted : ConductedPillars
+        Of the array's response.
+    newtons : array, shape (n, n_units, 3)
+        Forces on the pads along x, y and z, z negative pushing down [N].
+
+    Returns
+    -------
+    array, shape (n, n_units, 3)
+        Effective lengths of the z, x and y pillars [mm].
+
+    Raises
+    ------
+    ValueError
+        If a resistance would not be above 0: the loads are beyond the second order in strain.
+    """
+    n, n_units, _ = newtons.shape
+    n_components = conducted.rest_mm.shape[-1]
+    parts = newtons.reshape(n, -1) @ conducted.influence_mm_per_n.reshape(n_units * 3 * n_components, -1).T
+    parts += conducted.rest_mm.reshape(-1)
+    parts *= parts
+    squares = np.einsum("npk,pk->np", parts.reshape(n, n_units * 3, -1), conducted.sign.reshape(-1, n_components))
+    if not squares.min(initial=np.inf) > 0:
+        raise ValueError(
+            "a resistance of conduction is not above 0: the load is too large for linear strain, lower it."
+        )
+    return np.sqrt(squares).reshape(n, n_units, 3)
+
+
+def effective_lengths(response: "ArrayResponse", displacement_mm: FloatArray, newtons: FloatArray) -> FloatArray:
+    """Lengths by which eq. 1 gives the pillars' resistances: their own, or those that conduction needs.
+
+    Takes displacements (n, n_units, 2, 3) [mm] and forces (n, n_units, 3) [N] as `conducted_lengths`; gives lengths
+    (n, n_units, 3) [mm].
+    """
+    if response.conducted is not None:
+        return conducted_lengths(response.conducted, newtons)
+    return pillar_lengths(displacement_mm, response.design.unit)
+
+
 def rest_resistances(design: SensorDesign) -> FloatArray:
     """Resistance of the z, x and y pillars of any unit with nothing on the sensor, shape (3,) [Ω].
 
     >>> rest_resistances(SensorDesign()).round(1).tolist()
     [10000.0, 14142.1, 14142.1]
     """
+    if design.electrics.is_conduction:
+        return _conducted_at_rest(design.unit) * design.resistivity_ohm_mm
     return pillar_resistances(rest_lengths(design.unit), pillar_volumes(design.unit), design.resistivity_ohm_mm)
+
+
+@cache
+def _conducted_at_rest(unit: Unit) -> FloatArray:
+    """Resistances at rest by conduction over the resistivity, (3,) [1/mm]; solved when first asked for."""
+    from fem.conduction.potentials import unit_conductances
+
+    return unit_conductances(unit).pillars_per_mm

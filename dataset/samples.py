@@ -34,6 +34,10 @@ VARIABLES = {
         {"units": "mm", "note": "upper electrodes"},
     ),
     "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
+    "effective_length_mm": (
+        ("sample", "row", "col", "pillar"),
+        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
+    ),
     "resistance_ohm": (
         ("sample", "row", "col", "pillar"),
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
@@ -84,6 +88,7 @@ class Samples:
     )
     displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
+    effective_length_mm: FloatArray | None = None  #: (n, rows, cols, 3): √(R V/ρ) of conduction [mm]; None by eq. 1
     strain_model: FloatArray | None = (
         None  #: (n,): model of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     )
@@ -134,6 +139,7 @@ class Samples:
     def labels(self) -> "Samples":
         """A copy without tractions, displacements and lengths, which training does not need."""
         without = replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
+        without = replace(without, effective_length_mm=None)
         return replace(without, strain_model=None, error_estimate=None, iterations=None)
 
     def to_xarray(self) -> "xr.Dataset":

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
+from dataset.resistance import conducted_lengths, pillar_lengths, pillar_resistances, pillar_strains
 from dataset.samples import SampleError, Samples, require_samples
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign, quantity
@@ -90,6 +90,7 @@ def simulate(
     """
     require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_type("settings", settings, DatasetSettings, "say the protocol and the number of samples")
+    require_conducted(response)
     design, n = response.design, settings.samples
     rows, cols = design.array.rows, design.array.cols
     arrays = {
@@ -98,6 +99,8 @@ def simulate(
         "length_mm": np.empty((n, design.n_units, 3)),
         "resistance_ohm": np.empty((n, design.n_units, 3)),
     }
+    if response.conducted is not None:
+        arrays["effective_length_mm"] = np.empty((n, design.n_units, 3))
     starts = range(0, n, BLOCK)
 
     def fill(start: int) -> tuple[int, int]:
@@ -160,8 +163,10 @@ def measured_again(
     require_samples("samples", samples)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
     design, lengths = samples.design, samples.length_mm
+    if design is not None and design.electrics.is_conduction:
+        lengths = samples.effective_length_mm
     if design is None or lengths is None:
-        raise SampleError("samples without length_mm and design cannot be measured again: take what simulate gave.")
+        raise SampleError("samples without lengths and design cannot be measured again: take what simulate gave.")
     other = {spec.name for spec in fields(Imperfections)} | {"readout", "recipe"}
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
@@ -174,10 +179,19 @@ def measured_again(
     )
 
 
+def require_conducted(response: ArrayResponse) -> None:
+    """Refuse the response of a design of conduction that holds none."""
+    if response.design.electrics.is_conduction and response.conducted is None:
+        raise DesignError("the design asks for conduction, its response holds none: make the response again.")
+
+
 def measured_resistances(
     length_mm: FloatArray, design: SensorDesign, imperfections: Imperfections, seed: int, readout: Readout | None
 ) -> FloatArray:
-    """Resistances (n, rows, cols, 3) [Ω] of pillars of these lengths, as a sensor of these imperfections reads them."""
+    """Resistances (n, rows, cols, 3) [Ω] of pillars of these lengths, as a sensor of these imperfections reads them.
+
+    Lengths of conduction are effective ones.
+    """
     exact_ohm = _exact_resistances(length_mm, design)
     blocks = [
         imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
@@ -235,8 +249,13 @@ def _block(
             f"(size_mm={design.pad.size_mm:g})."
         )
     by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
+    effective = {}
+    if response.conducted is not None:
+        newtons = traction * design.pad.size_mm**2
+        effective["effective_length_mm"] = conducted_lengths(response.conducted, newtons)
+        by_unit = effective["effective_length_mm"].reshape(by_unit.shape)
     resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
-    block = {
+    block = effective | {
         "traction_mpa": traction,
         "displacement_mm": displacement,
         "length_mm": length,

@@ -107,7 +107,8 @@ _CALIBRATION = """\
 """
 
 _WORKSPACE = """\
-    $real length[TRIPILLAR_INPUTS], residual[TRIPILLAR_INPUTS], moved[3 * TRIPILLAR_ELECTRODES]; /* [mm] */
+    $real length[TRIPILLAR_INPUTS], residual[TRIPILLAR_INPUTS]; /* [mm] */
+    $real moved[TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES]; /* [mm] */
 """
 
 #: as ModelInverse.forces; `input` holds the forces, of which there are as many as pillars
@@ -118,19 +119,19 @@ _INVERSE = """\
                 input[k] += residual[i] * TRIPILLAR_READ(tripillar_correctors[step][i][k]);
         if (step == TRIPILLAR_STEPS - 1)
             break;
-        for (int e = 0; e < 3 * TRIPILLAR_ELECTRODES; e++)
+        for (int e = 0; e < TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES; e++)
             moved[e] = 0;
         for (int k = 0; k < TRIPILLAR_INPUTS; k++)
-            for (int e = 0; e < 3 * TRIPILLAR_ELECTRODES; e++)
+            for (int e = 0; e < TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES; e++)
                 moved[e] += input[k] * TRIPILLAR_READ(tripillar_influence[k][e]);
         for (int i = 0; i < TRIPILLAR_INPUTS; i++) {
             $real square = 0;
-            for (int axis = 0; axis < 3; axis++) {
-                const $real d = moved[axis * TRIPILLAR_ELECTRODES + tripillar_top[i]]
-                    + TRIPILLAR_READ(tripillar_rest_mm[axis][i]);
-                square += d * d;
+            for (int part = 0; part < TRIPILLAR_COMPONENTS; part++) {
+                const $real d = moved[part * TRIPILLAR_ELECTRODES + tripillar_top[i]]
+                    + TRIPILLAR_READ(tripillar_rest_mm[part][i]);
+                square += $signed;
             }
-            residual[i] = length[i] - sqrt$f(square);
+            residual[i] = length[i] - sqrt$f(square > 0 ? square : 0);
         }
     }
 """
@@ -208,11 +209,13 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     if inverse is not None:
         forward = inverse.forward
         sizes["STEPS"] = len(inverse.correctors)
-        sizes["ELECTRODES"] = forward.influence.shape[1] // 3
-        working += 2 * len(place) + 3 * sizes["ELECTRODES"]
+        sizes["COMPONENTS"] = len(forward.rest_mm)
+        sizes["ELECTRODES"] = forward.influence.shape[1] // len(forward.rest_mm)
+        working += 2 * len(place) + forward.influence.shape[1]
         indices["top"] = forward.top
         numbers |= {name: getattr(inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
         numbers |= {name: getattr(forward, name) for name in ("influence", "rest_mm", "ohm_per_mm2")}
+        numbers |= {} if forward.sign is None else {"sign": forward.sign}
     size = np.dtype(dtype).itemsize
     known = {
         "facts": "\n".join(f"{name}: {value}" for name, value in facts(decoupler).items()).replace("*/", "* /"),
@@ -229,6 +232,8 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "half": _literal(dtype(MAX_COUNTS_FROM_REST)),
         "most": _literal(dtype(MIN_RESTING)),
     }
+    has_signs = inverse is not None and inverse.forward.sign is not None
+    known["signed"] = "TRIPILLAR_READ(tripillar_sign[part][i]) * d * d" if has_signs else "d * d"
     known["given"] = Template(given).substitute(known)
     known["resting"] = "" if decoupler.resting is None else Template(_RESTING).substitute(known)
     known["counting"] = "" if decoupler.resting is None else _COUNTING

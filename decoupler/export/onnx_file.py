@@ -120,9 +120,14 @@ def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:
     )
     for corrector in others:
         moved = graph.add("MatMul", forces, forward.influence)
-        moved = graph.add("Reshape", moved, np.array([0, 3, forward.influence.shape[1] // 3]))
+        moved = graph.add("Reshape", moved, np.array([0, len(forward.rest_mm), -1]))
         vectors = graph.add("Add", graph.add("Gather", moved, forward.top, axis=2), forward.rest_mm)
-        squares = graph.add("ReduceSum", graph.add("Mul", vectors, vectors), np.array([1]), keepdims=0)
+        squares = graph.add("Mul", vectors, vectors)
+        if forward.sign is not None:
+            squares = graph.add("Mul", squares, forward.sign)
+        squares = graph.add("ReduceSum", squares, np.array([1]), keepdims=0)
+        if forward.sign is not None:
+            squares = graph.add("Max", squares, np.array(0.0))
         residual = graph.add("Sub", lengths, graph.add("Sqrt", squares))
         forces = graph.add("Add", forces, graph.add("MatMul", residual, corrector))
     return forces

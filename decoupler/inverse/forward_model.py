@@ -32,14 +32,17 @@ HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy 
 class ForwardModel:
     """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|².
 
-    Forces and resistances are columns in the order of `force_columns` and `pillar_columns`.
+    By eq. 1 d + B F is the vector between a pillar's electrodes. By conduction it has more components, each pillar its
+    own, and |v|² = Σ sₖ vₖ² with signs s; the *length* |v| then is the one that eq. 1 would need for R. Forces and
+    resistances are columns in the order of `force_columns` and `pillar_columns`.
     """
 
     influence: FloatArray  #: B, (n_forces, 3·n_electrodes): upper electrodes along x, then y, then z [mm/N]
-    top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar
+    top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar; itself if each has its own B
     rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
     ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1
     correction: EffectiveForces | None = None  #: from forces at finite strain to the effective F of R; None: linear
+    sign: FloatArray | None = None  #: s, (n_components, n_pillars) in the place of 3; None: all are 1
 
     @classmethod
     def of(cls, response: "ArrayResponse", component: Component) -> Self:
@@ -56,6 +59,16 @@ class ForwardModel:
         bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
         c = design.resistivity_ohm_mm / pillar_volumes(design.unit)
         n_forces = n_units * len(axes)
+        if response.conducted is not None:
+            held = response.conducted
+            conducted = held.influence_mm_per_n.reshape(n_units, 3, -1, n_units, 3)[:, pillars][..., axes] * into
+            return cls(
+                influence=np.ascontiguousarray(conducted.transpose(3, 4, 2, 0, 1).reshape(n_forces, -1)),
+                top=np.arange(n_units * len(pillars)),
+                rest_mm=_by_component(held.rest_mm, pillars),
+                ohm_per_mm2=np.tile(c[pillars], n_units),
+                sign=_by_component(held.sign, pillars),
+            )
         return cls(
             influence=np.ascontiguousarray(influence.transpose(3, 4, 2, 0, 1).reshape(n_forces, -1)),
             top=(np.arange(n_units)[:, None] * len(electrodes) + place).reshape(-1),
@@ -81,9 +94,9 @@ class ForwardModel:
         return force_n if self.correction is None else self.correction.effective(force_n)
 
     def vectors(self, force_n: FloatArray) -> FloatArray:
-        """From each lower electrode to the upper one, (n, n_forces) [N] -> (n, 3, n_pillars) [mm]."""
+        """From each lower electrode to the upper one, (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""
         force_n = self.effective(force_n)
-        moved = rowwise(force_n, self.influence).reshape(len(force_n), 3, -1)
+        moved = rowwise(force_n, self.influence).reshape(len(force_n), len(self.rest_mm), -1)
         vectors = moved.take(self.top, axis=2, mode="clip")  # faster than checking; no index is out of bounds
         vectors += self.rest_mm
         return vectors
@@ -91,8 +104,15 @@ class ForwardModel:
     def lengths(self, force_n: FloatArray) -> FloatArray:
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]."""
         vectors = self.vectors(force_n)
-        lengths = np.einsum("nip,nip->np", vectors, vectors)
-        return np.sqrt(lengths, out=lengths)
+        return self._norms(vectors)
+
+    def _norms(self, vectors: FloatArray) -> FloatArray:
+        """|v| of vectors (n, n_components, n_pillars), shape (n, n_pillars); 0 where the sum of squares is negative."""
+        if self.sign is None:
+            squares = np.einsum("nip,nip->np", vectors, vectors)
+        else:
+            squares = np.maximum(np.einsum("ip,nip,nip->np", self.sign, vectors, vectors), 0.0)
+        return np.sqrt(squares, out=squares)
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
@@ -114,8 +134,11 @@ class ForwardModel:
             _, by_effective = self.correction.jacobian(effective_n)
             by_force = np.linalg.solve(by_effective.swapaxes(1, 2), J.swapaxes(1, 2)).swapaxes(1, 2)
             return lengths, np.asarray(by_force, dtype=np.float64)
-        vectors, lengths = self.vectors(force_n), self.lengths(force_n)
-        B = self.influence.reshape(self.n_forces, 3, -1)[:, :, self.top]
+        vectors = self.vectors(force_n)
+        lengths = self._norms(vectors)
+        if self.sign is not None:
+            vectors *= self.sign
+        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
         return lengths, np.einsum("nip,fip->npf", vectors / lengths[:, None], B, optimize=True)
 
 
@@ -188,6 +211,11 @@ class ModelInverse:
         if self.forward.correction is not None:
             by_length = by_length @ self.forward.correction.jacobian(forces)[1].swapaxes(1, 2)
         return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
+
+
+def _by_component(values: FloatArray, pillars: list[int]) -> FloatArray:
+    """Values (rows, cols, 3, n_components) of some pillars of each unit as (n_components, n_pillars)."""
+    return np.ascontiguousarray(values[:, :, pillars].reshape(-1, values.shape[3]).T)
 
 
 def _enough_loads(force_n: FloatArray) -> FloatArray:

@@ -38,9 +38,10 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "input_half_range": ("input_scaling.half_range", ("seen",)),
     "output_centre": ("output_scaling.centre", ("out",)),
     "output_half_range": ("output_scaling.half_range", ("out",)),
-    "influence": ("inverse.forward.influence", ("out", "3 electrodes")),
+    "influence": ("inverse.forward.influence", ("out", "components electrodes")),
     "top": ("inverse.forward.top", ("in",)),
-    "rest_mm": ("inverse.forward.rest_mm", ("3", "in")),
+    "rest_mm": ("inverse.forward.rest_mm", ("components", "in")),
+    "sign": ("inverse.forward.sign", ("components", "in")),
     "ohm_per_mm2": ("inverse.forward.ohm_per_mm2", ("in",)),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
@@ -205,6 +206,7 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     component, rows, cols, hidden = decoupler.component, decoupler.rows, decoupler.cols, decoupler.network.hidden
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
+    forward = None if decoupler.inverse is None else decoupler.inverse.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
     return {
         "1": 1,
@@ -220,13 +222,14 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "seen": seen,
         "seen + 1": seen + 1,
         "features": hidden + (seen + 1 if decoupler.network.net == "skip" else 1),
-        "3 electrodes": 3 * electrodes,
+        "components": 3 if forward is None else len(forward.rest_mm),
+        "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
 
 
 def _holds_pillars(forward: ForwardModel) -> bool:
-    n_electrodes = forward.influence.shape[1] // 3
+    n_electrodes = forward.influence.shape[1] // len(forward.rest_mm)
     return bool(((forward.top >= 0) & (forward.top < n_electrodes)).all())
 
 
@@ -246,7 +249,8 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     def held(part: str) -> dict[str, Any]:
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
-        return {field: arrays[name] for name, (owner, _, field) in places.items() if owner == part}
+        mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
+        return {field: arrays[name] for field, name in mine.items() if name in arrays or name != "sign"}
 
     inverse = uncertainty = least_squares = None
     if network.feature == "inverse":

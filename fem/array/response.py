@@ -5,17 +5,45 @@ The body is linear, so samples are superpositions of unit loads. `solving.py` co
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, ELECTRODES, FloatArray
+from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+CONDUCTED_DIMS = ("row", "col", "pillar", "component")
 INFLUENCE_DIMS = ("row", "col", "electrode", "axis", "load_row", "load_col", "load_axis")
+#: optional variables of a response file, and their units
+CONDUCTED = {
+    "conducted_rest_mm": (CONDUCTED_DIMS, "mm"),
+    "conducted_influence_mm_per_n": ((*CONDUCTED_DIMS, "load_row", "load_col", "load_axis"), "mm/N"),
+    "conducted_sign": (CONDUCTED_DIMS, "1"),
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ConductedPillars:
+    """Resistances of an array's pillars by conduction, R = ρ/V Σₖ sₖ (dₖ + Bₖ F)², F the forces on all pads.
+
+    Eq. 1 is of this form, too: three components, the vector between the electrodes, all signs 1.
+    """
+
+    rest_mm: FloatArray  #: d, (rows, cols, 3, n_components): of the pillars z, x, y
+    influence_mm_per_n: FloatArray  #: B, (rows, cols, 3, n_components, rows, cols, 3)
+    sign: FloatArray  #: s, (rows, cols, 3, n_components), 1 or −1
+    error_estimate: float  #: relative, of the resistances at rest
+
+    @property
+    def content_hash(self) -> str:
+        return digest(self.rest_mm, self.influence_mm_per_n, self.sign)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,6 +55,7 @@ class ArrayResponse:
     residual: float  #: largest relative residual of the solves
     unknowns: int  #: size of the largest linear system
     seconds: dict[str, float]  #: by step
+    conducted: ConductedPillars | None = None  #: resistances, where the design's electrics are not eq. 1
     method: str = "cells"  #: a key of `solving.METHODS`, or what a benchmark calls its own
     error_estimate: float = np.nan  #: relative, of each pad's own block; NaN where the method gives none
     mesh_hash: str = ""  #: of the mesh's content, where there is one mesh
@@ -35,7 +64,7 @@ class ArrayResponse:
 
     @property
     def content_hash(self) -> str:
-        return digest(self.influence_mm_per_n)
+        return digest(self.influence_mm_per_n, *([] if self.conducted is None else [self.conducted.content_hash]))
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:
@@ -53,17 +82,26 @@ def write_response(response: ArrayResponse, path: Path) -> None:
         "residual": response.residual,
         "unknowns": response.unknowns,
     } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
-    influence = (INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})
-    write_netcdf(xr.Dataset({"influence_mm_per_n": influence}, coords=coordinates, attrs=attributes), path)
+    variables: dict[str, Any] = {"influence_mm_per_n": (INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
+    if response.conducted is not None:
+        coordinates["pillar"] = list(PILLARS)
+        attributes["conduction_error_estimate"] = response.conducted.error_estimate
+        variables |= {
+            name: (dims, getattr(response.conducted, name.removeprefix("conducted_")), {"units": units})
+            for name, (dims, units) in CONDUCTED.items()
+        }
+    write_netcdf(xr.Dataset(variables, coords=coordinates, attrs=attributes), path)
 
 
 def read_response(path: Path) -> ArrayResponse:
     """Read a response file that `write_response` wrote; `FileFormatError` if it is damaged or foreign."""
-    data = read_netcdf(path, {"influence_mm_per_n": INFLUENCE_DIMS}, made_by="tripillar response")
+    optional = {name: dims for name, (dims, _) in CONDUCTED.items()}
+    data = read_netcdf(path, {"influence_mm_per_n": INFLUENCE_DIMS}, made_by="tripillar response", optional=optional)
     try:
         response = ArrayResponse(
             design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
             influence_mm_per_n=data["influence_mm_per_n"].to_numpy(),
+            conducted=_conducted(data, path),
             residual=float(data.attrs["residual"]),
             unknowns=int(data.attrs["unknowns"]),
             mesh_hash=data.attrs["mesh_hash"],
@@ -82,3 +120,14 @@ def read_response(path: Path) -> ArrayResponse:
     if not intact:
         raise FileFormatError(f"{path}: content does not match its hash: make it again by 'tripillar response'.")
     return response
+
+
+def _conducted(data: "xr.Dataset", path: Path) -> ConductedPillars | None:
+    """Conduction of a response file's content, None where it has none."""
+    held = [name for name in CONDUCTED if name in data]
+    if not held:
+        return None
+    if len(held) < len(CONDUCTED):
+        raise FileFormatError(f"{path}: holds {', '.join(held)} alone: make it again by 'tripillar response'.")
+    values = {name.removeprefix("conducted_"): data[name].to_numpy() for name in held}
+    return ConductedPillars(**values, error_estimate=float(data.attrs["conduction_error_estimate"]))

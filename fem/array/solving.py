@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Literal
 
 from fem.array.closed_forms import halfspace_response, layer_response
+from fem.array.conducted import conducted_pillars
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
-from geometry.design import SensorDesign
+from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError, FileFormatError
 from geometry.storage.files import cache_folder, digest, keep
 from geometry.storage.seal import say_made_anew
@@ -59,6 +61,8 @@ def array_response(
     """
     _require_linear(design)
     settings = (settings or ResponseSettings()).suited(design)
+    if design.electrics.is_conduction:
+        _require_cells(design, settings)
     cache_key = response_cache_key(design, settings)
     path = cache_folder() / f"response-{cache_key}.nc"
     try:
@@ -67,9 +71,31 @@ def array_response(
             return replace(response, design=design), path, True
     except FileFormatError:
         say_made_anew(path)
-    response = replace(solve_response(design, settings, progress, cached=True), cache_key=cache_key)
+    response = replace(_solved(design, settings, progress), cache_key=cache_key)
     keep(lambda path: write_response(response, path), path)
     return response, path, False
+
+
+def _solved(design: SensorDesign, settings: ResponseSettings, progress: Callable[[str], None]) -> ArrayResponse:
+    """Response of a sensor, with the cells, and the displacements under conduction, from the cache."""
+    if not design.electrics.is_conduction:
+        return solve_response(design, settings, progress, cached=True)
+    moved, _, _ = array_response(replace(design, electrics=Electrics()), settings, progress)
+    return _with_conduction(replace(moved, design=design), progress)
+
+
+def _with_conduction(moved: ArrayResponse, progress: Callable[[str], None]) -> ArrayResponse:
+    start = perf_counter()
+    conducted = conducted_pillars(moved.design, moved.influence_mm_per_n, progress)
+    return replace(moved, conducted=conducted, seconds=moved.seconds | {"conduct": perf_counter() - start})
+
+
+def _require_cells(design: SensorDesign, settings: ResponseSettings) -> None:
+    if settings.method != "cells":
+        raise DesignError(
+            f"method '{settings.method}' gives electrodes alone, conduction needs the strain in the pillars: take "
+            "'cells', the default, or write model = 'eq1' in [electrics]."
+        )
 
 
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
@@ -85,8 +111,6 @@ def _require_linear(design: SensorDesign) -> None:
             f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
             "materials, or solve it as a scene."
         )
-    if design.electrics.is_conduction:
-        raise DesignError("responses know eq. 1 alone so far: write model = 'eq1' in [electrics].")
 
 
 def solve_response(
@@ -103,6 +127,12 @@ def solve_response(
     settings = (settings or ResponseSettings()).suited(design)
     if settings.method != "cells" and design.pad.kind == "stiff":
         raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
+    if design.electrics.is_conduction:
+        _require_cells(design, settings)
+        return _with_conduction(
+            replace(solve_response(replace(design, electrics=Electrics()), settings, progress, cached), design=design),
+            progress,
+        )
     if settings.method == "layer":
         return layer_response(design)
     if settings.method == "halfspace":

@@ -25,7 +25,7 @@ from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from fem.discretization.plate import Plate
 from fem.discretization.richardson import richardson_factor
-from geometry.design import SensorDesign
+from geometry.design import Electrics, SensorDesign
 from geometry.errors import FileFormatError
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -166,7 +166,7 @@ def usual_tolerance(design: SensorDesign) -> float:
 def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
     array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
-    bent = replace(design, array=array, resistivity_ohm_mm=1.0)
+    bent = replace(design, array=array, resistivity_ohm_mm=1.0, electrics=Electrics())
     return digest("cell", VERSION, bent, tolerance)
 
 
@@ -294,6 +294,29 @@ def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatAr
             di, dj = i_small - i, j_small - j
             whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
     return whole
+
+
+def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Influence of a smaller array, some middle units left out, from that of a larger one; `unrolled` undoes it."""
+    if influence.shape[:2] == (rows, cols):
+        return influence
+    small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
+    skipped = influence.shape[0] - rows, influence.shape[1] - cols
+    for i in range(rows):
+        up = skipped[0] if i > rows // 2 else 0
+        for j in range(cols):
+            right = skipped[1] if j > cols // 2 else 0
+            small[i, j] = influence[i + up, j + right, :, :, up : up + rows, right : right + cols]
+    return small
+
+
+def alike(values: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `unrolled`."""
+    small_rows, small_cols = values.shape[:2]
+    places = np.ix_(
+        [_alike(i, rows, small_rows) for i in range(rows)], [_alike(j, cols, small_cols) for j in range(cols)]
+    )
+    return values[places]
 
 
 def _alike(index: int, count: int, small: int) -> int:

@@ -11,92 +11,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.array.cell import CondensedCell, PortModes, condensation
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import cell_grid, elastic_body, lone_unit, pad_plate, whole_grid
-from fem.discretization.elasticity import ElasticBody
-from fem.discretization.elements import Elements
-from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
-from fem.discretization.plate import Plate, without_plate
+from fem.array.interior import CellInterior, design_interior
+from fem.array.substructured import lone_unit, pad_plate
 from fem.fields.stress import CornerStress, corner_stress
-from fem.linear.linear_solver import checked_solve, factorized
-from geometry.design import Material, SensorDesign
+from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
-from geometry.mesh import sensor_mesh, suited_settings
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CellInterior:
-    """A condensed cell, and what every one of its amplitudes does inside.
-
-    An amplitude is a port displacement [mm], n_modes·3 of them, or a force on a rectangle [N], three for each.
-    """
-
-    cell: CondensedCell
-    elements: Elements
-    material: list[Material]  #: one per region
-    moved_mm: FloatArray  #: (n_nodes, 3, n_amplitudes), displacement per unit amplitude
-    pressure_mpa: FloatArray | None  #: (n_pressure, n_amplitudes) of the mixed form
-
-    @cached_property
-    def stress(self) -> CornerStress:
-        """Stress per unit amplitude, worked out when first asked for."""
-        return corner_stress(self.elements, self.material, self.moved_mm, self.pressure_mpa)
-
-
-def cell_interior(
-    body: ElasticBody,
-    region: NDArray[np.int64],
-    material: list[Material],
-    ports: PortModes,
-    rectangles: FloatArray,
-    plate: Plate | None = None,
-) -> CellInterior:
-    """Condense a meshed cell and keep its inside; parameters as in `cell.condense`.
-
-    Notes
-    -----
-    u_I = K_II⁻¹ (f_I − K_IB Φ q) in the notation of `cell.condense`. The same solutions give S, L and C, so that cells
-    coupled by them meet exactly the displacements that are shown.
-    """
-    parts = condensation(body, ports, rectangles, plate)
-    n = parts.modes.shape[1]
-    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
-    rhs = np.hstack([-(parts.K_IB @ parts.modes), parts.loads[parts.inner]])
-    inner, residual = checked_solve(parts.K_II, factor, rhs)
-    solution = np.zeros((body.matrix.shape[0], rhs.shape[1]))
-    solution[parts.inner] = inner
-    solution[parts.outer, :n] = parts.modes
-    S = parts.modes.T @ (parts.K_BB @ parts.modes) - rhs[:, :n].T @ inner[:, :n]
-    L = parts.modes.T @ parts.loads[parts.outer] + rhs[:, :n].T @ inner[:, n:]
-    C = rhs[:, n:].T @ inner[:, n:]
-    if parts.has_plate:
-        S, L, C, by_ports, by_loads = without_plate(S, L, C, parts.n_ports)
-        moved = solution[:, parts.n_ports : n]
-        solution = np.hstack([
-            solution[:, : parts.n_ports] - moved @ by_ports, solution[:, n:] + moved @ by_loads
-        ])  # fmt: skip
-    cell = CondensedCell(
-        ports=ports,
-        stiffness=(S + S.T) / 2,
-        reach=L,
-        compliance=(C + C.T) / 2,
-        unknowns=len(solution),
-        residual=residual,
-    )
-    return CellInterior(
-        cell=cell,
-        elements=Elements.of_basis(body.basis, region),
-        material=material,
-        moved_mm=body.displacements(solution).reshape(body.basis.N, 3, -1),
-        pressure_mpa=solution[len(body.free) :] if body.n_pressure else None,
-    )
-
-
-#: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time)
-GRID_LEVEL, GRID_DEGREE = 2, 6
-MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
 
 
@@ -119,6 +41,7 @@ class Observer:
 
     interior: CellInterior = field(repr=False)
     points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
+    stress: Callable[[], CornerStress] = field(repr=False)  #: at the cell's corners, per unit amplitude
     region: int | None = None
 
     def displacement_mm(self, state: FieldState) -> FloatArray:
@@ -143,7 +66,7 @@ class Observer:
     @cached_property
     def _stress(self) -> FloatArray:
         """Stress per unit amplitude, shape (n_amplitudes, k·6); worked out when first asked for."""
-        found = self.interior.stress.at(self.interior.elements, *self._places)
+        found = self.stress().at(self.interior.elements, *self._places)
         return np.ascontiguousarray(found.reshape(-1, found.shape[2]).T)
 
 
@@ -156,6 +79,12 @@ class ArrayField:
     interior: CellInterior = field(repr=False)
     coupled: CoupledArray = field(repr=False)
     has_plates: bool = False  #: whether those are rigid plates
+
+    @cached_property
+    def stress(self) -> CornerStress:
+        """Stress at the corners of the cell per unit amplitude, worked out when first asked for."""
+        inside = self.interior
+        return corner_stress(inside.elements, inside.material, inside.moved_mm, inside.pressure_mpa)
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
         """Load the pads.
@@ -210,7 +139,7 @@ class ArrayField:
                 f"points reach outside the cell along {', '.join(np.array(AXES)[outside])}: |x| and |y| must be at "
                 f"most half the pitch, {pitch / 2:g} mm, and z from 0 to {height:g} mm."
             )
-        return Observer(self.interior, points, None if self.design.is_homogeneous else region)
+        return Observer(self.interior, points, lambda: self.stress, None if self.design.is_homogeneous else region)
 
 
 def solve_array_field(
@@ -239,24 +168,9 @@ def solve_array_field(
     A cell of one rubber is a grid; its level and the degree of its ports are chosen for pictures, and not extrapolated
     to the limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
-    pitch, height = design.array.pitch_mm, design.unit.height_mm
-    alone = lone_unit(design)
-    rectangles = pad_squares(alone) if rectangles_mm is None else rectangles_mm
+    rectangles = pad_squares(lone_unit(design)) if rectangles_mm is None else rectangles_mm
     plate = pad_plate(design) if rectangles_mm is None else None
-    if design.is_homogeneous:
-        progress("cell")
-        quarter = cell_grid(design, GRID_LEVEL)
-        basis = GridBasis(whole_grid(quarter))
-        body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
-        region, degree = np.zeros(basis.element_dofs.shape[1], dtype=np.int64), GRID_DEGREE
-    else:
-        progress("mesh")
-        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
-        progress("cell")
-        body = elastic_body(alone, mesh)
-        region, degree = mesh.region.astype(np.int64), MESH_DEGREE
-    ports = PortModes(pitch / 2, height, degree, degree)
-    interior = cell_interior(body, region, [design.matrix_material, design.pillar_material], ports, rectangles, plate)
+    interior = design_interior(design, rectangles, plate, progress)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(

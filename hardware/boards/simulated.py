@@ -131,6 +131,10 @@ def scene_motion(scene: "Scene", seconds: float = 4.0) -> Motion:
     if not isinstance(scene.body, Sensor) or scene.body.kind != "array":
         raise DesignError("a board scans an array: give a scene whose body has kind = 'array'.")
     design = scene.body.design
+    if design.electrics.is_conduction:
+        raise DesignError(
+            "a board's scene gives lengths, conduction needs a response: write model = 'eq1' in [electrics]."
+        )
     squares = electrode_squares(design)
     probes = tuple(
         Probe(name=str(k), kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0))

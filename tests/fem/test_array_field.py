@@ -7,10 +7,11 @@ import pytest
 
 from fem.array.cell import PortModes, condense
 from fem.array.coupled_cells import CoupledArray
+from fem.array.interior import MESH_DEGREE, cell_interior
 from fem.array.solving import solve_response
 from fem.array.substructured import condensed_cell
 from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.fields.array_field import MESH_DEGREE, cell_interior, solve_array_field
+from fem.fields.array_field import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares, upper_electrodes
@@ -118,7 +119,7 @@ def test_the_inside_belongs_to_the_condensed_cell():
 
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
-    monkeypatch.setattr("fem.fields.array_field.MESH_LEVEL", 0.8)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.array.interior.MESH_LEVEL", 0.8)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))

@@ -11,7 +11,7 @@ import numpy as np
 from dataset import Samples
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances
+from dataset.resistance import effective_lengths, largest_factors, pillar_resistances
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.metrics import evaluate
@@ -213,7 +213,8 @@ def training_errors(response: ArrayResponse, noise: float, bits: int | None, cap
     design, samples = response.design, {}
     for split, (count, seed) in SPLITS.items():
         force_n, moved = loads_at_cap(response, cap, count, seed)
-        lengths = pillar_lengths(moved, design.unit).reshape(force_n.shape)
+        newtons = force_n.reshape(len(force_n), -1, 3) * np.array([1.0, 1.0, -1.0])
+        lengths = effective_lengths(response, moved, newtons).reshape(force_n.shape)
         exact_ohm = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)
         ohm = measured(exact_ohm, noise, bits, np.random.default_rng([seed, 1]))
         samples[split] = Samples(resistance_ohm=ohm, force_n=force_n, design=design, noise=noise, bits=bits)

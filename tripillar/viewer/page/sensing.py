@@ -13,7 +13,14 @@ import numpy as np
 
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import largest_factors, pillar_lengths, pillar_resistances, pillar_strains, rest_resistances
+from dataset.resistance import (
+    conducted_lengths,
+    largest_factors,
+    pillar_lengths,
+    pillar_resistances,
+    pillar_strains,
+    rest_resistances,
+)
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
@@ -67,6 +74,9 @@ class SensorModel:
         """
         design = self.response.design
         lengths_mm, strain = self._deformed(traction_mpa, finite_mm)
+        if self.response.conducted is not None:
+            newtons = traction_mpa[None] * design.pad.size_mm**2
+            lengths_mm = by_unit(conducted_lengths(self.response.conducted, newtons)[0], design)
         exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
         ohm = measured(exact_ohm, noise, None, generator)
         applied_n = by_unit(forces(traction_mpa, design), design)

@@ -1,0 +1,242 @@
+"""Resistances of a loaded array's pillars by conduction at linear strain: quadratic polynomials of its loads.
+
+The displacement gradient in a unit's pillars is a linear function of all loads, known from one solved cell.
+Conductivity and, by the potentials at rest, resistance follow to the second order in it. First derivatives take the
+gradient as it is; second ones its part in a few modes that all units share, those that loads excite most where current
+flows.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from fem.array.coupled_cells import COLUMNS, CoupledArray
+from fem.array.interior import CellInterior, design_interior
+from fem.array.response import ConductedPillars
+from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_unit, pad_plate, rolled, unrolled
+from fem.conduction.conductivity import Piezoresistivity
+from fem.conduction.potentials import (
+    EXTRAPOLATED,
+    PILLAR_TERMINALS,
+    Conductor,
+    pillars_per_mm,
+    strain_derivatives,
+    unit_conductances,
+    unit_conductors,
+)
+from fem.conduction.second_order import second_derivatives
+from fem.discretization.elements import shape_gradients
+from geometry.design import SensorDesign
+from geometry.layout import PILLAR_TOP, FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
+
+MODES = 40  #: of the displacement gradient, for second derivatives
+COMPONENTS = 8  #: of a pillar's polynomial, see `ConductedPillars`
+SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
+SPREAD = 2500  #: points that choose the modes
+FAR = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
+
+
+def _slopes(interior: CellInterior, points_mm: FloatArray) -> list[sp.csr_matrix]:
+    """Matrices (n, n_nodes) that take nodal values to derivatives along x, y and z at points (n, 3) [1/mm]."""
+    elements = interior.elements
+    places, local = elements.places(points_mm)
+    slopes = shape_gradients(elements.element, local.T) @ elements.inverse_jacobian[places]
+    rows, columns = np.repeat(np.arange(len(places)), slopes.shape[1]), elements.nodes[places].ravel()
+    shape = (len(places), len(elements.points_mm))
+    return [sp.csr_matrix((slopes[:, :, b].ravel(), (rows, columns)), shape=shape) for b in range(3)]
+
+
+def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplitudes: FloatArray) -> FloatArray:
+    """Displacement gradients ∂uₐ/∂X_b at points (n, 3), shape (n, 3, 3, k) [1/mm].
+
+    `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
+    """
+    moved = (interior.moved_mm[:, :, : len(amplitudes)] @ amplitudes).reshape(len(interior.moved_mm), -1)
+    along = [matrix @ moved for matrix in _slopes(interior, points_mm)]
+    return np.stack(along, axis=1).reshape(len(points_mm), 3, 3, -1).swapaxes(1, 2)
+
+
+def conducted_pillars(
+    design: SensorDesign, influence_mm_per_n: FloatArray, progress: Callable[[str], None] = lambda step: None
+) -> ConductedPillars:
+    """Polynomials of the pillars' resistances in the loads of all pads.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Its electrics say how resistivity follows strain.
+    influence_mm_per_n : array, shape (rows, cols, 2, 3, rows, cols, 3)
+        Of the electrodes, as `ArrayResponse` holds it: the part that eq. 1 has of the resistances is taken from it.
+    progress : function
+        Called with the name of each step as it begins.
+
+    Raises
+    ------
+    DesignError
+        If the unit's oblique pillars touch each other.
+    GeometryError, SolverError
+        If a mesh or an answer cannot be trusted.
+    """
+    reach = influence_range(design, FAR)
+    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    alone = lone_unit(design)
+    rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
+    interior = design_interior(design, rectangles, pad_plate(design), progress)
+    electrics = design.electrics
+    piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+    progress("conduction")
+    conductors = unit_conductors(design.unit)
+    at_rest = unit_conductances(design.unit)
+    modes = _Modes.of(interior, conductors[0], design)
+    first = _first_derivatives(interior, conductors, piezo)
+    gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, modes.amplitudes)
+    second = second_derivatives(conductors[0], gradients, piezo)
+    progress(f"coupling {rows} × {cols}")
+    # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
+    electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
+    seen = _of_unit_loads(interior, rows, cols, np.vstack([first, modes.functionals, electrodes]))
+    accurate = rolled(influence_mm_per_n, rows, cols).reshape(rows * cols, 6, -1)
+    rest = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0]
+    square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
+    scale = np.tile([SHEAR, SHEAR, 1.0], rows * cols)
+    polynomials = [
+        _components(
+            square_mm2[p],
+            rest[p],
+            unit[p],
+            (unit[3 : 3 + MODES], second[p]),
+            accurate[k].reshape(2, 3, -1)[PILLAR_TOP[p]],
+            unit[3 + MODES :].reshape(2, 3, -1)[PILLAR_TOP[p]],
+            scale,
+        )
+        for k, unit in enumerate(seen)
+        for p in range(3)
+    ]
+    shape = (rows, cols, 3, COMPONENTS)
+    influence = np.array([B for B, _ in polynomials]).reshape(*shape, rows, cols, 3)
+    wide = design.array.rows, design.array.cols
+    rest_mm = np.zeros((*wide, 3, COMPONENTS))
+    rest_mm[..., 0] = np.sqrt(square_mm2)
+    return ConductedPillars(
+        rest_mm=rest_mm,
+        influence_mm_per_n=unrolled(influence, *wide, reach),
+        sign=alike(np.array([sign for _, sign in polynomials]).reshape(shape), *wide),
+        error_estimate=float(at_rest.error_estimate.max()),
+    )
+
+
+def _components(
+    square_mm2: float,
+    rest_mm: FloatArray,
+    first: FloatArray,
+    second: tuple[FloatArray, FloatArray],
+    influence: FloatArray,
+    coarse: FloatArray,
+    scale: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """B (n_components, loads) and signs of one pillar, by its first and second derivatives in n loads.
+
+    Parameters
+    ----------
+    square_mm2 : float
+        R V/ρ at rest [mm²].
+    rest_mm : array, shape (3,)
+        Between its electrodes.
+    first : array, shape (n,)
+        Relative derivatives of R [1/N].
+    second : (array of shape (m, n), array of shape (m, m))
+        Parts a of m modes per load [1/N], and S: 1/R has aᵀ S a in the second order, relative.
+    influence, coarse : array, shape (3, n)
+        Of its upper electrode: accurate, and of the cell that the derivatives come from [mm/N].
+    scale : array, shape (n,)
+        Usual loads, relative to each other.
+
+    Notes
+    -----
+    R V/ρ = L (1 + r·F + (r·F)² − aᵀ S a) + |d + B F|² − |d + B′F|², where the last two correct the cell's B′. The first
+    component, √L + ½ b·F/√L, holds all that is linear; the others diagonalise what is left of the second order, those
+    kept that are largest under usual loads.
+    """
+    parts, S = second
+    b = square_mm2 * first + 2 * rest_mm @ (influence - coarse)
+    root = np.sqrt(square_mm2)
+    lead = b / (2 * root)
+    rows = np.vstack([lead, first, parts, influence, coarse]) * scale
+    m = len(parts)
+    core = np.zeros((len(rows), len(rows)))
+    core[0, 0], core[1, 1] = -1.0, square_mm2
+    core[2 : 2 + m, 2 : 2 + m] = -square_mm2 * S
+    core[2 + m :, 2 + m :] = np.diag([1.0] * 3 + [-1.0] * 3)
+    Q, R = np.linalg.qr(rows.T)
+    value, vector = np.linalg.eigh(R @ core @ R.T)
+    kept = np.argsort(-np.abs(value))[: COMPONENTS - 1]
+    others = (Q @ (vector[:, kept] * np.sqrt(np.abs(value[kept])))).T / scale
+    return np.vstack([lead, others]), np.concatenate([[1.0], np.where(value[kept] < 0, -1.0, 1.0)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """Displacement gradients that loads excite most where current flows."""
+
+    amplitudes: FloatArray  #: of the cell, (n_amplitudes, MODES)
+    functionals: FloatArray  #: part of each mode in any amplitudes, (MODES, n_amplitudes)
+
+    @classmethod
+    def of(cls, interior: CellInterior, conductor: Conductor, design: SensorDesign) -> "_Modes":
+        """Principal components under usual loads of an array of at most 3 × 3 units, energy weighted by current."""
+        mesh = conductor.mesh
+        some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
+        K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
+        slopes = conductor.gradients(conductor.potentials(K))[some]
+        weight = mesh.weight_mm3[some] * np.sum(
+            [np.linalg.norm(slopes[..., i], axis=1) * np.linalg.norm(slopes[..., j], axis=1)
+             for i, j in PILLAR_TERMINALS], axis=0)  # fmt: skip
+        n = interior.cell.stiffness.shape[0] + 3
+        gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
+        rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
+        gram = rows.T @ rows
+        size = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
+        snapshots = _of_unit_loads(interior, size[0], size[1], np.eye(n)) * np.tile(
+            [SHEAR, SHEAR, 1.0], size[0] * size[1]
+        )
+        value, vector = np.linalg.eigh(gram)
+        value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
+        to_energy = np.sqrt(value)[:, None] * vector.T
+        excited = to_energy @ np.hstack(list(snapshots))
+        main = np.linalg.svd(excited, full_matrices=False)[0][:, :MODES]
+        return cls(vector / np.sqrt(value) @ main, main.T @ to_energy)
+
+
+def _first_derivatives(
+    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity
+) -> FloatArray:
+    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (3, n_amplitudes)."""
+    n = interior.cell.stiffness.shape[0] + 3
+    found = []
+    for conductor in conductors:
+        at_rest = pillars_per_mm(conductor.conductances())
+        weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
+        slopes = _slopes(interior, conductor.mesh.points_mm)
+        nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each
+        found.append(np.array([np.tensordot(part, interior.moved_mm[:, :, :n], 2) for part in nodal]))
+    coarse, fine = found
+    return fine + EXTRAPOLATED * (fine - coarse)
+
+
+def _of_unit_loads(interior: CellInterior, rows: int, cols: int, functionals: FloatArray) -> FloatArray:
+    """Functionals (k, n_amplitudes) of every unit's cell per newton on each pad, shape (n_units, k, n_units·3)."""
+    coupled = CoupledArray(interior.cell, rows, cols)
+    n_cells, n_ports = rows * cols, interior.cell.stiffness.shape[0]
+    found = np.empty((n_cells, len(functionals), n_cells * 3))
+    for first in range(0, n_cells, COLUMNS // 3):
+        loaded = np.arange(first, min(first + COLUMNS // 3, n_cells))
+        forces = np.zeros((n_cells, interior.cell.reach.shape[1], len(loaded), 3))
+        for k, number in enumerate(loaded):
+            forces[number, range(3), k, range(3)] = 1.0
+        pushed = forces.reshape(*forces.shape[:2], -1)
+        port, _ = coupled.port_displacements(pushed)
+        columns = slice(3 * first, 3 * (loaded[-1] + 1))
+        found[:, :, columns] = functionals[:, :n_ports] @ port + functionals[:, n_ports:] @ pushed[:, :3]
+    return found
