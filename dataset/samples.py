@@ -34,15 +34,19 @@ VARIABLES = {
         {"units": "mm", "note": "upper electrodes"},
     ),
     "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
-    "effective_length_mm": (
-        ("sample", "row", "col", "pillar"),
-        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
-    ),
     "resistance_ohm": (
         ("sample", "row", "col", "pillar"),
         {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
     ),
 }
+#: variables of conduction alone
+CONDUCTED = {
+    "effective_length_mm": (
+        ("sample", "row", "col", "pillar"),
+        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
+    ),
+}
+ARRAYS = VARIABLES | CONDUCTED
 #: variables (sample,) of samples at finite strain, and their attributes
 SOLVED = {
     "strain_model": {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
@@ -104,7 +108,7 @@ class Samples:
         shape = np.shape(self.force_n)
         if len(shape) != 4 or shape[3] != 3:
             raise SampleError(f"force_n has shape {shape}, expected (n_samples, rows, cols, 3): axes x, y, z last.")
-        for name in VARIABLES:
+        for name in ARRAYS:
             values = getattr(self, name)
             if values is not None:
                 expected = (*shape[:3], 2, 3) if name == "displacement_mm" else shape
@@ -127,7 +131,7 @@ class Samples:
             if not -len(self) <= which < len(self):
                 raise IndexError(f"no sample {which}: there are {len(self)}.")
             which = [int(which)]
-        arrays = {name: values[which] for name in (*VARIABLES, *SOLVED) if (values := getattr(self, name)) is not None}
+        arrays = {name: values[which] for name in (*ARRAYS, *SOLVED) if (values := getattr(self, name)) is not None}
         kept = {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
         return replace(self, **arrays, made_from=kept)
 
@@ -146,7 +150,7 @@ class Samples:
         """The content of a dataset file."""
         import xarray as xr
 
-        known = VARIABLES | {name: (("sample",), notes) for name, notes in SOLVED.items()}
+        known = ARRAYS | {name: (("sample",), notes) for name, notes in SOLVED.items()}
         held = {name: spec for name, spec in known.items() if getattr(self, name) is not None}
         design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return xr.Dataset(
@@ -202,7 +206,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples:
         what no sensor gives.
     """
     path = Path(path)
-    dims = {name: spec[0] for name, spec in VARIABLES.items()}
+    dims = {name: spec[0] for name, spec in ARRAYS.items()}
     wanted = {name: dims.pop(name) for name in ("force_n", "resistance_ohm")}
     dims |= dict.fromkeys(SOLVED, ("sample",))
     data = read_netcdf(path, wanted, made_by="tripillar dataset", optional={} if labels_only else dims)
@@ -215,7 +219,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples:
                 f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
             )
         data = data.sel({dim: labels})
-    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in (*VARIABLES, *SOLVED) if name in data}
+    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in (*ARRAYS, *SOLVED) if name in data}
     force_n, resistance_ohm = arrays["force_n"], arrays["resistance_ohm"]
     _require_sane(path, "force_n", force_n, np.abs(force_n) <= MAX_N, f"finite, at most {MAX_N:g} N either way")
     sound = (resistance_ohm >= MIN_OHM) & (resistance_ohm <= MAX_OHM)
@@ -282,7 +286,7 @@ def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, 
         index = tuple(np.argwhere(~sound)[0])
         place = ", ".join(
             f"{dim} {COORDINATES[dim][number] if dim in COORDINATES else number}"
-            for dim, number in zip(VARIABLES.get(name, (("sample",),))[0], index, strict=True)
+            for dim, number in zip(ARRAYS.get(name, (("sample",),))[0], index, strict=True)
         )
         raise FileFormatError(
             f"{path}: {name} is {values[index]} at {place}; it must be {allowed}: remove that sample or measure it "

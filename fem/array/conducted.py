@@ -32,7 +32,7 @@ from geometry.design import SensorDesign
 from geometry.layout import PILLAR_TOP, FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
 
 MODES = 40  #: of the displacement gradient, for second derivatives
-COMPONENTS = 8  #: of a pillar's polynomial, see `ConductedPillars`
+COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
 SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
 SPREAD = 2500  #: points that choose the modes
 FAR = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
@@ -93,6 +93,7 @@ def conducted_pillars(
     first = _first_derivatives(interior, conductors, piezo)
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, modes.amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
+    n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
@@ -106,23 +107,23 @@ def conducted_pillars(
             square_mm2[p],
             rest[p],
             unit[p],
-            (unit[3 : 3 + MODES], second[p]),
+            (unit[3 : 3 + n_modes], second[p]),
             accurate[k].reshape(2, 3, -1)[PILLAR_TOP[p]],
-            unit[3 + MODES :].reshape(2, 3, -1)[PILLAR_TOP[p]],
+            unit[3 + n_modes :].reshape(2, 3, -1)[PILLAR_TOP[p]],
             scale,
         )
         for k, unit in enumerate(seen)
         for p in range(3)
     ]
-    shape = (rows, cols, 3, COMPONENTS)
-    influence = np.array([B for B, _ in polynomials]).reshape(*shape, rows, cols, 3)
+    signs = np.array([sign for _, sign in polynomials]).reshape(rows, cols, 3, -1)
+    influence = np.array([B for B, _ in polynomials]).reshape(*signs.shape, rows, cols, 3)
     wide = design.array.rows, design.array.cols
-    rest_mm = np.zeros((*wide, 3, COMPONENTS))
+    rest_mm = np.zeros((*wide, *signs.shape[2:]))
     rest_mm[..., 0] = np.sqrt(square_mm2)
     return ConductedPillars(
         rest_mm=rest_mm,
         influence_mm_per_n=unrolled(influence, *wide, reach),
-        sign=alike(np.array([sign for _, sign in polynomials]).reshape(shape), *wide),
+        sign=alike(signs, *wide),
         error_estimate=float(at_rest.error_estimate.max()),
     )
 

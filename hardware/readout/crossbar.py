@@ -1,7 +1,7 @@
 """The crossbar and its crosstalk: unselected wires form sneak paths around the pillar that is read.
 
 `Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `Corrector` inverts
-it; `CrossbarReadout` passes simulated resistances through both. Wires and the order of crossings are those of
+it. Wires and the order of crossings are those of
 `geometry.wiring`.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import OPEN_OHM
+from geometry.design import quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars
@@ -67,6 +67,8 @@ class Crossbar:
     amplifier_gain: float = 1e5  #: of the amplifiers, open-loop
     bits: int | None = 10  #: of the converter; None reads exactly
     noise: float = 0.0  #: standard deviation of a reading, as a share of full scale
+    #: conductances between U1 and U2, L1 and L2, U2 and L2 of each unit [S], through rubber that its pillars share
+    shunt_siemens: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), "shunts of a unit", optional=True)
 
     def __post_init__(self) -> None:
         if not (1 <= self.rows <= 255 and 1 <= self.cols <= 255):
@@ -82,6 +84,8 @@ class Crossbar:
                 raise DesignError(f"{name}={getattr(self, name):g} must be from {low:g} to {high:g}.")
         if self.bits is not None and not (isinstance(self.bits, int) and 8 <= self.bits <= 16):
             raise DesignError(f"bits={self.bits!r} must be from 8 to 16; leave it out for exact readings.")
+        if not all(0.0 <= shunt <= 1.0 for shunt in self.shunt_siemens):
+            raise DesignError(f"shunt_siemens={self.shunt_siemens} must each be from 0 to 1 S.")
 
     @classmethod
     def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
@@ -247,9 +251,26 @@ class Crossbar:
         n_wires = 2 * (self.rows + self.cols)
         L = np.zeros((len(conductance), n_wires, n_wires))
         L[:, row, column] = L[:, column, row] = -conductance
+        if self.has_shunts:
+            L -= self._shunts
         wires = np.arange(n_wires)
         L[:, wires, wires] = -L.sum(axis=2)
         return L
+
+    @property
+    def has_shunts(self) -> bool:
+        return any(self.shunt_siemens)
+
+    @cached_property
+    def _shunts(self) -> FloatArray:
+        """Conductances of all units' shunts between wires, (n_wires, n_wires) [S]."""
+        upper, lower, across = self.shunt_siemens
+        G = np.zeros((2 * (self.rows + self.cols),) * 2)
+        row, column = 2 * np.arange(self.rows), 2 * self.rows + 2 * np.arange(self.cols)
+        G[row, row + 1] = self.cols * upper
+        G[column, column + 1] = self.rows * lower
+        G[np.ix_(row + 1, column + 1)] = across
+        return G + G.T
 
     def _damping(self, L: FloatArray) -> FloatArray:
         """K = (1 + R L)⁻¹."""
@@ -334,15 +355,17 @@ class Corrector:
         of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
         is that of equal pillars.
         """
-        crossbar = self.crossbar
+        crossbar, unknown = self.crossbar, np.full(len(apparent), math.inf)
         if crossbar.scan_mode == ScanMode.DIVIDER:
             alike = np.full((1, apparent.shape[1]), 1e-4)
-            return apparent * (alike / crossbar.apparent_of(alike)), np.full(len(apparent), math.inf)
+            return apparent * (alike / crossbar.apparent_of(alike)), unknown
         row, column = crossbar.ends
         lost = apparent @ self._loss_by_wire  # share of each wire's voltage across its resistance
         np.minimum(lost, MAX_LOST, out=lost)
         left = 1.0 - lost  # a, of every wire
         guess = apparent / (left.take(row, axis=1) * left.take(column, axis=1))
+        if crossbar.has_shunts:
+            return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
             return guess, np.full(len(apparent), 0.0 if crossbar.series_ohm[0] == 0.0 else math.inf)
         n_rows = 2 * crossbar.rows
@@ -396,38 +419,3 @@ def _stepped(u: FloatArray, step: FloatArray) -> FloatArray:
     step = np.clip(step, -MAX_STEP, MAX_STEP)  # each by itself: one on its way to open holds up no other
     stepped: FloatArray = np.clip(u + step, np.log(MIN_SIEMENS), np.log(MAX_SIEMENS))
     return stepped
-
-
-@dataclass(frozen=True, kw_only=True)
-class CrossbarReadout:
-    """Reads the resistances of a dataset as the host of a crossbar does; a `dataset.measurement.Readout`."""
-
-    crossbar: Crossbar
-    corrected: bool = True  #: False leaves the crosstalk in
-
-    @property
-    def bits(self) -> int | None:
-        return self.crossbar.bits
-
-    def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
-
-        Raises
-        ------
-        DesignError
-            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
-        """
-        crossbar = self.crossbar
-        if crossbar.bits is None:
-            x = crossbar.readings(resistance_ohm)
-            x = x + crossbar.noise * generator.standard_normal(x.shape)
-        else:
-            x, is_bound = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
-            is_lost = crossbar.as_pillars(is_bound) & (resistance_ohm < OPEN_OHM)
-            if is_lost.any():
-                raise DesignError(
-                    f"the converter behind sense_ohm={crossbar.sense_ohm:g} cannot tell "
-                    f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
-                    "that pillars stay inside its range."
-                )
-        return Corrector(crossbar).correct(x) if self.corrected else crossbar.uncorrected(x)

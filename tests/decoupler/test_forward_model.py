@@ -1,17 +1,35 @@
 """The forward model against the dataset's own lengths, and its inverse: near the forces, where it explains the data."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
+from dataset.resistance import conducted_lengths
+from decoupler import (
+    NetworkConfig,
+    SampleError,
+    TrainingConfig,
+    component_named,
+    evaluate,
+    read_model,
+    train,
+    write_model,
+)
 from decoupler.data.columns import force_columns, pillar_columns
+from decoupler.export.c_header import compiled_forces, header_text
+from decoupler.export.checked import run_onnx
+from decoupler.export.onnx_file import onnx_model
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sample_checks import explaining
 from decoupler.training.suited import suited_feature
+from fem.array.response import ArrayResponse, ConductedPillars
+from geometry.layout import PILLAR_TOP, pillar_ends
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 
+CC = shutil.which("cc")
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
 ALL = component_named("all")
@@ -123,3 +141,59 @@ def test_the_suited_feature():
     assert suited_feature(DATA, ALL, "skip", None) == "root"
     shuffled = np.random.default_rng(0).permutation(DATA.force_n)
     assert suited_feature(replace(DATA, force_n=shuffled), ALL, "skip", RESPONSE) == "root"
+
+
+def conducted(factor: float) -> ArrayResponse:
+    """The response with resistances as by conduction: eq. 1 with components turned, one more whose square counts −1."""
+    B = RESPONSE.influence_mm_per_n[:, :, list(PILLAR_TOP)]  # (rows, cols, 3 pillars, 3, ...)
+    d = np.broadcast_to(np.diff(pillar_ends(SENSOR.unit), axis=1)[:, 0], B.shape[:4])
+    turn = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    more = factor * B[..., :1, :, :, :]
+    return replace(
+        RESPONSE,
+        conducted=ConductedPillars(
+            rest_mm=np.concatenate([d @ turn.T, 0 * d[..., :1]], axis=3),
+            influence_mm_per_n=np.concatenate([np.einsum("kb,ijpbrca->ijpkrca", turn, B), more], axis=3),
+            sign=np.broadcast_to([1.0, 1.0, 1.0, -1.0], (*d.shape[:3], 4)),
+            error_estimate=0.0,
+        ),
+    )
+
+
+@pytest.mark.parametrize("name", ["fx", "all"])
+def test_conduction_in_components_that_are_eq_1_is_eq_1(name):
+    """However its components are turned; rounding only."""
+    component = component_named(name)
+    one, other = (ForwardModel.of(given, component) for given in (RESPONSE, conducted(0.0)))
+    force = np.random.default_rng(0).uniform(10.0, 300.0, (3, one.n_forces))
+    for ours, theirs in zip(one.jacobian(force), other.jacobian(force), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
+
+
+def test_conduction_is_differentiated_inverted_kept_and_trained_on(tmp_path):
+    """A component of sign −1: central differences, Gauss-Newton back to the forces, a model that reads its own data."""
+    given = conducted(0.5)
+    forward = ForwardModel.of(given, ALL)
+    force = FORCES[:5]
+    _, J = forward.jacobian(force)
+    along = np.random.default_rng(1).standard_normal(force.shape)
+    differences = (forward.lengths(force + 1e-3 * along) - forward.lengths(force - 1e-3 * along)) / 2e-3
+    np.testing.assert_allclose(np.einsum("npf,nf->np", J, along), differences, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        exact_inverse(forward, forward.resistances(force), FORCES.mean(axis=0)), force, rtol=1e-9
+    )
+    newtons = DATA.force_n.reshape(len(DATA), -1, 3) * np.array([1.0, 1.0, -1.0])
+    np.testing.assert_allclose(
+        conducted_lengths(given.conducted, newtons).reshape(len(DATA), -1), forward.lengths(FORCES), rtol=1e-12
+    )
+    ohm = forward.resistances(FORCES).reshape(DATA.resistance_ohm.shape)
+    data = replace(DATA, resistance_ohm=ohm)
+    model = train(data[:200], "all", NetworkConfig(feature="inverse"), TrainingConfig(), response=given)
+    assert all(error.full_scale_pct < 0.1 for error in evaluate(model, data[200:]).values())
+    write_model(model, tmp_path / "model.safetensors")
+    back = read_model(tmp_path / "model.safetensors")
+    np.testing.assert_array_equal(back.forces(ohm), model.forces(ohm))
+    np.testing.assert_allclose(run_onnx(onnx_model(model, np.float64), ohm, np.float64), model.forces(ohm), atol=1e-6)
+    if CC is not None:
+        found = compiled_forces(header_text(model, np.float64), ohm, model.forces(ohm).shape[1:], np.float64, CC)
+        np.testing.assert_allclose(found, model.forces(ohm), atol=1e-6)

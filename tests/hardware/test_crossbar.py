@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import OPEN_OHM, Imperfections
+from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError
 from geometry.wiring import crossings, crossings_from_pillars
 from hardware.link.frames import ScanMode
-from hardware.readout.crossbar import Corrector, Crossbar, CrossbarReadout
+from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 MODES = list(ScanMode)
@@ -257,3 +259,27 @@ def test_bits_must_be_those_of_the_readout():
 def test_nonsense_is_refused_by_name(settings, message):
     with pytest.raises(DesignError, match=message):
         Crossbar(**settings)
+
+
+@pytest.mark.parametrize("mode", ScanMode)
+def test_shunts_of_units_are_part_of_the_circuit_and_of_its_correction(mode):
+    """Rubber that pillars share: Kirchhoff's laws with three more conductances a unit, and back to the pillars."""
+    crossbar = crossbar_of(mode, rows=2, cols=3, bits=None, shunt_siemens=(9e-6, 8e-6, 1e-6))
+    ohm = pressed(4, rows=2, cols=3)
+    alone = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+    assert np.abs(crossbar.readings(ohm) / alone.readings(ohm) - 1).max() > 1e-4
+    np.testing.assert_allclose(Corrector(crossbar).correct(crossbar.readings(ohm)), ohm, rtol=1e-6)
+    L, row, column = crossbar._laplacian(np.zeros((1, 18)))[0], 2 * 1, 4 + 2 * 2  # of unit (1, 2)
+    assert L[row, row + 1] == pytest.approx(-3 * 9e-6)  # three units along a row of wires
+    assert L[column, column + 1] == pytest.approx(-2 * 8e-6)
+    assert L[row + 1, column + 1] == pytest.approx(-1e-6)
+    np.testing.assert_allclose(L.sum(axis=1), 0.0, atol=1e-20)
+
+
+def test_shunts_are_those_of_conduction():
+    """None by eq. 1; by conduction U1 and U2 are joined past L1, and L1 and L2 past U1, by a tenth of a pillar."""
+    assert shunts_of(SensorDesign()) == (0.0, 0.0, 0.0)
+    upper, lower, across = shunts_of(SensorDesign(electrics=Electrics(model="conduction")))
+    assert upper == pytest.approx(lower, rel=1e-6)
+    assert 0.05 < upper * 10e3 < 0.15
+    assert 0 < across < 0.2 * upper

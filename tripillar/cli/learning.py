@@ -146,13 +146,15 @@ def dataset(
     if crossbar is None and (given or not correct):
         raise DesignError("--sense-ohm, --switch-ohm, --line-ohm and --no-correct belong to --crossbar: give it, too.")
     if crossbar is not None:
-        from hardware.readout.crossbar import Crossbar, CrossbarReadout, scan_mode_named
+        from hardware.readout.crossbar import Crossbar, scan_mode_named
+        from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
 
         wired = Crossbar.suited(
             scan_mode_named(crossbar),
             rows=sensor.array.rows,
             cols=sensor.array.cols,
             bits=bits,
+            shunt_siemens=shunts_of(sensor),
             **given,
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)

@@ -1,0 +1,62 @@
+"""A crossbar as the electronics of a simulated dataset."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dataset.imperfections import OPEN_OHM
+from fem.conduction.potentials import unit_conductances
+from geometry.design import SensorDesign
+from geometry.errors import DesignError
+from geometry.layout import FloatArray
+from hardware.readout.crossbar import Corrector, Crossbar
+
+SHUNTS = ((0, 1), (2, 3), (1, 3))  #: electrodes between which no pillar lies, by their places in `TERMINALS`
+
+
+def shunts_of(design: SensorDesign) -> tuple[float, float, float]:
+    """Conductances at rest between U1 and U2, L1 and L2, U2 and L2 of a unit [S]; none by eq. 1."""
+    if not design.electrics.is_conduction:
+        return 0.0, 0.0, 0.0
+    matrix = unit_conductances(design.unit).matrix_mm
+    one, two, three = (max(0.0, float(-matrix[pair])) / design.resistivity_ohm_mm for pair in SHUNTS)
+    return one, two, three
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossbarReadout:
+    """Reads the resistances of a dataset as the host of a crossbar does; a `dataset.measurement.Readout`.
+
+    The host corrects for the pillars alone: it does not know the crossbar's shunts.
+    """
+
+    crossbar: Crossbar
+    corrected: bool = True  #: False leaves the crosstalk in
+
+    @property
+    def bits(self) -> int | None:
+        return self.crossbar.bits
+
+    def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
+
+        Raises
+        ------
+        DesignError
+            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
+        """
+        crossbar = self.crossbar
+        if crossbar.bits is None:
+            x = crossbar.readings(resistance_ohm)
+            x = x + crossbar.noise * generator.standard_normal(x.shape)
+        else:
+            x, is_bound = crossbar.fractions(crossbar.counts(resistance_ohm, generator))
+            is_lost = crossbar.as_pillars(is_bound) & (resistance_ohm < OPEN_OHM)
+            if is_lost.any():
+                raise DesignError(
+                    f"the converter behind sense_ohm={crossbar.sense_ohm:g} cannot tell "
+                    f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
+                    "that pillars stay inside its range."
+                )
+        host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+        return Corrector(host).correct(x) if self.corrected else crossbar.uncorrected(x)
