@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dataset.samples import SampleError
 from decoupler.inverse.effective_forces import OWN, EffectiveForces, neighbours
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import exact_inverse
@@ -13,7 +14,11 @@ from geometry.layout import FloatArray
 
 
 def at_finite_strain(
-    forward: ForwardModel, size: tuple[int, int], resistance_ohm: FloatArray, force_n: FloatArray
+    forward: ForwardModel,
+    size: tuple[int, int],
+    resistance_ohm: FloatArray,
+    force_n: FloatArray,
+    electrodes_mm_per_n: FloatArray | None = None,
 ) -> ForwardModel:
     """The forward model of a linear array with what samples at finite strain add.
 
@@ -25,10 +30,13 @@ def at_finite_strain(
         Rows and columns of the array.
     resistance_ohm, force_n : arrays, shapes (n, n_pillars) and (n, n_forces)
         Samples at finite strain [Ω], [N], of a sensor as designed.
+    electrodes_mm_per_n : array, shape (n_forces, 6·n_units), optional
+        Influence on the electrodes, where the model's own is of conduction: that of the model by eq. 1.
 
     Raises
     ------
     SampleError
+        If the model is of conduction and the electrodes' influence is not given.
         If some sample's resistances are none that the linear array can have.
 
     Notes
@@ -37,12 +45,15 @@ def at_finite_strain(
     ridge, each feature scaled to its root mean square.
     """
     linear = replace(forward, correction=None)
+    influence = linear.influence if electrodes_mm_per_n is None else electrodes_mm_per_n
+    if linear.sign is not None and electrodes_mm_per_n is None:
+        raise SampleError("a model of conduction does not tell how electrodes move: give electrodes_mm_per_n.")
     effective_n = exact_inverse(linear, resistance_ohm, force_n.mean(axis=0))
     k = linear.n_forces // 3
-    moved = (effective_n @ linear.influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
+    moved = (effective_n @ influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
     sizes = np.concatenate([effective_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)])
     empty = EffectiveForces(
-        influence=linear.influence,
+        influence=influence,
         near=neighbours(*size),
         sizes=sizes,
         weights=np.zeros((OWN, 9 * OWN + OWN * (OWN + 1) // 2, 3)),

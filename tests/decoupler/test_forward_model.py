@@ -193,7 +193,9 @@ def test_conduction_is_differentiated_inverted_kept_and_trained_on(tmp_path):
     write_model(model, tmp_path / "model.safetensors")
     back = read_model(tmp_path / "model.safetensors")
     np.testing.assert_array_equal(back.forces(ohm), model.forces(ohm))
-    np.testing.assert_allclose(run_onnx(onnx_model(model, np.float64), ohm, np.float64), model.forces(ohm), atol=1e-6)
+    np.testing.assert_allclose(
+        run_onnx(onnx_model(model, np.float64).SerializeToString(), ohm, np.float64), model.forces(ohm), atol=1e-6
+    )
     if CC is not None:
         found = compiled_forces(header_text(model, np.float64), ohm, model.forces(ohm).shape[1:], np.float64, CC)
         np.testing.assert_allclose(found, model.forces(ohm), atol=1e-6)

@@ -8,9 +8,8 @@ import pytest
 from fem.array import conducted as module
 from fem.array.conducted import conducted_pillars, displacement_gradients
 from fem.array.interior import design_interior
-from fem.array.response import read_response, write_response
-from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.array.substructured import lone_unit
+from fem.array.response import ArrayResponse, read_response, write_response
+from fem.array.solving import ResponseSettings, array_response
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import Conductor, pillars_per_mm
 from fem.conduction.second_order import second_derivatives
@@ -49,40 +48,43 @@ def test_second_derivatives_are_those_of_whole_solves(coarse, piezo):
 
 @pytest.fixture(scope="module")
 def pressed(coarse):
-    """A lone unit of conduction by one coarse mesh, its cell, and the response without conduction."""
+    """A lone unit of conduction by one coarse mesh, its cell, and the motion of its electrodes."""
     design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
-    response = solve_response(replace(design, electrics=Electrics()), ResponseSettings(tolerance=1e-2))
+    interior = design_interior(design, np.vstack([pad_squares(design), electrode_squares(design)]))
+    seen = module._of_unit_loads(interior, 1, 1, np.eye(interior.cell.stiffness.shape[0] + 3))[0]
+    electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
+    influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "design_interior", lambda *_: interior)
         patch.setattr(module, "unit_conductors", lambda unit: (coarse, coarse))
         patch.setattr("fem.conduction.potentials.unit_conductors", lambda unit: (coarse, coarse))
-        return design, conducted_pillars(design, response.influence_mm_per_n), response
+        found = conducted_pillars(design, influence)
+    response = ArrayResponse(
+        design=design, influence_mm_per_n=influence, conducted=found, residual=0.0, unknowns=1, seconds={}
+    )
+    return response, displacement_gradients(interior, coarse.mesh.points_mm, seen)
 
 
 def test_polynomials_follow_whole_solves_of_displaced_pillars(coarse, pressed):
-    """To the third order in the load: half of it leaves less than a fifth of the error, 60 N less than 0.1 % of R."""
-    design, found, _ = pressed
-    alone = lone_unit(design)
-    interior = design_interior(design, np.vstack([pad_squares(alone), electrode_squares(alone)]))
-    seen = module._of_unit_loads(interior, 1, 1, np.eye(interior.cell.stiffness.shape[0] + 3))[0]
-    gradients = displacement_gradients(interior, coarse.mesh.points_mm, seen)
+    """To the third order in the load: half of it leaves an eighth of the error, here within 0.1 % of R."""
+    response, gradients = pressed
+    found, misses = response.conducted, []
     rest = resistances(coarse, 0 * gradients[..., 0], Piezoresistivity())
-    misses = []
     for size in (0.5, 1.0):
-        force_n = size * np.array([30.0, -20.0, -120.0])
+        force_n = size * np.array([60.0, -40.0, -240.0])
         parts = found.rest_mm[0, 0] + found.influence_mm_per_n[0, 0, :, :, 0, 0] @ force_n
         ratio = (found.sign[0, 0] * parts**2).sum(axis=1) / found.rest_mm[0, 0, :, 0] ** 2
         misses.append(np.abs(ratio - resistances(coarse, gradients @ force_n, Piezoresistivity()) / rest))
     assert misses[0].max() < 1e-3
-    assert misses[1].max() < 5e-3
-    assert misses[0].max() < 0.25 * misses[1].max()
+    assert misses[0].max() < 0.2 * misses[1].max()
 
 
 def test_a_response_file_keeps_conduction(pressed, tmp_path):
-    design, found, response = pressed
-    write_response(replace(response, design=design, conducted=found), tmp_path / "response.nc")
-    back = read_response(tmp_path / "response.nc").conducted
-    assert back.content_hash == found.content_hash
-    assert back.error_estimate == found.error_estimate
+    response, _ = pressed
+    write_response(response, tmp_path / "response.nc")
+    back = read_response(tmp_path / "response.nc")
+    assert back.content_hash == response.content_hash != replace(response, conducted=None).content_hash
+    assert back.conducted.error_estimate == response.conducted.error_estimate
 
 
 def test_closed_forms_have_no_strain_in_the_pillars():
