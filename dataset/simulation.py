@@ -136,7 +136,7 @@ def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, rea
     """Attributes of a file: settings, protocol, response."""
     return {
         **settings.as_attributes(),
-        **_read_through(readout),
+        **read_through(readout),
         "summary": PROTOCOLS[settings.protocol].summary,
         "redrawn": redrawn,
         "response_hash": response.content_hash,
@@ -175,7 +175,7 @@ def measured_again(
         noise=imperfections.noise,
         bits=imperfections.bits,
         dead=imperfections.dead_mask(design.array.rows, design.array.cols),
-        made_from={**kept, **imperfections.as_attributes(), **_read_through(readout), "noise_seed": seed},
+        made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
 
 
@@ -192,7 +192,13 @@ def measured_resistances(
 
     Lengths of conduction are effective ones.
     """
-    exact_ohm = _exact_resistances(length_mm, design)
+    return read_resistances(_exact_resistances(length_mm, design), imperfections, seed, readout)
+
+
+def read_resistances(
+    exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None
+) -> FloatArray:
+    """The same of exact resistances (n, rows, cols, 3) [Ω]."""
     blocks = [
         imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
         for start in range(0, len(exact_ohm), BLOCK)
@@ -264,7 +270,7 @@ def _block(
     return block, redrawn
 
 
-def _read_through(readout: Readout | None) -> dict[str, str]:
+def read_through(readout: Readout | None) -> dict[str, str]:
     """The electronics as a file's attribute."""
     return {} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}
 

@@ -8,8 +8,11 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.storage.files import replacing
 from geometry.storage.text_file import StrictTables, read_text, tables_of
+from geometry.tolerances import usual_deviations
 
 STRICT = StrictTables(DesignError)
+MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
+BESIDE = ("tolerance", "twin")  #: tables of a design file that are not the design's
 
 
 def design_to_toml(design: SensorDesign) -> str:
@@ -61,6 +64,8 @@ def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
 def whole_design(text: str, source: object) -> SensorDesign:
     """A design from the text of a design file, which must not have been cut off.
 
+    Beside the design the file may state deviations (`tolerances_from_dict`) and hold a twin (`decoupler.twin`).
+
     Raises
     ------
     DesignError
@@ -69,7 +74,9 @@ def whole_design(text: str, source: object) -> SensorDesign:
     """
     table = tables_of(text, source, DesignError)
     base = table.pop("extends", None)
-    design = design_from_dict(table, str(source))
+    beside = {name: STRICT.table(table, name) for name in BESIDE if name in table}
+    design = design_from_dict({name: part for name, part in table.items() if name not in BESIDE}, str(source))
+    tolerances_from_dict(beside.get("tolerance", {}), design, str(source))
     if base not in (None, "paper"):
         raise DesignError(f'{source}: extends = {base!r} is unknown; it can only be "paper".')
     missing = [] if base else _missing(design, table)
@@ -97,6 +104,39 @@ def _missing(whole: Any, given: dict[str, Any], where: str = "") -> list[str]:
 def read_design(path: Path) -> SensorDesign:
     """Read a design file; `DesignError` if it is missing, not TOML, not a design or cut off."""
     return whole_design(read_text(path, "write one with 'tripillar design'", DesignError), path)
+
+
+def states_twin(path: Path) -> bool:
+    """Whether a design file holds a twin beside the design; errors as of `read_design`."""
+    return "twin" in tables_of(read_text(path, "write one with 'tripillar design'", DesignError), path, DesignError)
+
+
+def read_tolerances(path: Path) -> dict[str, float]:
+    """Standard deviation of every uncertain parameter of a design file: usual ones, but those that it states.
+
+    Raises
+    ------
+    DesignError
+        As `read_design`, and for a parameter that the design does not have or a deviation that makes no sense.
+    """
+    text = read_text(path, "write one with 'tripillar design'", DesignError)
+    stated = tables_of(text, path, DesignError).get("tolerance", {})
+    return tolerances_from_dict(stated, whole_design(text, path), str(path))
+
+
+def tolerances_from_dict(stated: dict[str, Any], design: SensorDesign, source: str) -> dict[str, float]:
+    """The same from the table [tolerance] of a file: parameters by their dotted keys, 0 for what is exactly known."""
+    found = usual_deviations(design)
+    STRICT.made(source, STRICT.require_keys, table=stated, known=found, where=" in [tolerance]")
+    for name, deviation in stated.items():
+        sound = isinstance(deviation, int | float) and not isinstance(deviation, bool)
+        if not (sound and 0 <= deviation <= MAX_DEVIATION * found[name]):
+            raise DesignError(
+                f'{source}: "{name}" = {deviation!r} in [tolerance] must be a standard deviation in the key\'s unit, '
+                f"from 0 (known exactly) to {MAX_DEVIATION * found[name]:g}; usual is {found[name]:g}."
+            )
+        found[name] = float(deviation)
+    return found
 
 
 def write_design(design: SensorDesign, path: Path) -> None:

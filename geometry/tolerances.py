@@ -5,10 +5,12 @@ where pillars and matrix are of one rubber they stay so.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 from geometry.design import SensorDesign
+from geometry.errors import DesignError
 
 RUBBER = "rubber"  #: table of parameters that both rubbers share
 RUBBERS = ("pillar_material", "matrix_material")
@@ -50,6 +52,12 @@ def usual_deviations(design: SensorDesign) -> dict[str, float]:
     return found
 
 
+def uncertain_keys(design: SensorDesign) -> set[str]:
+    """Dotted keys of a design that its uncertain parameters change."""
+    names = (name.rpartition(".") for name in usual_deviations(design))
+    return {f"{part}{dot}{key}" for table, dot, key in names for part in (RUBBERS if table == RUBBER else (table,))}
+
+
 def value_of(design: SensorDesign, name: str) -> float:
     """Value of a parameter, in its key's unit."""
     table, _, key = name.rpartition(".")
@@ -71,6 +79,14 @@ def with_values(design: SensorDesign, values: Mapping[str, float]) -> SensorDesi
         for part in RUBBERS if table == RUBBER else (table,) if table else ():
             changes[part] = replace(changes.get(part, getattr(design, part)), **{key: value})
     return replace(design, **changes)
+
+
+def nearest(design: SensorDesign, values: Mapping[str, float]) -> SensorDesign:
+    """The same, leaving out one by one the values that no sensor can have, such as pads that would overlap."""
+    for name, value in values.items():
+        with suppress(DesignError):
+            design = with_values(design, {name: value})
+    return design
 
 
 def changed(design: SensorDesign, name: str, by: float) -> SensorDesign:

@@ -21,8 +21,9 @@ from geometry import (
     read_design,
     write_design,
 )
-from geometry.design_file import whole_design
+from geometry.design_file import read_tolerances, whole_design
 from geometry.storage.files import digest, stated
+from geometry.tolerances import usual_deviations
 
 lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
@@ -198,3 +199,18 @@ def test_electrics_are_optional_and_leave_older_files_and_hashes_alone():
 def test_electrics_that_make_no_sense_are_refused(electrics, said):
     with pytest.raises(DesignError, match=said):
         Electrics(**electrics)
+
+
+def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):
+    """The table [tolerance] is checked with the design and is no part of it."""
+    path, design = tmp_path / "sensor.toml", SensorDesign()
+    text = design_to_toml(design)
+    path.write_text(text + '[tolerance]\n"unit.height_mm" = 0.05\n"pad.size_mm" = 0\n', encoding="utf-8")
+    assert read_design(path) == design
+    assert read_tolerances(path) == usual_deviations(design) | {"unit.height_mm": 0.05, "pad.size_mm": 0.0}
+    path.write_text(text + '[tolerance]\n"unit.depth_mm" = 0.05\n', encoding="utf-8")
+    with pytest.raises(DesignError, match=r"unknown key 'unit.depth_mm' in .tolerance."):
+        read_design(path)
+    path.write_text(text + '[tolerance]\n"unit.height_mm" = -1\n', encoding="utf-8")
+    with pytest.raises(DesignError, match="must be a standard deviation"):
+        read_tolerances(path)
