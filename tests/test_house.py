@@ -23,7 +23,7 @@ RIDDLES = ("What", "How", "Who")
 ROOMS = {
     "geometry": ["storage"],
     "fem": ["scene", "linear", "discretization", "conduction", "finite", "array", "methods", "fields", "pictures"],
-    "decoupler": ["data", "inverse", "model", "training", "evaluation", "export"],
+    "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
     "hardware": ["link", "recording", "readout", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "face", "cli"],
     "studies": ["pictures", "bench", "edge_cases", "paper", "robustness"],

@@ -4,6 +4,7 @@ The inverse is approximate: a fixed number of corrections costs little and alway
 learns. `limits.py` has the inverse iterated to the end.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Self
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
 ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
-ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor; both must be reached
+ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
+MIN_LENGTH_MM = 1e-6  #: of a pillar, in divisions by it
 MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
 LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
 SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
+GAINED = 0.99  #: ratio of errors before and after a correction, above which lengths with errors tell no more
 HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
@@ -118,6 +121,12 @@ class ForwardModel:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
         return self.ohm_per_mm2 * self.lengths(force_n) ** 2
 
+    def relative_slopes(self, force_n: FloatArray) -> FloatArray:
+        """Relative change of resistances by that of vectors, 2 s v/|v|², (n, n_components, n_pillars) [1/mm]."""
+        vectors = self.vectors(force_n)
+        squares = np.maximum(self._norms(vectors), MIN_LENGTH_MM) ** 2
+        return (2.0 if self.sign is None else 2.0 * self.sign) * vectors / squares[:, None]
+
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
         return np.sqrt(resistance_ohm / self.ohm_per_mm2)
@@ -155,11 +164,19 @@ class ModelInverse:
     correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
 
     @classmethod
-    def about(cls, forward: ForwardModel, force_n: FloatArray, readable: NDArray[np.bool_], noise: float) -> Self:
+    def about(
+        cls,
+        forward: ForwardModel,
+        force_n: FloatArray,
+        readable: NDArray[np.bool_],
+        noise: float,
+        read: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> Self:
         """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
 
         `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
-        relative.
+        relative. `read` gives lengths (n, n_pillars) [mm] as they will be read under effective forces (n, n_forces)
+        [N], with their errors: the inverse then errs least in the mean square, and is not as exact as the lengths are.
 
         Notes
         -----
@@ -172,32 +189,40 @@ class ModelInverse:
         linear, force_n = forward.linear, forward.effective(force_n)
         centre = force_n.mean(axis=0)
         unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(linear.rest_mm, axis=0)
-        tangent = _tangent(linear, centre, force_n, readable, unsure_mm)
+        tangent = _tangent(linear, centre, force_n, readable, unsure_mm, exact=read is None)
         usual_n = _enough_loads(force_n)
         loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
-        spread_n = np.std(usual_n - centre)
-        lengths = linear.lengths(loads_n)
+        spread_n, enough = np.std(usual_n - centre), ENOUGH if read is None else ENOUGH_AT_REST
+        lengths = (read or linear.lengths)(loads_n)
+        lengths[-1:] = linear.lengths(loads_n[-1:])
         found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
-        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n):
+        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n, enough):
             residual = np.where(readable, lengths - linear.lengths(found), 0.0)
             weighted = weight[:, None] * residual
             G = residual.T @ weighted
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
             missing = loads_n - found - residual @ tangent
             correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
-            found = found + residual @ correctors[-1]
+            before, found = np.std(loads_n - found), found + residual @ correctors[-1]
+            if read is not None and np.std(loads_n - found) > GAINED * before:
+                break
         centre_mm = linear.lengths(centre[None])[0]
         return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
+        effective_n, correction = self.effective(resistance_ohm), self.forward.correction
+        return effective_n if correction is None else correction.actual(effective_n)
+
+    def effective(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Effective forces, from which `forces` follow, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
         lengths = self.forward.lengths_of(resistance_ohm)
         forces = rowwise(lengths - self.centre_mm, self.correctors[0])
         forces += self.centre_n
         for corrector in self.correctors[1:]:
             forces += rowwise(lengths - self.forward.linear.lengths(forces), corrector)
-        return forces if self.forward.correction is None else self.forward.correction.actual(forces)
+        return forces
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
         """Derivatives of `forces` by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
@@ -242,10 +267,10 @@ def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray
     return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
 
 
-def _near(missing: FloatArray, n_usual: int, spread_n: float) -> bool:
+def _near(missing: FloatArray, n_usual: int, spread_n: float, enough: float) -> bool:
     """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
     return bool(
-        np.std(missing[:n_usual]) <= ENOUGH * spread_n
+        np.std(missing[:n_usual]) <= enough * spread_n
         and np.sqrt(np.mean(missing[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
     )
 
@@ -256,15 +281,17 @@ def _tangent(
     force_n: FloatArray,
     readable: NDArray[np.bool_],
     unsure_mm: FloatArray,
+    exact: bool = True,
 ) -> FloatArray:
     """Inverse of the lengths' derivatives at the centre, (n_pillars, n_forces) [N/mm].
 
-    With fewer readable pillars than forces, the linear estimate of least mean square under the forces' covariance.
+    With fewer readable pillars than forces, or unless `exact`, the linear estimate of least mean square under the
+    forces' covariance.
     """
     _, J = forward.jacobian(centre_n[None])
     J = J[0][readable]
     tangent = np.zeros((forward.n_pillars, forward.n_forces))
-    if len(J) == forward.n_forces:
+    if exact and len(J) == forward.n_forces:
         tangent[readable] = np.linalg.inv(J).T
     else:
         covariance = np.cov(force_n.T, bias=True).reshape(forward.n_forces, -1)

@@ -15,6 +15,7 @@ from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_
 from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import LeastSquares
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
@@ -47,6 +48,7 @@ class Decoupler:
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
     usual: UsualLoads | None = None  #: loads that it knows; None in files of before
+    ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
 
@@ -156,15 +158,31 @@ class Decoupler:
         return found.half_widths(A, force_n, self.noise_variance(columns_ohm, found.noise, found.bits), half_range_n)
 
     def noise_variance(self, columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:
-        """Variance of the forces (n, n_out) [N²] that errors of the readings (n, n_in) [Ω] cause."""
+        """Variance of the forces (n, n_out) [N²] that errors of the readings and of the sensor's model cause.
+
+        Readings are (n, n_in) [Ω].
+        """
         found = np.zeros((len(columns_ohm), len(self.output_weights)))
-        if not noise and bits is None:
+        if not noise and bits is None and self.ensemble is None:
             return found
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
+            slopes = self.derivatives(columns_ohm[chunk])
             variance = reading_deviation(columns_ohm[chunk], noise, bits) ** 2
-            found[chunk] = np.einsum("nom,nm->no", self.derivatives(columns_ohm[chunk]) ** 2, variance)
+            found[chunk] = np.einsum("nom,nm->no", slopes**2, variance)
+            if self.ensemble is not None:
+                differences = self._ensemble_differences(columns_ohm[chunk])
+                found[chunk] += ((differences @ slopes.swapaxes(1, 2)) ** 2).mean(axis=1)
         return found
+
+    def _ensemble_differences(self, columns_ohm: FloatArray) -> FloatArray:
+        """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""
+        assert self.ensemble is not None
+        assert self.inverse is not None
+        modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
+        effective_n = self.inverse.effective(modelled)
+        slopes = self.inverse.forward.linear.relative_slopes(effective_n)
+        return self.ensemble.differences(effective_n, slopes, columns_ohm)
 
     @property
     def is_fine_tuned(self) -> bool:
@@ -209,13 +227,13 @@ class Decoupler:
         if self.design is None:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
+        pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
+        of_sensor = rest_ohm[..., pillars]
+        if self.inverse is not None:
+            of_sensor = self.inverse.forward.at_rest_ohm().reshape(of_sensor.shape)
         if self.calibration is not None:
-            pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
-            of_sensor = rest_ohm[..., pillars]
-            gain, offset = (
-                part.reshape(of_sensor.shape) for part in (self.calibration.gain, self.calibration.offset_ohm)
-            )
-            rest_ohm[..., pillars] = gain * of_sensor + offset
+            of_sensor = self.calibration.shown(of_sensor.reshape(-1)).reshape(of_sensor.shape)
+        rest_ohm[..., pillars] = of_sensor
         return rest_ohm
 
     def untrusted(self) -> list[tuple[int, int, str]]:
@@ -251,6 +269,8 @@ class Decoupler:
         inputs = self.inputs(columns_ohm)
         X = np.ones((len(inputs), inputs.shape[1] + 1))
         X[:, :-1] = inputs
+        if not self.network.hidden:
+            return X
         hidden = np.tanh(rowwise(X, self.hidden_weights.T))
         return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
 

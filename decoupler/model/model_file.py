@@ -14,6 +14,7 @@ from decoupler.data.columns import Calibration, Resting, Scaling, component_name
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty
 from decoupler.model.usual import UsualLoads
@@ -60,6 +61,10 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "usual_low_n": ("usual.low_n", ("axes",)),
     "usual_high_n": ("usual.high_n", ("axes",)),
     "friction": ("usual.friction", ("1",)),
+    "drawn_resistance": ("ensemble.resistance", ("draws", "in")),
+    "drawn_offset_ohm": ("ensemble.offset_ohm", ("draws", "in")),
+    "drawn_rest_mm": ("ensemble.rest_mm", ("draws", "in", "3")),
+    "drawn_influence": ("ensemble.influence", ("draws", "in", "3", "out")),
     "least_squares": ("least_squares.coefficients", ("in + 1", "out")),
     "dead": ("dead", ("rows", "cols", "3")),
 }
@@ -208,6 +213,8 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     seen = n_out if decoupler.inverse is not None else n_in
     forward = None if decoupler.inverse is None else decoupler.inverse.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
+    if decoupler.ensemble is not None:
+        electrodes = n_in  # an identified sensor has an influence for each pillar
     return {
         "1": 1,
         "3": len(PILLARS),
@@ -224,6 +231,7 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "features": hidden + (seen + 1 if decoupler.network.net == "skip" else 1),
         "components": 3 if forward is None else len(forward.rest_mm),
         "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
+        "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
 
@@ -276,6 +284,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         dead=dead,
         uncertainty=uncertainty,
         usual=UsualLoads(**held("usual")) if "friction" in arrays else None,
+        ensemble=Ensemble(**held("ensemble")) if "drawn_resistance" in arrays else None,
         least_squares=least_squares,
         made_from=dict(header["made_from"]),
     )

@@ -40,12 +40,12 @@ def _require_whole(name: str, value: int, lowest: int) -> None:
 class NetworkConfig:
     """Form of a network with one tanh hidden layer; the data give its inputs and outputs."""
 
-    hidden: int = 17  #: hidden nodes; the paper's best (its eq. 16 gives 10 to 19)
+    hidden: int = 17  #: hidden nodes; the paper's best (its eq. 16 gives 10 to 19); 0 is what `identify` makes
     net: Net = "skip"  #: "plain" is the paper's; "skip" adds a linear map of the inputs
     feature: Feature = "root"  #: inputs R, √R (proportional to a pillar's length), or the response's own inverse
 
     def __post_init__(self) -> None:
-        _require_whole("hidden", self.hidden, 1)
+        _require_whole("hidden", self.hidden, 1 if (self.net, self.feature) != ("skip", "inverse") else 0)
         if self.hidden > MAX_HIDDEN:
             raise DesignError(f"hidden={self.hidden} must be at most {MAX_HIDDEN}; its matrix grows with the square.")
         _require_one_of("net", self.net, get_args(Net))

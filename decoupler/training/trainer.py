@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from dataset import Samples, measured
 from dataset.measurement import reading_deviation
-from dataset.protocols import MAX_TOUCHED
 from dataset.samples import SampleError
 from decoupler.data.columns import (
     MIN_CALIBRATED_OHM,
@@ -35,6 +34,7 @@ from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.levenberg_marquardt import train_lm
+from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import suited_training
@@ -44,9 +44,7 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-LIGHT = 0.1  #: number of light samples that training adds where the response is known, over that of the samples
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
-TOUCH = 0.05  #: force of a light touch, over the largest force
 
 
 def _silent(iteration: int, mse: float) -> None:
@@ -202,9 +200,8 @@ def _light_samples_too(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Training columns (n, n_in) [Ω] and (n, n_out) [N] with light samples added at the end, and how many.
 
-    A quarter of the light samples is at rest; in each, none to `MAX_TOUCHED` forces are up to `TOUCH` of the largest in
-    training. None are added where their resistances leave more than noise and `MAX_UNEXPLAINED` of the variance of the
-    readings' roots unexplained.
+    None are added where their resistances leave more than noise and `MAX_UNEXPLAINED` of the variance of the readings'
+    roots unexplained.
 
     Notes
     -----
@@ -215,10 +212,8 @@ def _light_samples_too(
     assert untrained.inverse is not None
     assert untrained.calibration is not None
     generator = np.random.default_rng(0)
-    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
-    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
-    low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
-    all_n = np.concatenate([force_n, touched * TOUCH * generator.uniform(low, high, (n, n_forces))])
+    light_n = light_loads(force_n, generator)
+    all_n = np.concatenate([force_n, light_n])
     modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(all_n))
     modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM)), [len(force_n)])  # √Ω
     A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
@@ -233,7 +228,7 @@ def _light_samples_too(
     if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
         return columns_ohm, force_n, 0
     light_ohm = measured((light + A_light @ linear) ** 2, data.noise, data.bits, generator)
-    return np.concatenate([columns_ohm, light_ohm]), all_n, n
+    return np.concatenate([columns_ohm, light_ohm]), all_n, len(light_n)
 
 
 @contextmanager

@@ -18,8 +18,9 @@ from decoupler.model.baseline import LINEAR
 from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
 from decoupler.training.damping import Point
 from decoupler.training.levenberg_marquardt import train_lm
+from decoupler.training.light import LIGHT
 from decoupler.training.network import Network, TrainingSet
-from decoupler.training.trainer import LIGHT, train
+from decoupler.training.trainer import train
 from decoupler.training.varpro import RIDGE, train_varpro
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response

@@ -1,0 +1,121 @@
+"""From the posterior of a sensor to the decoder of its forces."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dataset.measurement import reading_deviation
+from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
+from decoupler.inverse.effective_forces import EffectiveForces
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.settings import NetworkConfig
+from decoupler.model.usual import UsualLoads
+from decoupler.training.error_bars import best_ridge, fitted_uncertainty
+from decoupler.training.light import light_loads
+from decoupler.twin.posterior import Posterior
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray
+
+
+def forward_of(found: Posterior) -> ForwardModel:
+    """The most probable response, each pillar with an influence of its own."""
+    expected, state = found.expected, found.state
+    P, _, Q = expected.influence.shape
+    return ForwardModel(
+        influence=np.ascontiguousarray(state.influence(expected).transpose(2, 1, 0).reshape(Q, -1)),
+        top=np.arange(P),
+        rest_mm=np.ascontiguousarray(state.rest_mm(expected).T),
+        ohm_per_mm2=state.ohm_per_mm2(expected),
+        sign=None if (expected.sign == 1.0).all() else np.ascontiguousarray(expected.sign.T),
+    )
+
+
+def decoder_of(
+    found: Posterior,
+    component: Component,
+    size: tuple[int, int],
+    loads_n: FloatArray,
+    noise: float,
+    bits: int | None,
+    correction: EffectiveForces | None = None,
+    design: SensorDesign | None = None,
+    dead: np.ndarray | None = None,
+    made_from: dict[str, Any] | None = None,
+) -> Decoupler:
+    """The decoder that errs least, in the mean square, on sensors of the posterior under usual loads.
+
+    Parameters
+    ----------
+    found : Posterior
+    component : Component
+    size : tuple
+        Rows and columns of the array.
+    loads_n : array, shape (n, Q)
+        Usual loads, as effective forces [N]; rest and light touches are added.
+    noise, bits
+        Of the readings that it will take.
+    correction : EffectiveForces, optional
+        From effective forces to those that act; default: they are the same.
+    design : SensorDesign, optional
+        The design that was meant.
+    dead : array, shape (rows, cols, 3), optional
+        Pillars that are not read.
+
+    Notes
+    -----
+    The inverse of the most probable response, then a linear map of its forces by ridge regression, fitted to readings
+    of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
+    """
+    generator = np.random.default_rng(0)
+    forward = forward_of(found)
+    calibration = Calibration(found.state.gain, found.state.offset_ohm)
+
+    def read(effective_n: FloatArray) -> FloatArray:
+        shown = calibration.shown(forward.resistances(effective_n))
+        drawn = found.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
+        drawn += reading_deviation(drawn, noise, bits) * generator.standard_normal(drawn.shape)
+        return np.maximum(drawn, MIN_CALIBRATED_OHM)
+
+    light_n = light_loads(loads_n, generator)
+    effective_n = np.concatenate([loads_n, light_n])
+    force_n = effective_n if correction is None else correction.actual(effective_n)
+    columns = read(effective_n)
+    readable = readable_columns(component, dead, columns.shape[1])
+    errors = columns / calibration.shown(forward.resistances(effective_n)) - 1.0
+    unsure = float(np.sqrt(np.mean(errors[:, readable] ** 2)))
+    rest_ohm = calibration.shown(forward.at_rest_ohm())
+    scaling = Scaling.fitted(force_n)
+    n_forces = forward.n_forces
+    inverse = ModelInverse.about(
+        forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(calibration.modelled(read(some_n)))
+    )
+    untrained = Decoupler(
+        component=component,
+        rows=size[0],
+        cols=size[1],
+        network=NetworkConfig(hidden=0, net="skip", feature="inverse"),
+        input_scaling=scaling,
+        output_scaling=scaling,
+        hidden_weights=np.empty((0, n_forces + 1)),
+        output_weights=np.eye(n_forces, n_forces + 1),
+        design=design,
+        inverse=replace(inverse, forward=replace(forward, correction=correction)),
+        calibration=calibration,
+        resting=Resting.read_with(rest_ohm, bits),
+        dead=dead,
+        usual=UsualLoads.of(force_n, component),
+        ensemble=found.ensemble,
+        made_from=made_from or {},
+    )
+    A = untrained.activations(columns)
+    missing = scaling.scale(force_n) - A[:, :-1]
+    ridge = best_ridge(A, missing)
+    G = A.T @ A
+    G.flat[:: len(G) + 1] += ridge
+    weights = untrained.output_weights + np.linalg.solve(G, A.T @ missing).T
+    trained = replace(untrained, output_weights=weights)
+    load = np.arange(len(columns))
+    uncertainty = fitted_uncertainty(trained, columns, force_n, noise, bits, ridge, load, len(light_n))
+    return replace(trained, uncertainty=uncertainty)

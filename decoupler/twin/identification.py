@@ -1,0 +1,143 @@
+"""From measured pairs to a twin of the sensor on the table: open this file first."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dataset.samples import SampleError
+from decoupler.data.columns import component_named, force_columns
+from decoupler.data.pairs import Pairs
+from decoupler.inverse.effective_forces import EffectiveForces
+from decoupler.model.decoupler import Decoupler
+from decoupler.twin.decoder import decoder_of
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.posterior import Posterior, Readings, infer
+from decoupler.twin.usual_loads import images_of
+from geometry.design import SensorDesign
+from geometry.layout import AXES, PILLARS, FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+    from fem.array.sensitivities import ResponseSensitivities
+
+LOADS = 3000  #: usual loads that a decoder is fitted to
+UNKNOWN = 1000  #: unknown parts of forces that are solved for; more of them count as noise
+SCARCE = 2.0  #: pairs over unknown numbers of a pillar, below which a sensor without a design is hardly determined
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Twin:
+    """One sensor as its pairs show it."""
+
+    design: SensorDesign | None  #: as it was meant; None if no design was stated
+    posterior: Posterior
+    decoder: Decoupler  #: its forces from its resistances
+    n_pairs: int
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Most probable value and standard deviation of each uncertain parameter of the design, by its key."""
+        expected, state = self.posterior.expected, self.posterior.state
+        values = expected.values + expected.deviations * state.parameters
+        deviations = expected.deviations * np.sqrt(self.posterior.covariance.diagonal())
+        return {name: (float(a), float(b)) for name, a, b in zip(expected.names, values, deviations, strict=True)}
+
+
+def identify(
+    pairs: Pairs,
+    response: "ArrayResponse | None" = None,
+    sensitivities: "ResponseSensitivities | None" = None,
+    component: str | None = None,
+    loads_n: FloatArray | None = None,
+    correction: EffectiveForces | None = None,
+    draws: int = 32,
+    seed: int = 0,
+) -> Twin:
+    """Identify a sensor from measured pairs.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        One is enough to begin with.
+    response : ArrayResponse, optional
+        Of the sensor as designed. Without it the pairs alone decide, and many are needed.
+    sensitivities : ResponseSensitivities, optional
+        Its derivatives by the parameters that manufacturing leaves unknown; goes with the response.
+    component : str, optional
+        fz, fx, fy or all; default: the axes along which forces act.
+    loads_n : array, shape (n, rows, cols, 3), optional
+        Loads like those that the sensor will meet [N]; default: the pairs'. Images of them fill the array.
+    correction : EffectiveForces, optional
+        Of the design at finite strain, see `decoupler.training.finite_strain`; goes with the response.
+    draws : int
+        Sensors that are drawn from the posterior, for deviations.
+    seed : int
+        Of these draws.
+
+    Raises
+    ------
+    SampleError
+        If the pairs are of another array, or none presses the sensor.
+    """
+    parts = component_named(component or _acting(pairs))
+    axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
+    n, rows, cols, _ = pairs.force_n.shape
+    readings = _readings(pairs, axes, pillars)
+    loads = pairs.force_n if loads_n is None else loads_n
+    usual_n = force_columns(loads, parts)
+    if correction is not None:
+        readings = replace(readings, force_n=correction.effective(readings.force_n))
+        usual_n = correction.effective(usual_n)
+    usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
+    if not usual_n.any():
+        raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
+    if response is None or sensitivities is None:
+        expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
+    else:
+        expected = Expectation.of(response, sensitivities, parts)
+        if expected.influence.shape[::2] != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
+            raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
+    found = infer(expected, readings, draws, seed)
+    dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
+    dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
+    design = None if response is None else response.design
+    decoder = decoder_of(
+        found,
+        parts,
+        (rows, cols),
+        usual_n,
+        pairs.noise,
+        pairs.bits,
+        correction,
+        design,
+        dead if dead.any() else None,
+        {"fine_tuned_on": pairs.content_hash, "pairs": n},
+    )
+    return Twin(design=design, posterior=found, decoder=decoder, n_pairs=n)
+
+
+def _acting(pairs: Pairs) -> str:
+    """The component that takes the axes along which forces act, or may act."""
+    everything = [pairs.force_n, *pairs.unknown_n]
+    acting = [axis for k, axis in enumerate(AXES) if any(part[..., k].any() for part in everything)]
+    return f"f{acting[0]}" if len(acting) == 1 else "all"
+
+
+def _readings(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
+    """Pairs as columns."""
+    n = len(pairs)
+    ohms = pairs.resistance_ohm[..., pillars].reshape(n, -1)
+    read = np.isfinite(ohms)
+    pair = np.repeat(np.arange(n), [len(part) for part in pairs.unknown_n])
+    unknown = np.concatenate(pairs.unknown_n)[..., axes]
+    return Readings(
+        resistance_ohm=np.where(read, ohms, 1e4),
+        read=read,
+        force_n=pairs.force_n[..., axes].reshape(n, -1),
+        unknown_n=unknown.reshape(len(pair), -1) if len(pair) else np.zeros((0, math.prod(unknown.shape[1:]))),
+        pair=pair,
+        noise=pairs.noise,
+        bits=pairs.bits,
+    )

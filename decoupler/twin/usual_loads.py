@@ -1,0 +1,42 @@
+"""The loads that a sensor is expected to meet, which its decoder is made for."""
+
+import numpy as np
+
+from geometry.layout import FloatArray
+
+#: sign of forces along x, y, z in the mirrors across x and y, which turn columns and rows around
+MIRRORED = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
+SPREAD = 0.5  #: standard deviation of the logarithm of a load's size, if only one was measured
+
+
+def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -> FloatArray:
+    """Loads (count, rows, cols, k) [N] like those given, (n, rows, cols, k): themselves, then images of them.
+
+    `axes` are the numbers of the k axes of forces.
+
+    An image is a load moved along the array, as if mirrored at the rims, and mirrored across x, y or both: a load may
+    act anywhere and in any direction, whichever few were measured. Its size differs by `SPREAD`/√n: n loads say no more
+    of how large loads are. Nor do one or two say how pads are loaded together: 1/(1 + n²) of the images have the force
+    of each pad from a pad of its own.
+    """
+    n, rows, cols, _ = force_n.shape
+    if n >= count:
+        return force_n[np.linspace(0, n - 1, count).astype(int)]
+    generator = np.random.default_rng(seed)
+    found = force_n[np.arange(count) % n].copy()
+    turned = generator.random((count, 2)) < 0.5
+    moved = generator.integers((rows + 1, cols + 1), size=(count, 2))
+    size = np.exp(SPREAD / np.sqrt(n) * generator.standard_normal(count))
+    alone = generator.random(count) < 1.0 / (1.0 + n**2)
+    for load in range(n, count):
+        i, j = moved[load]
+        image = np.pad(found[load], ((0, rows), (0, cols), (0, 0)), mode="symmetric")[i : i + rows, j : j + cols]
+        for axis, sign in enumerate(MIRRORED):
+            if turned[load, axis]:
+                image = np.flip(image, axis=1 - axis) * np.array(sign)[axes]
+        if alone[load]:
+            image = image.reshape(rows * cols, -1)[generator.integers(rows * cols, size=rows * cols)].reshape(
+                image.shape
+            )
+        found[load] = size[load] * image
+    return found
