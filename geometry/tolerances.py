@@ -24,6 +24,7 @@ POISSON = 0.4  #: of 0.5 − ν: a rubber's bulk modulus E/(3(1 − 2ν)) is kno
 MAX_POISSON = 0.02  #: ... and no more than this
 HEIGHT = 0.02  #: of the height: the slab is filled by hand
 PAD_MM = 0.3  #: of a pad's side, and of its place along x and y: pads are glued on by eye
+MIN_ROOM_MM = 0.01  #: in which a pad may be off its place
 SPAN = 0.01  #: of the span: print of the mould
 WIDTH = 0.02  #: of the pillars' width
 LOG_RESISTIVITY = 0.2  #: of ρ: it changes from batch to batch with the carbon's dispersion
@@ -33,7 +34,7 @@ def usual_deviations(design: SensorDesign) -> dict[str, float]:
     """Standard deviation of every uncertain parameter of a design before anything is measured, in the key's unit.
 
     With one rubber the pillars' width bends nothing and scales all resistances alike, as the resistivity does: it is no
-    parameter then.
+    parameter then. Nor are offsets of pads that have no room beside their neighbours.
 
     >>> usual_deviations(SensorDesign())["unit.height_mm"]
     0.2
@@ -47,7 +48,11 @@ def usual_deviations(design: SensorDesign) -> dict[str, float]:
     found["unit.span_mm"] = SPAN * design.unit.span_mm
     if not design.is_homogeneous:
         found["unit.pillar_width_mm"] = WIDTH * design.unit.pillar_width_mm
-    found |= dict.fromkeys(("pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm"), PAD_MM)
+    found["pad.size_mm"] = PAD_MM
+    for key in ("offset_x_mm", "offset_y_mm"):
+        room_mm = design.pad_room_mm - design.pad.size_mm / 2 - abs(getattr(design.pad, key))
+        if room_mm > MIN_ROOM_MM:
+            found[f"pad.{key}"] = min(PAD_MM, 0.999 * room_mm)
     found[RESISTIVITY] = LOG_RESISTIVITY * design.resistivity_ohm_mm
     return found
 

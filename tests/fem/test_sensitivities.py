@@ -100,5 +100,7 @@ def test_a_changed_parameter_is_that_of_the_design():
     assert design.pillar_material.poisson == pytest.approx(0.48)
     other = replace(PAIR, pillar_material=replace(PAIR.pillar_material, young_mpa=8.0))
     assert {"pillar_material.young_mpa", "matrix_material.young_mpa"} < set(usual_deviations(other))
+    touching = replace(PAIR, pad=Pad(size_mm=PAIR.array.pitch_mm))
+    assert set(usual_deviations(PAIR)) - set(usual_deviations(touching)) == {"pad.offset_x_mm", "pad.offset_y_mm"}
     for name, sd in usual_deviations(other).items():
         assert value_of(changed(other, name, sd), name) > value_of(other, name)
