@@ -159,6 +159,7 @@ class SensorFeed:
         self._open = ExitStack()
         self._times: deque[float] = deque()
         self._saturated = 0  # pillars at an end of the converter's range in the newest scan
+        self._explained = True  # by a load that the model knows
 
     def __enter__(self) -> Self:
         self._sensor = self._open.enter_context(live(self.port, self.model, self._calibration, **self._settings))
@@ -206,6 +207,7 @@ class SensorFeed:
             return None
         found = self._sensor.forces(scan)
         self._saturated = int(found.saturated.sum())
+        self._explained = found.is_explained
         return replace(found, force_n=with_all_axes(found.force_n, self.model.component.axes))
 
     def _status(self) -> str:
@@ -218,4 +220,5 @@ class SensorFeed:
         while self._times and self._times[0] < now_s - RATE_OVER_S:
             self._times.popleft()
         saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
-        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}"
+        strange = "" if self._explained else ", no load explains this reading"
+        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}{strange}"

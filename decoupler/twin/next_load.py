@@ -1,0 +1,178 @@
+"""Which load to measure next: the one after which forces are expected to err least (Bayesian A-optimal design).
+
+Linear and normal about the most probable sensor. Unknown are the parameters of the design, the resistivity, and gain
+and offset of each pillar. Corrections of the influence, which few pairs can tell, count as noise of the readings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from dataset.measurement import reading_deviation
+from decoupler.data.columns import Component
+from decoupler.data.load_table import KnownLoad, known_forces
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.posterior import State
+from geometry.design import SensorDesign
+from geometry.layout import AXES, FloatArray
+
+USUAL = 24  #: usual loads over which the expected error is taken
+WEIGHTS_KG = (5.0, 15.0, 60.0)  #: on one pad: a bucket, two, a man who stands on a lever
+PULL = 0.2  #: of a string, over the weight that holds the pad or plate down
+PLATES_KG = (20.0, 60.0, 120.0)  #: on a plate over all pads
+PRESSURES_KPA = (30.0, 80.0)  #: of a vacuum bag
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knowledge:
+    """Covariance of a sensor's u unknowns, each in standard deviations of its prior, about its most probable state."""
+
+    expected: Expectation
+    state: State
+    covariance: FloatArray  #: (u, u)
+    noise: float  #: of the readings to come, relative
+    bits: int | None
+
+    @classmethod
+    def before(cls, expected: Expectation, state: State, noise: float, bits: int | None) -> Self:
+        """Before any pair; linear about a state, the most probable one by all that is known."""
+        covariance = np.eye(len(expected.names) + 1 + 2 * expected.n_pillars)
+        return cls(expected=expected, state=state, covariance=covariance, noise=noise, bits=bits)
+
+    def derivatives(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of the readings under a load (Q,) [N], and their own deviations.
+
+        Returns
+        -------
+        array, shape (P, u)
+            By the unknowns [Ω].
+        array, shape (P, Q)
+            By the forces [Ω/N].
+        array, shape (P,)
+            Standard deviations of noise, converter's steps and what the unknowns do not explain [Ω].
+        """
+        expected, state = self.expected, self.state
+        B, d, c, widths = (
+            state.influence(expected),
+            state.rest_mm(expected),
+            state.ohm_per_mm2(expected),
+            expected.widths,
+        )
+        v = d + B @ force_n
+        modelled, rest_ohm = c * (v**2).sum(axis=1), c * (d**2).sum(axis=1)
+        by_vector = (2.0 * state.gain * c)[:, None] * v  # (P, 3)
+        moved = expected.by_rest_mm + expected.by_influence @ force_n  # (k, P, 3)
+        shared = (moved * by_vector).sum(axis=2) + state.gain * modelled * expected.by_log_c
+        by_unknown = np.column_stack(
+            [
+                shared.T,
+                widths.resistivity * state.gain * modelled,
+                np.diag(widths.gain * modelled),
+                np.diag(widths.offset * expected.rest_ohm),
+            ]
+        )
+        reading = reading_deviation(state.gain * modelled + state.offset_ohm, self.noise, self.bits)
+        corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * force_n, axis=1)
+        variance = reading**2 + (np.linalg.norm(by_vector, axis=1) * corrected_mm) ** 2
+        variance += (widths.misfit * (modelled - rest_ohm)) ** 2
+        return by_unknown, np.einsum("pi,piq->pq", by_vector, B), np.sqrt(variance)
+
+    def fall(self, force_n: FloatArray, unknown_n: FloatArray) -> FloatArray:
+        """K, (u, P): a pair of a load (Q,), known but for directions (k, Q) [N], takes K Kᵀ off the covariance."""
+        by_unknown, by_force, deviation = self.derivatives(force_n)
+        H, J = by_unknown / deviation[:, None], (by_force @ unknown_n.T) / deviation[:, None]
+        HC = H @ self.covariance
+        S = HC @ H.T + J @ J.T
+        S.flat[:: len(S) + 1] += 1.0
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(S), HC).T)
+
+    def after(self, force_n: FloatArray, unknown_n: FloatArray) -> "Knowledge":
+        """The same after a pair of that load."""
+        K = self.fall(force_n, unknown_n)
+        return replace(self, covariance=self.covariance - K @ K.T)
+
+    def error_matrix(self, usual_n: FloatArray) -> FloatArray:
+        """T, (u, u): tr(T · covariance) is the mean square error of the forces under usual loads (n, Q) [N].
+
+        Errors of each axis are over the spread of its usual forces; needs as many pillars as forces.
+        """
+        usual_n = usual_n[np.linspace(0, len(usual_n) - 1, min(USUAL, len(usual_n))).astype(int)]
+        n_axes = usual_n.shape[1] // self.expected.n_units
+        size_n = np.sqrt((usual_n.reshape(-1, n_axes) ** 2).mean(axis=0))
+        weight = np.tile(1.0 / np.maximum(size_n, 1e-9 * size_n.max()), self.expected.n_units)
+        T = np.zeros_like(self.covariance)
+        for force_n in usual_n:
+            by_unknown, by_force, _ = self.derivatives(force_n)
+            E = np.linalg.solve(by_force, by_unknown) * weight[:, None]
+            T += E.T @ E / E.size * E.shape[1]
+        return T / len(usual_n)
+
+
+def choose(
+    known: Knowledge, candidates: Sequence[tuple[FloatArray, FloatArray]], usual_n: FloatArray, count: int = 1
+) -> tuple[list[int], list[float]]:
+    """Candidates to measure, one after another, each once: every time that of the largest fall of the expected error.
+
+    Parameters
+    ----------
+    known : Knowledge
+    candidates : sequence of (force_n, unknown_n)
+        Forces (Q,) [N], and directions (k, Q) in which they may differ; see `Pairs`.
+    usual_n : array, shape (n, Q)
+        Usual loads [N].
+    count : int
+
+    Returns
+    -------
+    list, list
+        Numbers of candidates; expected errors before the first and after each, root mean square over the forces and
+        relative to the usual forces of their axis: those that come of not knowing the sensor, noise of a reading aside.
+    """
+    T = known.error_matrix(usual_n)
+    numbers: list[int] = []
+    errors = [float(np.sqrt(np.sum(T * known.covariance)))]
+    for _ in range(count):
+        left = [number for number in range(len(candidates)) if number not in numbers]
+        if not left:
+            break
+        falls = [float(np.sum(K * (T @ K))) for K in (known.fall(*candidates[number]) for number in left)]
+        numbers.append(left[int(np.argmax(falls))])
+        known = known.after(*candidates[numbers[-1]])
+        errors.append(float(np.sqrt(np.sum(T * known.covariance))))
+    return numbers, errors
+
+
+def kitchen_loads(design: SensorDesign) -> list[KnownLoad]:
+    """Loads of docs/measuring.md: nothing, weights and strings on each pad and on a plate, a vacuum bag."""
+    lines: list[dict[str, str]] = [{"load": "nothing", "kind": "nothing"}]
+    held = f"{WEIGHTS_KG[1]:g} kg"
+    strings = {"fx_n": f"{PULL * WEIGHTS_KG[1]:g} kg"}, {"fy_n": f"{PULL * WEIGHTS_KG[1]:g} kg"}
+    for row in range(design.array.rows):
+        for col in range(design.array.cols):
+            pad = {"kind": "pad", "row": str(row), "col": str(col)}
+            lines += [pad | {"load": f"{kg:g} kg on {row} {col}", "fz_n": f"{kg:g} kg"} for kg in WEIGHTS_KG]
+            lines += [
+                pad | {"load": f"string along {name[1]} on {row} {col}", "fz_n": held, "error": "3 %", name: pull}
+                for string in strings
+                for name, pull in string.items()
+            ]
+    for kg in PLATES_KG:
+        plate = {"kind": "plate", "fz_n": f"{kg:g} kg"}
+        lines.append(plate | {"load": f"{kg:g} kg on a plate"})
+        for name in ("fx_n", "fy_n"):
+            pulled = {"load": f"string along {name[1]} on {kg:g} kg", name: f"{PULL * kg:g} kg", "error": "3 %"}
+            lines.append(plate | pulled)
+    air = {"kind": "air", "error": "2 kPa", "share": "5 %"}
+    lines += [air | {"load": f"{kpa:g} kPa of air", "kpa": f"{kpa:g}"} for kpa in PRESSURES_KPA]
+    rows, cols, pad_mm2 = design.array.rows, design.array.cols, design.pad.size_mm**2
+    loads = [(line, known_forces(line, rows, cols, pad_mm2, line["load"])) for line in lines]
+    return [KnownLoad(name=line["load"], force_n=f, unknown_n=u, lines=(line,)) for line, (f, u) in loads]
+
+
+def as_columns(load: KnownLoad, component: Component) -> tuple[FloatArray, FloatArray]:
+    """Forces (Q,) and unknown directions (k, Q) of a load [N], along a component's axes."""
+    axes = [AXES.index(axis) for axis in component.axes]
+    force_n = load.force_n[..., axes].reshape(-1)
+    return force_n, load.unknown_n[..., axes].reshape(len(load.unknown_n), force_n.size)

@@ -1,0 +1,107 @@
+"""``python -m studies.chosen_loads DOCS``: how the error falls with measured pairs, chosen and unchosen, as a picture.
+
+The loads are those of a kitchen, as known as they are there; the truth is the sensor as manufacturing would make it.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from decoupler.data.columns import Calibration, component_named, force_columns
+from decoupler.data.load_table import KnownLoad
+from decoupler.data.pairs import Pairs
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.limits import exact_inverse
+from decoupler.twin.decoder import forward_of
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.identification import readings_of
+from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
+from decoupler.twin.posterior import State, posterior
+from fem.array.response import ArrayResponse
+from fem.array.sensitivities import response_sensitivities
+from fem.array.solving import array_response
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray
+from studies.charts import BLUE, ORANGE, finish, new_figure
+from tripillar.pipeline.manufactured import SETTINGS, SPECIMEN, TEST_SEED, as_made, measured_on
+from tripillar.terminal.entry import run_alone
+
+PROTOCOLS = ("contact", "three-axis")
+COUNTS = {"chosen": (1, 2, 3, 5, 10), "random": (1, 2, 3, 5, 10, 20, 30)}
+TRIALS = 3
+TESTED = 60  #: samples
+EVERYTHING = component_named("all")
+
+
+def measured_pairs(truth: ArrayResponse, loads: list[KnownLoad], seed: int) -> Pairs:
+    """Readings of the sensor as made under loads whose true forces are off as far as they may be."""
+    generator, (rows, cols) = np.random.default_rng(seed), truth.influence_mm_per_n.shape[:2]
+    errors = [generator.standard_normal(len(load.unknown_n)) for load in loads]
+    forces = [load.force_n + np.tensordot(xi, load.unknown_n, axes=1) for xi, load in zip(errors, loads, strict=True)]
+    ohms = ForwardModel.of(truth, EVERYTHING).resistances(force_columns(np.stack(forces), EVERYTHING))
+    return Pairs(
+        resistance_ohm=SPECIMEN.apply(ohms.reshape(-1, rows, cols, 3), generator),
+        force_n=np.stack([load.force_n for load in loads]),
+        unknown_n=tuple(load.unknown_n for load in loads),
+        noise=SPECIMEN.noise,
+        bits=SPECIMEN.bits,
+        names=tuple(load.name for load in loads),
+    )
+
+
+def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray, force_n: FloatArray) -> FloatArray:
+    """Errors of the most probable sensor's inverse on test samples, over the usual force of each axis, (3,)."""
+    every = range(3)
+    found = posterior(expected, readings_of(pairs, [*every], [*every]), draws=2)
+    columns = Calibration(found.state.gain, found.state.offset_ohm).modelled(resistance_ohm.reshape(len(force_n), -1))
+    acting = force_columns(force_n, EVERYTHING)
+    missed = (exact_inverse(forward_of(found), columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
+    return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))
+
+
+def curves(truth: ArrayResponse, expected: Expectation, design: SensorDesign, protocol: str) -> dict[str, FloatArray]:
+    """Mean errors, (counts, 3), after chosen and after random loads."""
+    test = measured_on(truth, design, protocol, TESTED, TEST_SEED)
+    loads = kitchen_loads(design)
+    knowledge = Knowledge.before(expected, State.as_expected(expected, 0), SPECIMEN.noise, SPECIMEN.bits)
+    usual_n = force_columns(test.force_n, EVERYTHING)
+    best, _ = choose(knowledge, [as_columns(load, EVERYTHING) for load in loads], usual_n, max(COUNTS["chosen"]))
+    found: dict[str, list[FloatArray]] = {"chosen": [], "random": []}
+    for way, counts in COUNTS.items():
+        for count in counts:
+            trials = []
+            for seed in range(TRIALS):
+                order = best if way == "chosen" else np.random.default_rng(seed).permutation(len(loads))
+                pairs = measured_pairs(truth, [loads[number] for number in order[:count]], seed)
+                trials.append(errors_after(pairs, expected, test.resistance_ohm, test.force_n))
+            found[way].append(np.mean(trials, axis=0))
+            print(protocol, way, count, (100 * found[way][-1]).round(2), flush=True)
+    return {way: np.array(rows) for way, rows in found.items()}
+
+
+def draw(docs: Path) -> None:
+    """Measure and draw the curves of both protocols."""
+    design = SensorDesign()
+    response, truth = array_response(design)[0], array_response(as_made(design), SETTINGS["soft"])[0]
+    expected = Expectation.of(response, response_sensitivities(design)[0], EVERYTHING)
+    figure = new_figure(8.0, 3.4)
+    for place, protocol in enumerate(PROTOCOLS):
+        axes = figure.add_subplot(1, len(PROTOCOLS), place + 1)
+        found = curves(truth, expected, design, protocol)
+        for way, colour in (("chosen", BLUE), ("random", ORANGE)):
+            axes.loglog(COUNTS[way], 100 * np.sqrt((found[way] ** 2).mean(axis=1)), "o-", color=colour, label=way)
+        axes.set_title(f"{protocol} loads")
+        axes.set_xlabel("measured pairs")
+        axes.set_ylabel("error / usual force [%]")
+        axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
+        axes.legend()
+    finish(figure, docs / "chosen-loads.png")
+
+
+def main(docs: Path) -> None:
+    """Write the picture into the folder of the docs."""
+    draw(docs)
+
+
+if __name__ == "__main__":
+    run_alone(main)

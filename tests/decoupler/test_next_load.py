@@ -1,0 +1,83 @@
+"""Which load to measure next: the arithmetic of Bayes, and what it prefers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler.data.columns import component_named
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
+from decoupler.twin.posterior import State
+from fem.array.sensitivities import ResponseSensitivities
+from tests.decoupler.synthetic_sensor import response, sensor
+
+DESIGN = sensor(3, 3)
+EVERYTHING = component_named("all")
+SENSITIVITIES = ResponseSensitivities(
+    design=DESIGN,
+    parameters=("rubber.young_mpa",),
+    deviation=np.array([0.61]),
+    influence_mm_per_n=-response(DESIGN).influence_mm_per_n[None] / 6.1,
+)
+EXPECTED = Expectation.of(response(DESIGN), SENSITIVITIES, EVERYTHING)
+BEFORE = Knowledge.before(EXPECTED, State.as_expected(EXPECTED, 0), noise=1e-3, bits=12)
+LOADS = {load.name: as_columns(load, EVERYTHING) for load in kitchen_loads(DESIGN)}
+USUAL_N = np.random.default_rng(0).uniform(0.0, 1.0, (30, 27)) * np.tile([140.0, 140.0, 700.0], 9)
+
+
+def test_pairs_one_by_one_are_pairs_at_once():
+    """The covariance after two pairs is (1 + Σ Hᵀ Σ⁻¹ H)⁻¹, whatever their order."""
+    loads = [LOADS["15 kg on 0 1"][0], LOADS["string along x on 1 0"][0]]
+    precision = np.eye(len(BEFORE.covariance))
+    for force_n in loads:
+        H, _, deviation = BEFORE.derivatives(force_n)
+        precision += (H / deviation[:, None] ** 2).T @ H
+    exact = np.zeros((0, 27))
+    after = BEFORE.after(loads[1], exact).after(loads[0], exact)
+    assert after.covariance == pytest.approx(np.linalg.inv(precision), rel=1e-8, abs=1e-8)
+
+
+def test_derivatives_are_those_of_the_readings():
+    """By the rubber's modulus, the resistivity, a gain, an offset and a force, against differences."""
+    force_n, state, step = USUAL_N[0], BEFORE.state, 1e-5
+
+    def readings(state, force_n):
+        v = state.rest_mm(EXPECTED) + state.influence(EXPECTED) @ force_n
+        return state.gain * state.ohm_per_mm2(EXPECTED) * (v**2).sum(axis=1) + state.offset_ohm
+
+    by_unknown, by_force, _ = BEFORE.derivatives(force_n)
+    first, widths = np.eye(27)[0] * step, EXPECTED.widths
+    moved = [
+        replace(state, parameters=np.array([step])),
+        replace(state, resistivity=step),
+        replace(state, gain=1.0 + widths.gain * first),
+        replace(state, offset_ohm=widths.offset * EXPECTED.rest_ohm * first),
+    ]
+    for column, other in zip((0, 1, 2, 29), moved, strict=True):
+        slope = (readings(other, force_n) - readings(state, force_n)) / step
+        assert by_unknown[:, column] == pytest.approx(slope, rel=1e-3, abs=1e-2)
+    slope = (readings(state, force_n + first) - readings(state, force_n)) / step
+    assert by_force[:, 0] == pytest.approx(slope, rel=1e-3, abs=1e-4)
+
+
+def test_what_is_not_known_of_a_load_tells_nothing():
+    """A pad's weight of unknown size, everything else equal, leaves a larger error than one of known size."""
+    T = BEFORE.error_matrix(USUAL_N)
+    force_n, unknown_n = LOADS["60 kg on 1 1"]
+    errors = [np.sum(T * BEFORE.after(force_n, times * unknown_n).covariance) for times in (0.0, 1.0, 100.0)]
+    assert errors[0] < errors[1] < errors[2] < np.sum(T * BEFORE.covariance)
+
+
+def test_chosen_loads_tell_more_than_random_ones():
+    """Five chosen ones leave a smaller expected error than any of twenty random fives; none is chosen twice."""
+    candidates = list(LOADS.values())
+    numbers, errors = choose(BEFORE, candidates, USUAL_N, 5)
+    assert len(set(numbers)) == 5
+    assert errors == sorted(errors, reverse=True)
+    T, generator = BEFORE.error_matrix(USUAL_N), np.random.default_rng(1)
+    for _ in range(20):
+        known = BEFORE
+        for number in generator.choice(len(candidates), 5, replace=False):
+            known = known.after(*candidates[number])
+        assert np.sqrt(np.sum(T * known.covariance)) > errors[-1]

@@ -1,0 +1,240 @@
+"""The command that identifies one sensor from measured pairs, and says which to measure next."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from geometry.errors import DesignError
+from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
+from tripillar.cli.learning import Protocol
+from tripillar.terminal.console import (
+    JsonOption,
+    VerbosityOption,
+    answer,
+    chosen,
+    output_file,
+    progress_bars,
+    require_other,
+)
+
+if TYPE_CHECKING:
+    from decoupler.data.pairs import Pairs
+    from fem.array.response import ArrayResponse
+    from fem.array.sensitivities import ResponseSensitivities
+    from geometry.design import SensorDesign
+    from tripillar.terminal.progress import Bars
+
+MAX_NEXT = 100  #: loads that are said in advance
+
+
+def identify(
+    data: Annotated[
+        Path | None, typer.Option(help="Measured pairs: a data set (.nc), or a table of loads with readings (.csv).")
+    ] = None,
+    port: Annotated[
+        str | None, typer.Option(help="Board to measure pairs on, or a recording; with --loads or typed weights.")
+    ] = None,
+    loads: Annotated[Path | None, typer.Option(help="Table (CSV) of the loads to put on, with --port.")] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="Table (CSV) that measured pairs are added to at once, with --port; default: beside --out."),
+    ] = None,
+    design: Annotated[
+        Path | None,
+        typer.Option(
+            "--design",
+            help="Design file (TOML); default: the one that a data set states, or none; the paper's with a table.",
+        ),
+    ] = None,
+    pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
+    usual: Annotated[
+        Protocol | None, typer.Option(help="Loads that it will meet; default: of a data set its own, else contact.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors)."),
+    ] = None,
+    next_: Annotated[int, typer.Option("--next", help="Number of loads to propose to measure next.")] = 0,
+    candidates: Annotated[
+        Path | None, typer.Option(help="Table (CSV) of the loads that you can make; default: docs/measuring.md's.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,
+    baud: BaudOption = BAUD,
+    timeout: TimeoutOption = TIMEOUT_S,
+    force: ForceOption = False,
+    json_: JsonOption = False,
+    verbosity: VerbosityOption = None,
+) -> None:
+    """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
+
+    One pair is enough to begin with. --next says which loads tell most.
+    """
+    _require_sense(data, port, loads, keep, out, next_)
+    require_positive(seconds=seconds, timeout=timeout)
+    require_other(out, data, loads, design, candidates)
+    if pairs is not None and pairs < 1:
+        raise DesignError(f"--pairs {pairs} must be at least 1.")
+    if not 0 <= next_ <= MAX_NEXT:
+        raise DesignError(f"--next {next_} must be from 0 to {MAX_NEXT}.")
+    from decoupler.model.model_file import write_model
+    from decoupler.twin.identification import identify as identified
+
+    sensor = _sensor(data, design)
+    if port is None:
+        measured = None if data is None else _read(data, sensor)
+    else:
+        assert sensor is not None
+        kept = keep or (None if out is None or Path(port).is_file() else out.with_suffix(".csv"))
+        measured = _measured(port, loads, sensor, kept, seconds, force, baud=baud, timeout=timeout)
+    if measured is not None and pairs is not None:
+        if pairs > len(measured):
+            raise DesignError(f"--pairs {pairs} must be at most {len(measured)}: there are no more.")
+        measured = measured[:pairs]
+    with progress_bars(verbosity) as bars:
+        response, sensitivities = (None, None) if sensor is None else _solved(sensor, bars)
+    if usual is None and (data is None or data.suffix != ".nc"):
+        usual = "contact"
+    usual_n = None if usual is None or sensor is None else _usual_loads(sensor, usual)
+    result: dict[str, Any] = {}
+    lines = []
+    known = None
+    if measured is not None:
+        twin = identified(measured, response, sensitivities, loads_n=usual_n)
+        result["pairs"] = len(measured)
+        result["parameters"] = {name: list(value) for name, value in twin.parameters.items()}
+        result["excess"] = twin.posterior.excess
+        lines += [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in twin.parameters.items()]
+        lines.append(f"{len(measured)} pairs; χ² of their readings over their number: {twin.posterior.excess:.3g}")
+        if out is not None:
+            write_model(twin.decoder, out)
+            result["file"] = str(out)
+        if twin.decoder.component.name == "all":
+            known = (twin.posterior.expected, twin.posterior.state)
+    if next_:
+        if sensor is None or response is None or sensitivities is None:
+            raise DesignError("--next weighs loads by a design: give --design.")
+        proposals = _next(sensor, response, sensitivities, known, measured, usual or "contact", candidates, next_)
+        result["next"] = proposals
+        lines.append(f"expected error of a force before: {100 * proposals[0]['error_before']:.3g} % of the usual ones")
+        lines += [f"next: {each['load']}; then {100 * each['error']:.3g} %" for each in proposals]
+    answer(json_, result, "\n".join(lines), *([] if out is None or measured is None else [out]))
+
+
+def _require_sense(
+    data: Path | None, port: str | None, loads: Path | None, keep: Path | None, out: Path | None, next_: int
+) -> None:
+    """Refuse options that do not go together."""
+    if data is not None and port is not None:
+        raise DesignError("give --data or --port, not both.")
+    if port is None and (loads is not None or keep is not None):
+        raise DesignError("--loads and --keep go with --port: pairs of --data have their loads.")
+    if data is None and port is None and not next_:
+        raise DesignError("give --data FILE or --port PORT; --next alone says where to begin.")
+    if out is None and not next_:
+        raise DesignError("give --out FILE for the model, or --next for the loads to measure.")
+    if out is not None and data is None and port is None:
+        raise DesignError("--out needs pairs: give --data FILE or --port PORT.")
+
+
+def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
+    """The design: the stated one, else that of a data set, which may have none, else the paper's."""
+    if design is not None or data is None or data.suffix != ".nc":
+        return chosen(design)
+    from dataset import read_samples
+
+    return read_samples(data, labels_only=True).design
+
+
+def _read(data: Path, sensor: "SensorDesign | None") -> "Pairs":
+    from dataset import read_samples
+    from decoupler.data.load_table import read_pairs
+    from decoupler.data.pairs import Pairs
+
+    if sensor is None:
+        return Pairs.of(read_samples(data, labels_only=True))
+    return read_pairs(data, sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
+
+
+def _measured(
+    port: str,
+    loads: Path | None,
+    sensor: "SensorDesign",
+    keep: Path | None,
+    seconds: float,
+    force: bool,
+    **settings: Any,
+) -> "Pairs":
+    """Pairs that are measured on a board now, or found in a recording."""
+    from hardware.readout.calibration import Electronics
+    from tripillar.cli.board.measured_loads import measured_in_recording, measured_live
+
+    if not Path(port).is_file():
+        return measured_live(port, loads, sensor, Electronics(), seconds, force, keep, **settings)[0]
+    if loads is None:
+        raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
+    return measured_in_recording(Path(port), loads, sensor, Electronics(), force)[0]
+
+
+def _solved(sensor: "SensorDesign", bars: "Bars") -> "tuple[ArrayResponse, ResponseSensitivities]":
+    """The response of a design and its derivatives, from the cache or solved."""
+    from fem.array.sensitivities import response_sensitivities
+    from tripillar.pipeline.run import respond
+
+    _, response = respond(sensor, bars)
+    advance = bars.begin("sensitivities", total=1)
+    sensitivities, _, reused = response_sensitivities(sensor, None, lambda step: advance(0, step))
+    advance(1, "reused" if reused else "")
+    return response, sensitivities
+
+
+def _usual_loads(sensor: "SensorDesign", protocol: Protocol) -> Any:
+    """Random loads of a protocol, (n, rows, cols, 3) [N]."""
+    import numpy as np
+
+    from dataset.protocols import PROTOCOLS
+    from decoupler.twin.identification import LOADS
+
+    traction = PROTOCOLS[protocol].draw(np.random.default_rng(0), LOADS, sensor)
+    newtons = traction * sensor.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
+    return newtons.reshape(LOADS, sensor.array.rows, sensor.array.cols, 3)
+
+
+def _next(
+    sensor: "SensorDesign",
+    response: "ArrayResponse",
+    sensitivities: "ResponseSensitivities",
+    known: Any,
+    measured: "Pairs | None",
+    protocol: Protocol,
+    candidates: Path | None,
+    count: int,
+) -> list[dict[str, Any]]:
+    """Loads to measure next, in order, each with the expected errors before and after it."""
+    from decoupler.data.columns import component_named, force_columns
+    from decoupler.twin.expectation import Expectation
+    from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
+    from decoupler.twin.posterior import State
+    from tripillar.cli.board.measured_loads import loads_of
+
+    everything = component_named("all")
+    if known is None:
+        expected = Expectation.of(response, sensitivities, everything)
+        known = expected, State.as_expected(expected, 0)
+    noise, bits = (1e-3, None) if measured is None else (max(measured.noise, 1e-5), measured.bits)
+    knowledge = Knowledge.before(*known, noise, bits)
+    done = 0 if measured is None else len(measured)
+    for number in range(done):
+        assert measured is not None
+        unknown_n = measured.unknown_n[number]
+        force_n = force_columns(measured.force_n[number : number + 1], everything)[0]
+        knowledge = knowledge.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
+    possible = kitchen_loads(sensor) if candidates is None else loads_of(candidates, sensor)
+    if measured is not None:
+        possible = [load for load in possible if load.name not in measured.names]
+    usual_n = force_columns(_usual_loads(sensor, protocol), everything)
+    numbers, errors = choose(knowledge, [as_columns(load, everything) for load in possible], usual_n, count)
+    return [
+        {"load": possible[number].name, "error_before": errors[k], "error": errors[k + 1]}
+        for k, number in enumerate(numbers)
+    ]
