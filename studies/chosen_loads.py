@@ -16,7 +16,7 @@ from decoupler.twin.decoder import forward_of
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
-from decoupler.twin.posterior import State, posterior
+from decoupler.twin.posterior import State, infer
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response
@@ -52,7 +52,7 @@ def measured_pairs(truth: ArrayResponse, loads: list[KnownLoad], seed: int) -> P
 def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray, force_n: FloatArray) -> FloatArray:
     """Errors of the most probable sensor's inverse on test samples, over the usual force of each axis, (3,)."""
     every = range(3)
-    found = posterior(expected, readings_of(pairs, [*every], [*every]), draws=2)
+    found = infer(expected, readings_of(pairs, [*every], [*every]), draws=2)
     columns = Calibration(found.state.gain, found.state.offset_ohm).modelled(resistance_ohm.reshape(len(force_n), -1))
     acting = force_columns(force_n, EVERYTHING)
     missed = (exact_inverse(forward_of(found), columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
@@ -79,28 +79,29 @@ def curves(truth: ArrayResponse, expected: Expectation, design: SensorDesign, pr
     return {way: np.array(rows) for way, rows in found.items()}
 
 
-def draw(docs: Path) -> None:
-    """Measure and draw the curves of both protocols."""
-    design = SensorDesign()
-    response, truth = array_response(design)[0], array_response(as_made(design), SETTINGS["soft"])[0]
-    expected = Expectation.of(response, response_sensitivities(design)[0], EVERYTHING)
+def draw(found: dict[str, dict[str, FloatArray]], path: Path) -> None:
+    """Write the picture of the curves of each protocol."""
     figure = new_figure(8.0, 3.4)
-    for place, protocol in enumerate(PROTOCOLS):
-        axes = figure.add_subplot(1, len(PROTOCOLS), place + 1)
-        found = curves(truth, expected, design, protocol)
+    for place, (protocol, ways) in enumerate(found.items()):
+        axes = figure.add_subplot(1, len(found), place + 1)
         for way, colour in (("chosen", BLUE), ("random", ORANGE)):
-            axes.loglog(COUNTS[way], 100 * np.sqrt((found[way] ** 2).mean(axis=1)), "o-", color=colour, label=way)
+            axes.loglog(COUNTS[way], 100 * np.sqrt((ways[way] ** 2).mean(axis=1)), "o-", color=colour, label=way)
         axes.set_title(f"{protocol} loads")
         axes.set_xlabel("measured pairs")
         axes.set_ylabel("error / usual force [%]")
         axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
+        axes.set_yticks([5, 10, 20, 50], ["5", "10", "20", "50"])
+        axes.minorticks_off()
         axes.legend()
-    finish(figure, docs / "chosen-loads.png")
+    finish(figure, path)
 
 
 def main(docs: Path) -> None:
-    """Write the picture into the folder of the docs."""
-    draw(docs)
+    """Measure the curves of both protocols and write their picture into the folder of the docs."""
+    design = SensorDesign()
+    response, truth = array_response(design)[0], array_response(as_made(design), SETTINGS["soft"])[0]
+    expected = Expectation.of(response, response_sensitivities(design)[0], EVERYTHING)
+    draw({protocol: curves(truth, expected, design, protocol) for protocol in PROTOCOLS}, docs / "chosen-loads.png")
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ def identify(
     parts = component_named(component or _acting(pairs))
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
-    readings = _readings(pairs, axes, pillars)
+    readings = readings_of(pairs, axes, pillars)
     loads = pairs.force_n if loads_n is None else loads_n
     usual_n = force_columns(loads, parts)
     if correction is not None:
@@ -125,7 +125,7 @@ def _acting(pairs: Pairs) -> str:
     return f"f{acting[0]}" if len(acting) == 1 else "all"
 
 
-def _readings(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
+def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
     """Pairs as columns."""
     n = len(pairs)
     ohms = pairs.resistance_ohm[..., pillars].reshape(n, -1)

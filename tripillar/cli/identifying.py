@@ -222,7 +222,8 @@ def _next(
         expected = Expectation.of(response, sensitivities, everything)
         known = expected, State.as_expected(expected, 0)
     noise, bits = (1e-3, None) if measured is None else (max(measured.noise, 1e-5), measured.bits)
-    knowledge = Knowledge.before(*known, noise, bits)
+    expected, state = known
+    knowledge = Knowledge.before(expected, state, noise, bits)
     done = 0 if measured is None else len(measured)
     for number in range(done):
         assert measured is not None

@@ -1,0 +1,104 @@
+"""`tripillar identify`: from a table of pairs, or a data set, to a model; what to measure next; what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import Samples
+from decoupler.data.columns import component_named, force_columns
+from decoupler.data.load_table import keep_pair, read_loads
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.model_file import read_model
+from fem.array.sensitivities import ResponseSensitivities
+from geometry.design_file import design_to_toml
+from tests.decoupler.synthetic_sensor import response, sensor
+from tests.house import House
+from tripillar.cli import identifying
+
+DESIGN = sensor(3, 3)
+RESPONSE = response(DESIGN)
+SENSITIVITIES = ResponseSensitivities(
+    design=DESIGN,
+    parameters=("rubber.young_mpa",),
+    deviation=np.array([0.61]),
+    influence_mm_per_n=-RESPONSE.influence_mm_per_n[None] / 6.1,
+)
+LOADS = """load,kind,row,col,fx_n,fz_n,error,tilt,share
+rest,nothing,,,,,,,
+all,plate,,,,3600,0,0,0
+one,pad,1,1,40,400,0.1 %,0,
+two,pad,0,2,,60 kg,0.1 %,0,
+"""
+
+
+def shown(force_n):
+    """Resistances of the sensor under forces (n, 3, 3, 3)."""
+    everything = component_named("all")
+    return ForwardModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
+
+
+@pytest.fixture
+def house(tmp_path, monkeypatch):
+    """A folder with a table of exact pairs and a design whose response is made up."""
+    monkeypatch.setattr(identifying, "_solved", lambda sensor, bars: (RESPONSE, SENSITIVITIES))
+    (tmp_path / "loads.csv").write_text(LOADS)
+    (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
+    for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
+        keep_pair(tmp_path / "pairs.csv", replace(load, resistance_ohm=shown(load.force_n[None])[0], noise=1e-4))
+    return House(tmp_path)
+
+
+IDENTIFY = ("identify", "--design", "sensor.toml", "-q")
+
+
+def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
+    """The model reads loads that were not measured; the loads proposed make the expected error smaller and smaller."""
+    told = house.result(*IDENTIFY, "--data", "pairs.csv", "-o", "own.safetensors", "--next", "3")
+    assert told["pairs"] == 4
+    assert told["parameters"]["rubber.young_mpa"][0] == pytest.approx(6.1, rel=0.05)
+    force_n = np.zeros((1, 3, 3, 3))
+    force_n[0, 2, 0] = [20.0, 0.0, 300.0]
+    found = read_model(house.folder / "own.safetensors").forces(shown(force_n))
+    assert found == pytest.approx(force_n, abs=10.0)
+    errors = [told["next"][0]["error_before"], *(each["error"] for each in told["next"])]
+    assert errors == sorted(errors, reverse=True)
+    fewer = house.result(*IDENTIFY, "--data", "pairs.csv", "--pairs", "2", "--next", "1")
+    assert fewer["next"][0]["error_before"] > errors[0]
+
+
+def test_without_pairs_it_says_where_to_begin(house):
+    """Of a table of loads that one can make only these are proposed, each once."""
+    told = house.result(*IDENTIFY, "--next", "9", "--candidates", "loads.csv")
+    assert {each["load"] for each in told["next"]} == {"rest", "all", "one", "two"}
+    assert len(told["next"]) == 4
+
+
+def test_a_data_set_without_a_design_decides_alone(house):
+    """And `--next` has nothing to go by."""
+    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (300, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    Samples(force_n=force_n, resistance_ohm=shown(force_n)).write(house.folder / "many.nc")
+    told = house.result("identify", "--data", "many.nc", "-o", "flat.safetensors", "-q")
+    assert told["parameters"] == {}
+    found = read_model(house.folder / "flat.safetensors").forces(shown(force_n[:20]))
+    assert np.abs(found - force_n[:20]).mean() < 15.0  # of presses up to 500 N
+    assert "give --design" in house.refusal("identify", "--data", "many.nc", "--next", "1", "-q")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "give --data FILE or --port PORT; --next alone says where to begin"),
+        (("--data", "pairs.csv"), "give --out FILE for the model, or --next"),
+        (("--data", "pairs.csv", "--port", "x", "-o", "m.safetensors"), "give --data or --port, not both"),
+        (("--data", "pairs.csv", "--loads", "loads.csv", "-o", "m.safetensors"), "--loads and --keep go with --port"),
+        (("-o", "m.safetensors", "--next", "1"), "--out needs pairs"),
+        (("--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
+        (("--data", "pairs.csv", "-o", "m.safetensors", "--pairs", "5"), "--pairs 5 must be at most 4"),
+        (("--data", "pairs.csv", "--next", "-1"), "--next -1 must be from 0 to 100"),
+        (("--data", "pairs.csv", "-o", "pairs.csv"), "is read by this command"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(house, words, says):
+    assert says in house.refusal(*IDENTIFY, *words)
+    assert not (house.folder / "m.safetensors").exists()
