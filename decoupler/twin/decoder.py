@@ -105,7 +105,7 @@ def decoder_of(
         calibration=calibration,
         resting=Resting.read_with(rest_ohm, bits),
         dead=dead,
-        usual=UsualLoads.of(force_n, component),
+        usual=UsualLoads.of(loads_n, component),
         ensemble=found.ensemble,
         made_from=made_from or {},
     )
