@@ -78,6 +78,17 @@ def calibrated(
     return replace(found, serial=serial, made_from=story), residual
 
 
+def doubt_about(pairs: Pairs, response: "ArrayResponse") -> str | None:
+    """Say why the loads of pairs cannot have acted as stated on a sensor of this response; None if they may have."""
+    everything = component_named("all")
+    forces = force_columns(pairs.force_n, everything)
+    modelled = ForwardModel.of(response, everything).resistances(forces).reshape(pairs.resistance_ohm.shape)
+    doubt = _strange_size(pairs, modelled)
+    if doubt or not (pairs.force_n != pairs.force_n[0]).any():
+        return doubt
+    return _strange_changes(pairs, modelled)
+
+
 def _few_loads(pairs: Pairs) -> str | None:
     if (pairs.force_n != pairs.force_n[0]).any():
         return None

@@ -102,3 +102,13 @@ def test_a_data_set_without_a_design_decides_alone(house):
 def test_what_makes_no_sense_is_refused(house, words, says):
     assert says in house.refusal(*IDENTIFY, *words)
     assert not (house.folder / "m.safetensors").exists()
+
+
+def test_a_load_that_did_not_act_is_doubted_unless_forced(house):
+    """60 kg are stated, and the readings are those of nothing."""
+    table = (house.folder / "pairs.csv").read_text().splitlines()
+    rest, stated = table[1].split(","), table[4].split(",")
+    (house.folder / "wrong.csv").write_text("\n".join([*table[:4], ",".join(stated[:13] + rest[13:])]))
+    words = *IDENTIFY, "--data", "wrong.csv", "-o", "m.safetensors"
+    assert "load 'two' changed the resistances by 0 % of what it should" in house.refusal(*words)
+    house.result(*words, "--force")

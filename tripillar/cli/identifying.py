@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geometry.errors import DesignError
+from geometry.errors import DesignError, FileFormatError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol
 from tripillar.terminal.console import (
@@ -96,6 +96,11 @@ def identify(
     if usual is None and (data is None or data.suffix != ".nc"):
         usual = "contact"
     usual_n = None if usual is None or sensor is None else _usual_loads(sensor, usual)
+    if measured is not None and response is not None and (data is None or data.suffix != ".nc") and not force:
+        from hardware.readout.known_loads import doubt_about
+
+        if doubt := doubt_about(measured, response):
+            raise FileFormatError(f"{doubt} Or take the pairs as they are with --force.")
     result: dict[str, Any] = {}
     lines = []
     known = None
