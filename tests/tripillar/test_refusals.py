@@ -147,6 +147,9 @@ evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, d
 crossval --data data.nc --component all --folds 1 -> folds=1 must be from 2 to 2
 crossval --data data.nc --component all --folds 60 -> folds=60 must be from 2 to 2
 crossval --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
+identify --data missing.nc -o x.safetensors -> missing.nc: no such file
+identify --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
+identify -o dir --next 1 -> dir is a folder: give the name of a file in it.
 fine-tune --model model.safetensors --data data.nc -o model.safetensors -> model.safetensors is read by this command
 fine-tune --model model.safetensors --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
 fine-tune --model missing --data missing.nc -o dir -> dir is a folder: give the name of a file in it.
