@@ -24,28 +24,55 @@ BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are b
 CHUNK = 64  #: samples whose derivatives are in memory together
 OWN = 9  #: of a pad: its three effective forces, and the linear displacements of its two electrodes
 _PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
+N_PAIRS = len(_PAIRS[0])
+#: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do
+_PRESSING = np.flatnonzero(np.isin(_PAIRS[0], [2, 3, 4, 5, 8]) & np.isin(_PAIRS[1], [2, 3, 4, 5, 8]))
+_SLOPES = np.zeros((N_PAIRS, OWN, OWN))  #: derivatives of the pairs by o, as matrices that are multiplied by o
+_SLOPES[np.arange(N_PAIRS), _PAIRS[0], _PAIRS[1]] += 1.0
+_SLOPES[np.arange(N_PAIRS), _PAIRS[1], _PAIRS[0]] += 1.0
+#: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
+_WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + N_PAIRS, 8 * OWN, 8 * N_PAIRS
+N_FEATURES = OWN * _WITH_OWN + len(_PRESSING) * _WITH_PRESSING + _ALONE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectiveForces:
-    """F = G + χ(G) of an array of k units. χ of a pad is Σᵢⱼ oᵢ zⱼ Wᵢⱼ.
+    """F = G + χ(G) of an array of k units, χ a sum of products of o, the `OWN` numbers of a pad and of its neighbours.
 
-    o are the `OWN` numbers of the pad, z these, those of its neighbours (0 where there is none), and the products of
-    two of o: χ has terms of the second and of the third order, and none at rest.
+    All products are of the second or the third order, so that at rest and under light loads the array is linear.
     """
 
     influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `ForwardModel` [mm/N]
     near: NDArray[np.int64]  #: neighbours of each pad, (k, 8); k where there is none
     sizes: FloatArray  #: of o, by which it is divided, (9,) [N, mm]
-    weights: FloatArray  #: W, (9, 126, 3) [N]
+    weights: FloatArray  #: of the features, (N_FEATURES, 3) [N]
     misfit_n: FloatArray  #: root mean square of what χ misses on samples that it has not seen, (3,) [N]
 
     def actual(self, effective_n: FloatArray) -> FloatArray:
         """Forces F that act where G is effective, both (n, 3 k) [N]; the same bits alone and in any batch."""
-        o = self.own(effective_n)
-        mapped = rowwise(self.around(o).reshape(-1, self.weights.shape[1]), self._by_around)
-        found = (o[..., None] * mapped.reshape(*o.shape, 3)).sum(axis=2)
-        return np.asarray(effective_n + found.reshape(effective_n.shape))
+        n, k = len(effective_n), len(self.near)
+        o, around, pairs, pairs_around = self._parts(effective_n)
+        with_own, with_pressing, alone = self._maps
+        z = np.concatenate([o, around, pairs], axis=2)
+        found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, 3)
+        for factor, values, matrix in ((o, z, with_own), (pairs[..., _PRESSING], around, with_pressing)):
+            mapped = rowwise(values.reshape(n * k, -1), matrix).reshape(n, k, -1, 3)
+            found += (factor[..., None] * mapped).sum(axis=2)
+        return effective_n + found.reshape(n, -1)
+
+    def features(self, effective_n: FloatArray) -> FloatArray:
+        """Features of each pad, (n, 3 k) [N] -> (n, k, N_FEATURES)."""
+        o, around, pairs, pairs_around = self._parts(effective_n)
+        shape = (*o.shape[:2], -1)
+        z = np.concatenate([o, around, pairs], axis=2)
+        return np.concatenate(
+            [
+                (o[..., :, None] * z[..., None, :]).reshape(shape),
+                (pairs[..., _PRESSING, None] * around[..., None, :]).reshape(shape),
+                pairs_around,
+            ],
+            axis=2,
+        )
 
     def own(self, effective_n: FloatArray) -> FloatArray:
         """o, effective forces and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
@@ -57,36 +84,38 @@ class EffectiveForces:
         o /= self.sizes
         return o
 
-    def around(self, own: FloatArray) -> FloatArray:
-        """z of each pad, (n, k, 9) -> (n, k, 126)."""
-        n, k, _ = own.shape
-        padded = np.zeros((n, k + 1, OWN))
-        padded[:, :k] = own
-        first, second = _PAIRS
-        return np.concatenate([own, padded[:, self.near].reshape(n, k, -1), own[..., first] * own[..., second]], axis=2)
+    def _parts(self, effective_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """o of each pad, o of its neighbours, pairs of its own and of each neighbour: (n, k, 9, 72, 45 and 360)."""
+        n, k = len(effective_n), len(self.near)
+        both = np.zeros((n, k + 1, OWN + N_PAIRS))
+        o = both[:, :k, :OWN] = self.own(effective_n)
+        pairs = both[:, :k, OWN:] = o[..., _PAIRS[0]] * o[..., _PAIRS[1]]
+        near = both[:, self.near]
+        return o, near[..., :OWN].reshape(n, k, -1), pairs, near[..., OWN:].reshape(n, k, -1)
 
     def jacobian(self, effective_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """F (n, 3 k) [N] and its derivatives by G, (n, 3 k, 3 k)."""
         n, k = len(effective_n), len(self.near)
-        o = self.own(effective_n)
-        mapped = (self.around(o) @ self._by_around).reshape(n, k, OWN, 3)
-        by_around = np.einsum("nui,ijc->nucj", o, self.weights)  # (n, k, 3, 126)
-        first, second = _PAIRS
-        by_own = mapped.swapaxes(2, 3) + by_around[..., :OWN]
-        of_pairs = by_around[..., 9 * OWN :]
-        for own in range(OWN):
-            by_own[..., own] += (of_pairs[..., first == own] * o[:, :, None, second[first == own]]).sum(axis=3)
-            by_own[..., own] += (of_pairs[..., second == own] * o[:, :, None, first[second == own]]).sum(axis=3)
-        J = np.einsum("nuco,uof->nucf", by_own, self._own_by_force)
-        padded = np.concatenate([self._own_by_force, np.zeros((1, *self._own_by_force.shape[1:]))])
-        J += np.einsum(
-            "nucl,ulf->nucf",
-            by_around[..., OWN : 9 * OWN],
-            padded[self.near].reshape(k, 8 * OWN, -1),
-            optimize=True,
-        )
-        force_n = effective_n + (o[..., None] * mapped).sum(axis=2).reshape(n, -1)
-        return force_n, np.eye(3 * k) + J.reshape(n, 3 * k, 3 * k)
+        o, around, pairs, _ = self._parts(effective_n)
+        with_own, with_pressing, alone = self._maps
+        z = np.concatenate([o, around, pairs], axis=2)
+        by_factor = (z @ with_own).reshape(n, k, OWN, 3).swapaxes(2, 3)  # (n, k, 3, 9)
+        by_z = np.tensordot(o, with_own.reshape(-1, OWN, 3), (2, 1)).swapaxes(2, 3)  # (n, k, 3, 126)
+        by_pressing = (around @ with_pressing).reshape(n, k, -1, 3).swapaxes(2, 3)
+        by_around = by_z[..., OWN : 9 * OWN] + np.tensordot(
+            pairs[..., _PRESSING], with_pressing.reshape(_WITH_PRESSING, -1, 3), (2, 1)
+        ).swapaxes(2, 3)
+        slopes = np.tensordot(o, _SLOPES, (2, 2))  # (n, k, 45, 9): of the pairs by o
+        by_own = by_factor + by_z[..., :OWN] + by_z[..., 9 * OWN :] @ slopes
+        by_own += by_pressing @ slopes[:, :, _PRESSING]
+        around_slopes = np.concatenate([slopes, np.zeros((n, 1, N_PAIRS, OWN))], axis=1)[:, self.near]
+        alone_of = alone.reshape(8, N_PAIRS, 3).swapaxes(1, 2)
+        by_around = by_around + (alone_of @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
+        of_none = np.zeros((1, *self._own_by_force.shape[1:]))
+        around_by_force = np.concatenate([self._own_by_force, of_none])[self.near].reshape(k, 8 * OWN, -1)
+        J = (by_own.swapaxes(0, 1) @ self._own_by_force[:, None].reshape(k, 1, OWN, -1)).swapaxes(0, 1)
+        J = J + (by_around.swapaxes(0, 1) @ around_by_force[:, None]).swapaxes(0, 1)
+        return self.actual(effective_n), np.eye(3 * k) + J.reshape(n, 3 * k, 3 * k)
 
     def effective(self, force_n: FloatArray) -> FloatArray:
         """Effective forces G of those that act, both (n, 3 k) [N].
@@ -135,9 +164,15 @@ class EffectiveForces:
         return force_n - found, J
 
     @cached_property
-    def _by_around(self) -> FloatArray:
-        """W as a matrix from z, (126, 27)."""
-        return np.ascontiguousarray(self.weights.transpose(1, 0, 2).reshape(self.weights.shape[1], -1))
+    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Weights as matrices: from z (126, 27), from neighbours' o (72, 45), from neighbours' pairs (360, 3)."""
+        ends = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING])
+        own, pressing, alone = np.split(self.weights, ends)
+        with_own, with_pressing = (
+            np.ascontiguousarray(part.reshape(-1, size, 3).swapaxes(0, 1).reshape(size, -1))
+            for part, size in ((own, _WITH_OWN), (pressing, _WITH_PRESSING))
+        )
+        return with_own, with_pressing, alone
 
     @cached_property
     def _own_by_force(self) -> FloatArray:
