@@ -144,7 +144,12 @@ class Samples:
         """A copy without tractions, displacements and lengths, which training does not need."""
         without = replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
         without = replace(without, effective_length_mm=None)
-        return replace(without, strain_model=None, error_estimate=None, iterations=None)
+        return replace(without, error_estimate=None, iterations=None)
+
+    @property
+    def is_finite(self) -> NDArray[np.bool_]:
+        """Which samples were solved at finite strain, (n,)."""
+        return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
 
     def to_xarray(self) -> "xr.Dataset":
         """The content of a dataset file."""
@@ -180,6 +185,43 @@ class Samples:
         return attributes
 
 
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples of one sensor, read in one way, as one data set; what a part does not hold, the whole does not.
+
+    Raises
+    ------
+    SampleError
+        If the parts are of other designs or readings, or none is given.
+    """
+    if not parts:
+        raise SampleError("no samples to join: give at least one data set.")
+    first = parts[0]
+    for number, part in enumerate(parts[1:], 2):
+        for name in ("design", "noise", "bits"):
+            if getattr(part, name) != getattr(first, name):
+                raise SampleError(
+                    f"data set {number} has another {name} than the first: join samples of one sensor, read alike."
+                )
+        if part.force_n.shape[1:] != first.force_n.shape[1:] or not np.array_equal(_dead(part), _dead(first)):
+            raise SampleError(f"data set {number} has other pillars than the first: join samples of one sensor.")
+    if len(parts) == 1:
+        return first
+    arrays: dict[str, Any] = {name: _concatenated([getattr(part, name) for part in parts]) for name in ARRAYS}
+    model = np.concatenate([part.is_finite for part in parts]).astype(np.float64)
+    kept = {name: value for name, value in first.made_from.items() if name not in WHOLE_FILE}
+    arrays |= {"strain_model": model if model.any() else None, "error_estimate": None, "iterations": None}
+    return replace(first, **arrays, made_from=kept)
+
+
+def _concatenated(held: Sequence[FloatArray | None]) -> FloatArray | None:
+    known = [values for values in held if values is not None]
+    return np.concatenate(known) if len(known) == len(held) else None
+
+
+def _dead(samples: Samples) -> NDArray[np.bool_]:
+    return np.zeros(samples.force_n.shape[1:], dtype=bool) if samples.dead is None else samples.dead
+
+
 def require_samples(name: str, value: object) -> None:
     """Refuse an argument that is no `Samples`."""
     require_type(name, value, Samples, "make them with dataset.simulate, or read them with dataset.read_samples")
@@ -209,7 +251,8 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples:
     dims = {name: spec[0] for name, spec in ARRAYS.items()}
     wanted = {name: dims.pop(name) for name in ("force_n", "resistance_ohm")}
     dims |= dict.fromkeys(SOLVED, ("sample",))
-    data = read_netcdf(path, wanted, made_by="tripillar dataset", optional={} if labels_only else dims)
+    optional = {"strain_model": ("sample",)} if labels_only else dims
+    data = read_netcdf(path, wanted, made_by="tripillar dataset", optional=optional)
     for dim, labels in COORDINATES.items():
         if dim not in data.dims:
             continue

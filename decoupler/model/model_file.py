@@ -11,6 +11,7 @@ from safetensors.numpy import save
 
 from dataset import Samples
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
+from decoupler.inverse.effective_forces import N_FEATURES, OWN, EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -44,6 +45,11 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "rest_mm": ("inverse.forward.rest_mm", ("components", "in")),
     "sign": ("inverse.forward.sign", ("components", "in")),
     "ohm_per_mm2": ("inverse.forward.ohm_per_mm2", ("in",)),
+    "finite_influence": ("inverse.forward.correction.influence", ("out", "electrodes along 3")),
+    "finite_near": ("inverse.forward.correction.near", ("units", "neighbours")),
+    "finite_sizes": ("inverse.forward.correction.sizes", ("own",)),
+    "finite_weights": ("inverse.forward.correction.weights", ("finite features", "3")),
+    "finite_misfit_n": ("inverse.forward.correction.misfit_n", ("3",)),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
@@ -85,7 +91,8 @@ def model_cache_key(
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
     dead = data.dead if data.dead is not None and data.dead.any() else None
-    return digest(FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
+    parts = (FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
+    return digest(*parts, *([data.is_finite] if data.is_finite.any() else []))
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -136,7 +143,7 @@ def read_model(path: Path) -> Decoupler:
     sizes = _sizes(decoupler)
     for name, array in _arrays(decoupler).items():
         shape = tuple(sizes[size] for size in _ARRAYS[name][1])
-        kind = "i" if name == "top" else "b" if name == "dead" else "f"
+        kind = "i" if name in ("top", "finite_near") else "b" if name == "dead" else "f"
         if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
@@ -230,6 +237,11 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "seen + 1": seen + 1,
         "features": hidden + (seen + 1 if decoupler.network.net == "skip" else 1),
         "components": 3 if forward is None else len(forward.rest_mm),
+        "electrodes along 3": 6 * rows * cols,
+        "units": rows * cols,
+        "neighbours": 8,
+        "own": OWN,
+        "finite features": N_FEATURES,
         "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
         "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
@@ -238,7 +250,9 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
 
 def _holds_pillars(forward: ForwardModel) -> bool:
     n_electrodes = forward.influence.shape[1] // len(forward.rest_mm)
-    return bool(((forward.top >= 0) & (forward.top < n_electrodes)).all())
+    near = np.zeros(1) if forward.correction is None else forward.correction.near
+    stands = (forward.top >= 0) & (forward.top < n_electrodes)
+    return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
@@ -262,7 +276,9 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
 
     inverse = uncertainty = least_squares = None
     if network.feature == "inverse":
-        inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
+        correction = EffectiveForces(**held("inverse.forward.correction")) if "finite_weights" in arrays else None
+        forward = ForwardModel(**held("inverse.forward"), correction=correction)
+        inverse = ModelInverse(forward=forward, **held("inverse"))
     if "inverse_matrix" in arrays:
         uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")

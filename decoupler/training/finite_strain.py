@@ -1,19 +1,23 @@
 """Learns forces at finite strain from few samples, on top of the linear response."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from dataset.samples import SampleError
+from dataset.samples import SampleError, Samples
+from decoupler.data.columns import Component
 from decoupler.inverse.effective_forces import N_FEATURES, EffectiveForces, neighbours
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import exact_inverse
 from decoupler.model.uncertainty import leverage
-from decoupler.training.error_bars import MIN_FREEDOM
 from geometry.layout import FloatArray
 
-RIDGES = (1e-7, 1e-6, 1e-5, 1e-4)  #: per row, of features of root mean square 1
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features of root mean square 1
+MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
 
 
 def at_finite_strain(
@@ -39,8 +43,8 @@ def at_finite_strain(
     Raises
     ------
     SampleError
-        If the model is of conduction and the electrodes' influence is not given.
-        If some sample's resistances are none that the linear array can have.
+        If the model is of conduction and the electrodes' influence is not given, or some sample's resistances are none
+        that the linear array can have.
 
     Notes
     -----
@@ -56,7 +60,7 @@ def at_finite_strain(
     moved = (effective_n @ influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
     sizes = np.concatenate([effective_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)])
     empty = EffectiveForces(
-        influence=linear.influence,
+        influence=influence,
         near=neighbours(*size),
         sizes=sizes,
         weights=np.zeros((N_FEATURES, 3)),
@@ -75,6 +79,31 @@ def at_finite_strain(
     return replace(linear, correction=replace(empty, weights=weights, misfit_n=misfit_n))
 
 
+def as_at_finite_strain(
+    forward: ForwardModel,
+    response: "ArrayResponse",
+    data: Samples,
+    component: Component,
+    columns_ohm: FloatArray,
+    force_n: FloatArray,
+) -> tuple[ForwardModel, FloatArray]:
+    """The forward model with what the samples at finite strain among `data` add, and the forces of all samples.
+
+    A linear sample is given the forces that cause its resistances at finite strain. Without samples at finite strain,
+    for a single component and where pillars are not read, all stays as it is.
+    """
+    finite = data.is_finite
+    if not finite.any() or component.name != "all" or (data.dead is not None and data.dead.any()):
+        return forward, force_n
+    rows, cols = data.force_n.shape[1:3]
+    moved = ForwardModel.of(replace(response, conducted=None), component).influence
+    learned = at_finite_strain(forward, (rows, cols), columns_ohm[finite], force_n[finite], moved)
+    if learned.correction is not None and not finite.all():
+        force_n = force_n.copy()
+        force_n[~finite] = learned.correction.actual(force_n[~finite])
+    return learned, force_n
+
+
 class _Fit(NamedTuple):
     weights: FloatArray
     left_out: FloatArray  #: errors had each row been left out
@@ -85,5 +114,5 @@ def _ridge(A: FloatArray, targets: FloatArray, ridge: float) -> _Fit:
     M.flat[:: len(M) + 1] += ridge
     inverse = np.linalg.inv(M).astype(np.float64)
     weights = inverse @ (A.T @ targets)
-    freedom = np.maximum(1.0 - leverage(A, inverse), MIN_FREEDOM)
+    freedom = np.maximum(1.0 - leverage(A, inverse), MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
     return _Fit(weights, (targets - A @ weights) / freedom[:, None])

@@ -33,6 +33,7 @@ from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
+from decoupler.training.finite_strain import as_at_finite_strain
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
@@ -104,7 +105,13 @@ def train(
     data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
     columns_ohm = pillar_columns(data.resistance_ohm, parts, data.dead)
     force_n = force_columns(data.force_n, parts)
-    untrained = _untrained(data, parts, network, columns_ohm, force_n, response)
+    forward = None
+    if network.feature == "inverse":
+        readable = readable_columns(parts, data.dead, columns_ohm.shape[1])
+        forward = explaining(response, parts, columns_ohm, force_n, readable)
+        assert response is not None
+        forward, force_n = as_at_finite_strain(forward, response, data, parts, columns_ohm, force_n)
+    untrained = _untrained(data, parts, network, columns_ohm, force_n, forward)
     known = network.feature == "inverse" and network.net == "skip"
     columns_ohm, force_n, n_light = (
         _light_samples_too(untrained, columns_ohm, force_n, data) if known else (columns_ohm, force_n, 0)
@@ -160,15 +167,14 @@ def _untrained(
     network: NetworkConfig,
     columns_ohm: FloatArray,
     force_n: FloatArray,
-    response: "ArrayResponse | None",
+    forward: ForwardModel | None,
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
     inverse = calibration = resting = None
     output_scaling = Scaling.fitted(force_n)
     dead = None if data.dead is None or not data.dead.any() else data.dead
-    if network.feature == "inverse":
+    if forward is not None:
         readable = readable_columns(component, dead, columns_ohm.shape[1])
-        forward = explaining(response, component, columns_ohm, force_n, readable)
         calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
         resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), data.bits)
         inverse = ModelInverse.about(forward, force_n, readable, data.noise)

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler import SampleError, component_named
+from dataset.samples import joined
+from decoupler import SampleError, component_named, train
 from decoupler.data.columns import force_columns
+from decoupler.export.checked import ExportError, export_model
 from decoupler.inverse.effective_forces import N_FEATURES, EffectiveForces, neighbours
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.limits import exact_inverse
+from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import at_finite_strain
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -73,3 +76,24 @@ def test_forces_beyond_the_samples_are_refused():
     weights[2 * 126 + 2, 2] = -SIZES[2]  # of the pressing force, squared
     with pytest.raises(SampleError, match="beyond its samples"):
         replace(found, weights=weights).effective(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
+
+
+def test_training_joins_linear_samples_and_some_at_finite_strain(tmp_path):
+    """On samples at finite strain the net errs less than a tenth of one of linear samples; the file keeps it."""
+    loads = labelled(SENSOR, "xyz", n_samples=1200, seed=0)
+    ohms = law(1.0).resistances(FORCES).reshape(loads.force_n.shape)
+    finite = replace(loads, resistance_ohm=ohms, strain_model=np.ones(len(loads)))
+    model, linear = (train(data, response=response(SENSOR)) for data in (joined([loads[:200], finite[:1000]]), loads))
+    errors, missed = (np.std(each.forces(ohms[1000:]) - loads.force_n[1000:]) for each in (model, linear))
+    assert errors < 0.1 * missed
+    write_model(model, tmp_path / "model.safetensors")
+    back = read_model(tmp_path / "model.safetensors")
+    assert np.array_equal(back.forces(ohms[1000:]), model.forces(ohms[1000:]))
+    with pytest.raises(ExportError, match="not exported yet"):
+        export_model(model, tmp_path / "model.h")
+
+
+def test_other_sensors_are_not_joined():
+    one, other = (labelled(sensor(1, cols), "xyz", n_samples=3, seed=0) for cols in (1, 2))
+    with pytest.raises(SampleError, match="data set 2 has another design"):
+        joined([one, other])

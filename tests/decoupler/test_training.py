@@ -220,7 +220,7 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     columns, forces = pillar_columns(TRAIN.resistance_ohm, FX), force_columns(TRAIN.force_n, FX)
     rest_ohm = ForwardModel.of(own, FX).at_rest_ohm()
     for given, by_calibration, most in ((own, 0.0, 1e-6), (other, 1e-2, 1e-3)):
-        untrained = trainer._untrained(TRAIN, FX, network, columns, forces, given)
+        untrained = trainer._untrained(TRAIN, FX, network, columns, forces, ForwardModel.of(given, FX))
         assert np.abs(untrained.calibration.shown(rest_ohm) / rest_ohm - 1.0).max() >= by_calibration
         light_ohm, light_n, n = trainer._light_samples_too(untrained, columns, forces, TRAIN)
         at_rest = light_ohm[~light_n.any(axis=1)]

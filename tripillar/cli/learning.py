@@ -233,7 +233,10 @@ def _finite_samples(
 
 
 def train(
-    data: Annotated[Path, typer.Option(help="Data set to train on.")],
+    data: Annotated[
+        list[Path],
+        typer.Option(help="Data set to train on; several of one sensor, linear and at finite strain, count as one."),
+    ],
     component: Annotated[Component, typer.Option(help="Forces that the network tells: along one axis, or all.")],
     out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors).")],
     net: NetOption = "skip",
@@ -249,18 +252,19 @@ def train(
     verbosity: VerbosityOption = None,
 ) -> None:
     """Train a network that turns resistances into forces; write a model file."""
-    require_other(out, data, design)
+    require_other(out, *data, design)
     stated = None if design is None else chosen(design)
     from dataset import read_samples
+    from dataset.samples import joined
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.model.model_file import write_model
     from tripillar.face import learning as face
 
-    samples = read_samples(data, labels_only=True)
+    samples = joined([read_samples(path, labels_only=True) for path in data])
     with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
         model = face.train(
             samples, component, net=net, hidden=hidden, trainer=trainer, feature=feature, seed=seed, design=stated,
-            force=force, goal_mse=goal, max_iterations=iterations, caller=caller(data, bars),
+            force=force, goal_mse=goal, max_iterations=iterations, caller=caller(data[0], bars),
         )  # fmt: skip
         seconds = bars.seconds()
     write_model(model, out)
