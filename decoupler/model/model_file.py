@@ -25,6 +25,7 @@ from geometry.errors import FileFormatError
 from geometry.layout import PILLAR_TOP, PILLARS
 from geometry.storage.files import digest, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
+from geometry.tolerances import uncertain_keys
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -163,7 +164,8 @@ def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, datase
     Raises
     ------
     FileFormatError
-        If the array's size differs, or, where both sides state their design, any value of it.
+        If the array's size differs, or, where both sides state their design, any value of it; of a twin any that it
+        does not find out.
     """
     rows, cols = data.resistance_ohm.shape[1:3]
     differences = [
@@ -172,7 +174,8 @@ def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, datase
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        differences = _design_differences(decoupler.design, data.design)
+        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
             f"{model} was trained for another sensor than that of {dataset} ({'; '.join(differences)}): "
@@ -180,12 +183,13 @@ def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, datase
         )
 
 
-def _design_differences(model: SensorDesign, data: SensorDesign) -> list[str]:
+def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool = False) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
+    free = uncertain_keys(model) | uncertain_keys(data) if of_twin else set()  # as it was meant, as it was measured
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
-        if ours[name] != theirs[name]
+        if ours[name] != theirs[name] and name not in free
     ]
 
 

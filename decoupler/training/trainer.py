@@ -146,6 +146,7 @@ def train(
         trained,
         uncertainty=fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light),
         made_from={
+            **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
             "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
             "n_samples": len(data.force_n),

@@ -5,5 +5,7 @@ what manufacturing left unknown, and a `Decoupler` for this very sensor. Open `i
 """
 
 from decoupler.twin.identification import Twin, identify
+from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
+from decoupler.twin.twin_samples import simulate_twin
 
-__all__ = ["Twin", "identify"]
+__all__ = ["Twin", "TwinFile", "identify", "read_twin", "simulate_twin", "write_twin"]

@@ -17,6 +17,7 @@ from tripillar.terminal.console import (
     VerbosityOption,
     answer,
     chosen,
+    chosen_twin,
     output_file,
     progress_bars,
     require_other,
@@ -139,6 +140,7 @@ def dataset(
         dead_cols=tuple(dead_col or ()),
     )
     sensor = chosen(design)
+    twin = chosen_twin(design)
     settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
     readout = None
     wires = {"sense_ohm": sense_ohm, "switch_ohm": switch_ohm, "line_ohm": line_ohm}
@@ -161,16 +163,26 @@ def dataset(
     finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
     if not finite and (workers is not None or scheduler is not None):
         raise DesignError("--workers and --scheduler belong to --strain finite: linear samples take milliseconds.")
+    if finite and twin is not None:
+        raise DesignError(f"{design} is a twin, identified by linear rubber: leave --strain finite out.")
     with progress_bars(verbosity) as bars:
         if finite:
             data = _finite_samples(sensor, settings, readout, workers, scheduler, bars)
         else:
             _, solved = respond(with_model(sensor, "linear"), bars)
             advance = bars.begin("dataset", total=samples)
-            data = simulate(replace(solved, design=sensor), settings, lambda n: advance(n, ""), readout)
+            solved = replace(solved, design=sensor)
+            if twin is None:
+                data = simulate(solved, settings, lambda n: advance(n, ""), readout)
+            else:
+                from decoupler.twin.twin_samples import simulate_twin
+
+                with spelled(gain_spread="--gain-spread", offset_ohm="--offset", protocol="--protocol"):
+                    data = simulate_twin(twin, solved, settings, lambda n: advance(n, ""), readout)
     data.write(out)
     story = data.made_from
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
+    result |= {} if twin is None else {"twin": twin.decoder_hash}
     line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
     if finite:
         errors = data.error_estimate

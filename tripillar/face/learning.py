@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
+    from decoupler.twin.twin_file import TwinFile
     from fem.array.response import ArrayResponse
     from tripillar.face.checks import Caller
 
@@ -23,7 +24,7 @@ Feature = Literal["auto", "inverse", "root", "resistance"]
 
 
 def simulate(
-    sensor: "SensorDesign | ArrayResponse | None" = None,
+    sensor: "SensorDesign | ArrayResponse | TwinFile | None" = None,
     protocol: str = "three-axis",
     samples: int = 1000,
     *,
@@ -36,8 +37,9 @@ def simulate(
 
     Parameters
     ----------
-    sensor : SensorDesign or ArrayResponse, optional
-        Default: the paper's sensor.
+    sensor : SensorDesign, ArrayResponse or TwinFile, optional
+        Default: the paper's sensor. Of a twin (`decoupler.twin.read_twin`) each sample is another draw of what its
+        pairs leave open.
     protocol : str
         Kind of loads: independent-fz, independent-fx, contact-fz, contact-fx, contact, three-axis, light-fz, light-fx
         or light.
@@ -68,8 +70,15 @@ def simulate(
     (50, (50, 1, 2, 3))
     """
     import dataset
+    from fem.array.response import ArrayResponse
 
     asked = dataset.DatasetSettings(protocol=protocol, samples=samples, seed=seed, noise=noise, bits=bits, **settings)
+    if not isinstance(sensor, SensorDesign | ArrayResponse | None):
+        from decoupler.twin.twin_file import TwinFile
+        from decoupler.twin.twin_samples import simulate_twin
+
+        require_type("sensor", sensor, TwinFile, "give a design, a response or what decoupler.twin.read_twin gave")
+        return simulate_twin(sensor, response_of(sensor.design), asked)
     given = response_of(sensor) if sensor is None or isinstance(sensor, SensorDesign) else sensor
     return dataset.simulate(given, asked)
 

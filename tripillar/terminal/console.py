@@ -11,13 +11,14 @@ import typer
 from typer.core import TyperGroup
 
 from geometry.design import SensorDesign
-from geometry.design_file import read_design
+from geometry.design_file import read_design, states_twin
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import require_file, require_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from decoupler.twin.twin_file import TwinFile
     from tripillar.terminal.progress import Bars
 
 #: headings under which --help lists the commands
@@ -54,6 +55,15 @@ class UnderHeadings(TyperGroup):
 def chosen(path: Path | None) -> SensorDesign:
     """The design of a --design option."""
     return SensorDesign() if path is None else read_design(path)
+
+
+def chosen_twin(path: Path | None) -> "TwinFile | None":
+    """The twin in the file of a --design option, if there is one."""
+    if path is None or not states_twin(path):
+        return None
+    from decoupler.twin.twin_file import read_twin
+
+    return read_twin(path)
 
 
 def progress_bars(verbosity: bool | None) -> "Bars":

@@ -1,0 +1,88 @@
+"""Samples drawn from a twin: each from another sensor of its posterior, so that whoever learns from them knows how
+little is known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from dataset.imperfections import Imperfections
+from dataset.measurement import Readout
+from dataset.protocols import PROTOCOLS
+from dataset.samples import Samples
+from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate
+from decoupler.data.columns import MIN_CALIBRATED_OHM, force_columns
+from decoupler.twin.twin_file import TwinFile
+from fem.array.response import ArrayResponse
+from geometry.errors import DesignError
+from geometry.layout import PILLARS
+from geometry.storage.files import digest
+
+
+def simulate_twin(
+    twin: TwinFile,
+    response: ArrayResponse,
+    settings: DatasetSettings,
+    progress: Callable[[int], None] = lambda samples: None,
+    readout: Readout | None = None,
+) -> Samples:
+    """Simulate labelled samples of a sensor that is known as far as its pairs tell.
+
+    Parameters
+    ----------
+    twin : TwinFile
+    response : ArrayResponse
+        Of the twin's design: the loads of a protocol are drawn by it, under the cap.
+    settings, progress, readout
+        As of `dataset.simulate`; gains and offsets are the twin's.
+
+    Returns
+    -------
+    Samples
+        Resistances of the posterior's draws in turn, one a sample. Displacements and lengths are left out, since a twin
+        knows its pillars by their resistances alone.
+
+    Raises
+    ------
+    DesignError
+        If gains or offsets are asked for, or loads along an axis that the twin's decoder does not tell.
+    """
+    for name in ("gain_spread", "offset_ohm", "specimen"):
+        value = getattr(settings, name)
+        if value:
+            raise DesignError(f"{name}={value:g}: a twin has its own gains and offsets: leave it out.")
+    decoder = twin.read_decoder()
+    axes = [axis for axis in PROTOCOLS[settings.protocol].axes if axis not in decoder.component.axes]
+    if axes or decoder.inverse is None or decoder.ensemble is None:
+        known = ", ".join(decoder.component.forces)
+        raise DesignError(
+            f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
+        )
+    exact = replace(settings, **{name: value for name, value in vars(Imperfections()).items()})
+    samples = simulate(response, exact, progress)
+    effective_n = decoder.inverse.forward.effective(force_columns(samples.force_n, decoder.component))
+    forward = decoder.inverse.forward.linear
+    shown = forward.resistances(effective_n)
+    if decoder.calibration is not None:
+        shown = decoder.calibration.shown(shown)
+    drawn = decoder.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
+    pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
+    exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
+    exact_ohm[..., pillars] = np.maximum(drawn, MIN_CALIBRATED_OHM).reshape(*exact_ohm.shape[:3], -1)
+    design = twin.design
+    return replace(
+        samples,
+        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout),
+        displacement_mm=None,
+        length_mm=None,
+        noise=settings.noise,
+        bits=settings.bits,
+        dead=settings.dead_mask(design.array.rows, design.array.cols),
+        made_from={
+            **samples.made_from,
+            **settings.as_attributes(),
+            **read_through(readout),
+            "twin": twin.decoder_hash,
+            "recipe": digest("twin-dataset", samples.made_from["recipe"], settings, twin.decoder_hash),
+        },
+    )
