@@ -142,9 +142,13 @@ def train(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light)
+    if forward is not None and forward.correction is not None:  # errors on its own samples say too little
+        unseen_n2 = np.tile(forward.correction.misfit_n**2, len(uncertainty.misfit_n2) // 3)
+        uncertainty = replace(uncertainty, misfit_n2=np.maximum(uncertainty.misfit_n2, unseen_n2))
     return replace(
         trained,
-        uncertainty=fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light),
+        uncertainty=uncertainty,
         made_from={
             **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
             "recipe": model_cache_key(given, parts.name, network, training, response),
