@@ -47,6 +47,8 @@ class Group:
     iterations: NDArray[np.int64]  #: (GROUP,)
     redrawn: NDArray[np.int64]  #: (GROUP,): draws that passed the cap
     unsolved: NDArray[np.int64]  #: (GROUP,): draws that had no answer below the cap, drawn again as well
+    resistance_ratio: FloatArray  #: (GROUP, k, 3): resistances by the design's electrics over those of eq. 1
+    ratio_error: FloatArray  #: (GROUP,): largest estimated error of these
 
     def as_plain(self) -> dict[str, Any]:
         """Lists and numbers that say every double exactly."""
@@ -54,8 +56,10 @@ class Group:
 
     @classmethod
     def of_plain(cls, plain: dict[str, Any]) -> "Group":
-        """From `as_plain`; `KeyError`, `TypeError` or `ValueError` if it is none."""
-        return cls(**{name: np.array(plain[name]) for name in cls.__dataclass_fields__})
+        """From `as_plain`; `KeyError`, `TypeError` or `ValueError` if it is none. Older ones know eq. 1 alone."""
+        k = len(plain["traction_mpa"][0])
+        eq1 = {"resistance_ratio": np.ones((GROUP, k, 3)), "ratio_error": np.zeros(GROUP)}
+        return cls(**{name: np.array((eq1 | plain)[name]) for name in cls.__dataclass_fields__})
 
 
 def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
@@ -66,8 +70,6 @@ def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
 
 def require_finite(design: SensorDesign) -> None:
     """Refuse designs whose samples at finite strain cannot be solved."""
-    if design.electrics.is_conduction:
-        raise DesignError("finite strain takes eq. 1 alone so far: write model = 'eq1' in [electrics].")
     if design.pad.kind != "stiff":
         raise DesignError(
             "finite strain needs stiff pads: a uniform traction of fixed direction on soft rubber has no equilibrium "
@@ -114,6 +116,7 @@ class GroupSolver:
         k, protocol = self.design.n_units, PROTOCOLS[settings.protocol]
         traction, displacement = np.empty((GROUP, k, 3)), np.empty((GROUP, k, 2, 3))
         estimate = np.empty(GROUP)
+        ratio, ratio_error = np.ones((GROUP, k, 3)), np.zeros(GROUP)
         iterations, redrawn, unsolved = np.zeros((3, GROUP), dtype=np.int64)
         waiting = np.arange(GROUP)
         for attempt in range(MAX_DRAWS):
@@ -127,6 +130,7 @@ class GroupSolver:
             unsolved[waiting] += ~over & ~found.settled
             displacement[waiting], estimate[waiting] = found.displacement_mm, found.error_estimate
             iterations[waiting] = found.iterations
+            ratio[waiting], ratio_error[waiting] = found.resistance_ratio, found.ratio_error
             waiting = waiting[over | ~found.settled]
             if not len(waiting):
                 break
@@ -143,6 +147,8 @@ class GroupSolver:
             iterations=iterations,
             redrawn=redrawn,
             unsolved=unsolved,
+            resistance_ratio=ratio,
+            ratio_error=ratio_error,
         )
 
 
@@ -167,6 +173,10 @@ def samples_of(
     traction = joined["traction_mpa"].reshape(n, rows, cols, 3)
     displacement = joined["displacement_mm"].reshape(n, rows, cols, 2, 3)
     length = pillar_lengths(displacement, design.unit)
+    effective, told = length, {}
+    if design.electrics.is_conduction:
+        effective = length * np.sqrt(joined["resistance_ratio"].reshape(length.shape))
+        told = {"resistance_error_estimate": float(joined["ratio_error"].max())}
     readings = [] if readout is None else [readout]
     return Samples(
         design=design,
@@ -174,7 +184,8 @@ def samples_of(
         force_n=forces(traction, design),
         displacement_mm=displacement,
         length_mm=length,
-        resistance_ohm=measured_resistances(length, design, settings, settings.seed, readout),
+        effective_length_mm=effective if design.electrics.is_conduction else None,
+        resistance_ohm=measured_resistances(effective, design, settings, settings.seed, readout),
         strain_model=np.ones(n),
         error_estimate=joined["error_estimate"],
         iterations=joined["iterations"].astype(np.float64),
@@ -184,6 +195,7 @@ def samples_of(
         made_from={
             **origin(response, settings, int(joined["redrawn"].sum()), readout),
             "strain": "finite",
+            **told,
             "unsolved": int(joined["unsolved"].sum()),
             "recipe": digest(group_cache_key(response, settings), settings, *readings),
         },

@@ -23,10 +23,11 @@ Deformation = Callable[[FloatArray], FloatArray]
 
 TERMINALS = ("U1", "U2", "L1", "L2")  #: electrodes of a unit
 PILLAR_TERMINALS = ((0, 2), (0, 3), (1, 2))  #: numbers of those at the ends of the z, x and y pillars
-MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit
-MESHES_INSIDE = ((2, 1), (3, 2))  #: where the electrodes are narrower than the pillars: edges on all sides
-#: of the difference of both, added to the finer one's and taken as its error: at rest 0.13 (z) and 0.19 (x, y) by
-#: meshes of order 4 and 5
+MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit at rest
+#: the same where strain varies across the pillars, or electrodes are narrower than these and have edges on all sides
+MESHES_ACROSS = ((2, 1), (3, 2))
+#: of the difference of both, added to the finer one's and taken as its error: at rest 0.13 to 0.19 by meshes of order 4
+#: and 5; 0.10 to 0.15 for `MESHES_ACROSS`
 EXTRAPOLATED = 0.16
 
 
@@ -156,7 +157,8 @@ def unit_conductances(
     -----
     From two meshes, extrapolated; what that adds to a pillar's resistance is the estimate of its error.
     """
-    coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in unit_conductors(unit))
+    conductors = unit_conductors(unit, strained=deformation is not None)
+    coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
     matrix = fine + EXTRAPOLATED * (fine - coarse)
     return Conductances(
         matrix_mm=matrix,
@@ -165,8 +167,8 @@ def unit_conductances(
 
 
 @cache
-def unit_conductors(unit: Unit) -> tuple[Conductor, Conductor]:
+def unit_conductors(unit: Unit, strained: bool = False) -> tuple[Conductor, Conductor]:
     """The pillars of a unit on the coarser and on the finer mesh."""
-    meshes = MESHES if unit.electrode_mm >= unit.pillar_width_mm else MESHES_INSIDE
-    coarse, fine = (Conductor(unit_hexahedra(unit, order, levels)) for order, levels in meshes)
+    meshes = MESHES_ACROSS if strained or unit.electrode_mm < unit.pillar_width_mm else MESHES
+    coarse, fine = (Conductor(unit_hexahedra(unit, order, levels, strained)) for order, levels in meshes)
     return coarse, fine

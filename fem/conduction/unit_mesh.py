@@ -20,10 +20,11 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray, upper_electrodes
 
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
+INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
 
 
-def unit_hexahedra(unit: Unit, order: int, levels: int) -> Hexahedra:
+def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) -> Hexahedra:
     """The pillars of a unit in its own frame; terminals are U1, U2, L1 and L2.
 
     Parameters
@@ -33,6 +34,8 @@ def unit_hexahedra(unit: Unit, order: int, levels: int) -> Hexahedra:
         Of the elements.
     levels : int
         Of refinement toward electrodes' edges and crotches, by `RATIO` each.
+    strained : bool
+        Cut the pillars across, too: strain near the edge of a pad varies as much there as in the figure.
 
     Raises
     ------
@@ -51,7 +54,7 @@ def unit_hexahedra(unit: Unit, order: int, levels: int) -> Hexahedra:
             f"pillar_width_mm={w:g}; widen the span, thin the pillars or take eq. 1."
         )
     e, half = unit.electrode_mm / 2, w / 2
-    quads, across = _figure(unit, levels), _across(half, e, max(levels - 2, 0))
+    quads, across = _figure(unit, levels), _across(half, e, max(levels - 2, 0), strained)
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
@@ -95,10 +98,10 @@ def _lagrange(order: int, x: FloatArray) -> FloatArray:
     return values
 
 
-def _across(half: float, electrode: float, levels: int) -> FloatArray:
+def _across(half: float, electrode: float, levels: int, strained: bool) -> FloatArray:
     """Lines from −w/2 to w/2, crowding at the electrode's edges where it ends inside."""
     if electrode >= half * (1 - 1e-6):
-        return np.array([-half, half])
+        return half * (np.array([-1.0, -INNER, INNER, 1.0]) if strained else np.array([-1.0, 1.0]))
     inner = _between(0.0, electrode, half, at_end=levels)
     right = np.concatenate([inner, _between(electrode, half, half, at_start=levels)[1:]])
     return np.concatenate([-right[:0:-1], right])

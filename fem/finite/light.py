@@ -145,7 +145,7 @@ def _third_order(array: PreloadedArray, preload_mpa: float) -> tuple[NDArray[np.
             np.add.at(load, list(triple), 1.0)
         products = loads[:, np.array(triples)].prod(axis=2)  # of each load, for each triple
         answers = [
-            array.series(preload_mpa, at_rest + step * loads[some : some + AT_ONCE].reshape(-1, k, 3), 3)[3]
+            array.series(preload_mpa, at_rest + step * loads[some : some + AT_ONCE].reshape(-1, k, 3), 3)[0][3]
             for some in range(0, len(loads), AT_ONCE)
         ]
         by_product = np.linalg.solve(products, np.concatenate(answers).reshape(len(loads), -1)) / step**3

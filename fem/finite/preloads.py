@@ -154,8 +154,11 @@ class PreloadedArray:
         relaxation = Relaxation(base, _over(base, force_n))
         return relaxation.relax(relaxation.start(), MAX_ITERATIONS, tolerance, hopeless)
 
-    def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> FloatArray:
-        """Terms of the electrodes' displacements (orders + 1, m, k, 2, 3) [mm] under forces (m, k, 3), see `series.py`.
+    def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> tuple[FloatArray, FloatArray]:
+        """Series of the electrodes and of the nodes under forces (m, k, 3) [N], see `series.py`.
+
+        Terms of the electrodes' displacements (orders + 1, m, k, 2, 3) [mm], and the sum of those of the nodes (m,
+        n_nodes, 3) [mm].
 
         The first one is the preload's own. With R = (I + 2 q₀ [v] + 2 [v]²) R₀ and v = Σ sⁱ vᵢ the order n of an
         electrode at a from its plate's middle moves by cₙ + 2 vₙ × a + 2 Σ vᵢ × (vₙ₋ᵢ × a) up to n = 3, but for the
@@ -171,7 +174,7 @@ class PreloadedArray:
             for i in range(n):
                 term += 2 * np.cross(v[i], np.cross(v[n - 1 - i], arm))
             terms.append(term)
-        return np.array(terms)
+        return np.array(terms), base.state.u + found.u.sum(axis=0)
 
     @cached_property
     def _factor(self) -> RepeatedFactor:

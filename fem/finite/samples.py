@@ -14,8 +14,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.conduction.reduced import REDUCED_ERROR
 from fem.discretization.grid import Grid
 from fem.finite import light
+from fem.finite.conducted import PillarReader
+from fem.finite.gradients import PointGradients
 from fem.finite.light import LightResponse
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
@@ -47,6 +50,10 @@ class FiniteSamples:
     change: FloatArray  #: of the pads' motion by the last iteration, relative, (m,); infinite where none converged
     iterations: IntArray  #: (m,)
     error_estimate: FloatArray  #: of the displacements, relative, (m,)
+    resistance_ratio: (
+        FloatArray  #: resistances by conduction over those of eq. 1, (m, k, 3); 1 where eq. 1 is asked for
+    )
+    ratio_error: FloatArray  #: largest estimated error of these, (m,)
 
 
 class SampleSolver:
@@ -68,6 +75,12 @@ class SampleSolver:
     ------
     DesignError
         If the array has two rubbers.
+
+    Notes
+    -----
+    Where the design's electrics are conduction, displacement gradients in the pillars are the coarse grid's with the
+    difference of both series, and what that makes of the resistances is extrapolated as displacements are. Stored
+    derivatives know no gradients, and are not used.
     """
 
     def __init__(
@@ -81,7 +94,8 @@ class SampleSolver:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self.coarse, self.fine = PreloadedArray(design, COARSE), PreloadedArray(design, FINE)
-        self.light = self._light() if by_derivatives else None
+        self._reader = PillarReader(design) if design.electrics.is_conduction else None
+        self.light = self._light() if by_derivatives and self._reader is None else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces on the pads.
@@ -106,6 +120,7 @@ class SampleSolver:
         m, k = force_n.shape[:2]
         moved, estimate, change = np.empty((m, k, 2, 3)), np.empty(m), np.zeros(m)
         iterations = np.zeros(m, dtype=np.int64)
+        ratio, ratio_error = np.ones((m, k, 3)), np.zeros(m)
         is_light = np.zeros(m, dtype=bool) if self.light is None else self.light.takes(force_n)
         if self.light is not None and is_light.any():
             flat, second, third = self.light.displacements(force_n[is_light])
@@ -119,13 +134,15 @@ class SampleSolver:
             for first in range(0, len(mine), AT_ONCE):
                 own = mine[first : first + AT_ONCE]
                 answer = self._together(level, force_n[own])
-                moved[own], estimate[own], change[own], iterations[own] = answer
+                moved[own], estimate[own], change[own], iterations[own], ratio[own], ratio_error[own] = answer
         return FiniteSamples(
             displacement_mm=moved,
             settled=change <= TOLERANCE,
             change=change,
             iterations=iterations,
             error_estimate=np.hypot(estimate, change),
+            resistance_ratio=ratio,
+            ratio_error=ratio_error,
         )
 
     def _light(self) -> LightResponse:
@@ -159,8 +176,12 @@ class SampleSolver:
         levels = np.array(PRELOADS_MPA)
         return np.asarray(levels[np.abs(middle[:, None] - levels).argmin(axis=1)])
 
-    def _together(self, preload: float, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    def _together(
+        self, preload: float, force_n: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
         """Displacements (m, k, 2, 3), what is left of the grids' error, last changes and iterations of a few samples.
+
+        Also ratios of resistances (m, k, 3) and their largest error (m,).
 
         The series cost nothing where a sample has not settled.
         """
@@ -168,18 +189,34 @@ class SampleSolver:
         moved = self._answers(self.coarse, coarse)
         change = coarse.change
         left = np.full(len(force_n), np.inf)
+        ratio, ratio_error = np.ones((*force_n.shape[:2], 3)), np.zeros(len(force_n))
         on = np.flatnonzero(coarse.change <= TOLERANCE)
         if not len(on):
-            return moved, left, change, coarse.iterations
+            return moved, left, change, coarse.iterations, ratio, ratio_error
         of_grids = [array.series(preload, force_n[on], ORDERS) for array in (self.coarse, self.fine)]
-        more = of_grids[1] - of_grids[0]
+        more = of_grids[1][0] - of_grids[0][0]
         uncorrected = self.coarse.electrodes(coarse.state.shift[on], coarse.state.rotation[on]) + more.sum(axis=0)
         answers = self._corrected(self.fine, uncorrected)
         difference = answers - moved[on]
         moved[on] = answers + EXTRAPOLATED * difference
         size = np.maximum(_norms(moved[on]), 1e-300)
         left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
-        return moved, left, change, coarse.iterations
+        if self._reader is not None:
+            on_coarse, on_fine = self._gradients
+            gradient = on_coarse.of(coarse.state.u[on])
+            finer = gradient + on_fine.of(of_grids[1][1]) - on_coarse.of(of_grids[0][1])
+            electrodes = uncorrected - more.sum(axis=0)
+            rough, sound = self._reader.ratios(gradient, electrodes)
+            smooth, both = self._reader.ratios(finer, uncorrected)
+            ratio[on] = smooth + EXTRAPOLATED * (smooth - rough)
+            ratio_error[on] = np.hypot(LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
+            change[on[~(sound & both)]] = np.inf
+        return moved, left, change, coarse.iterations, ratio, ratio_error
+
+    @cached_property
+    def _gradients(self) -> tuple[PointGradients, PointGradients]:
+        assert self._reader is not None
+        return self._reader.gradients_on(self.coarse), self._reader.gradients_on(self.fine)
 
     def _answers(self, array: PreloadedArray, found: Relaxed) -> FloatArray:
         return self._corrected(array, array.electrodes(found.state.shift, found.state.rotation))

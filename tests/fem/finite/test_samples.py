@@ -73,7 +73,7 @@ def test_series_of_the_electrodes_come_near_the_answer(solver):
     """Every order by about the factor of the load's distance from the preload, on either grid."""
     force = FORCES_N[1:]
     exact = by_newton(solver.fine, force[0])
-    partial = np.cumsum(solver.fine.series(2.0, force, 4), axis=0)[:, 0]
+    partial = np.cumsum(solver.fine.series(2.0, force, 4)[0], axis=0)[:, 0]
     off = np.linalg.norm((partial - exact).reshape(5, -1), axis=1) / np.linalg.norm(exact)
     assert (off[2:] < 0.5 * off[1:-1]).all()
     assert off[3] < 0.01

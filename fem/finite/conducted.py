@@ -1,0 +1,70 @@
+"""Resistances of an array's pillars by conduction, in states of one of its grids."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.conduction.conductivity import Piezoresistivity
+from fem.conduction.potentials import pillars_per_mm
+from fem.conduction.reduced import ACROSS, ALONG, reduced_conduction
+from fem.finite.gradients import PointGradients
+from fem.finite.preloads import PreloadedArray
+from geometry.design import SensorDesign
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes, unit_centres
+
+MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
+
+
+class PillarReader:
+    """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
+
+    def __init__(self, design: SensorDesign) -> None:
+        self.unit, electrics = design.unit, design.electrics
+        self._piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+        self._reduced = reduced_conduction(design.unit)
+        centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
+        self._points = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
+        self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
+
+    def gradients_on(self, array: PreloadedArray) -> PointGradients:
+        """Displacement gradients at the points that this reader needs, from the nodes of an array's grid."""
+        return PointGradients(array.body.grid, self._points)
+
+    def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Resistances over eq. 1's.
+
+        Parameters
+        ----------
+        gradient : array, shape (m, k·n, 3, 3)
+            ∂u/∂X of m states, as `gradients_on` gives them.
+        electrode_mm : array, shape (m, k, 2, 3)
+            Displacements of the same states, for eq. 1.
+
+        Returns
+        -------
+        array, shape (m, k, 3)
+            1 in states that are no answers.
+        array, shape (m,)
+            Which states are: on every level of a pillar some point has kept its volume.
+
+        Notes
+        -----
+        Points under the edge of a plate, where coarse grids tear the rubber, take the mean of those on their level.
+        """
+        F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
+        bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
+        along = (top - bottom) + electrode_mm[good][..., PILLAR_TOP, :]
+        ratios = np.ones((*electrode_mm.shape[:2], 3))
+        per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo))
+        ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
+        return ratios, good
+
+
+def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
+    by_level = F.reshape(*F.shape[:2], 3, ACROSS**2, ALONG, 3, 3)
+    kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
+    count = kept.sum(axis=3, keepdims=True)
+    mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)
+    whole = np.where(kept, by_level, mean)
+    good = (count > 0).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
+    return whole.reshape(F.shape), np.asarray(good)
