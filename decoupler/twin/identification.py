@@ -1,6 +1,7 @@
 """From measured pairs to a twin of the sensor on the table: open this file first."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.effective_forces import EffectiveForces
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.posterior import Posterior, Readings, infer
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
 
+CONTRADICTED = 3.0  #: times a correction's stated width, from which on pairs contradict the design
+FOLDS = 5  #: parts of the pairs that are then left out in turn
 LOADS = 3000  #: usual loads that a decoder is fitted to
 UNKNOWN = 1000  #: unknown parts of forces that are solved for; more of them count as noise
 SCARCE = 2.0  #: pairs over unknown numbers of a pillar, below which a sensor without a design is hardly determined
@@ -88,7 +92,7 @@ def identify(
     loads = pairs.force_n if loads_n is None else loads_n
     usual_n = force_columns(loads, parts)
     if correction is not None:
-        readings = replace(readings, force_n=correction.effective(readings.force_n))
+        readings = replace(readings, force_n=correction.effective(readings.force_n), acting_n=readings.force_n)
         usual_n = correction.effective(usual_n)
     usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
     if not usual_n.any():
@@ -99,23 +103,53 @@ def identify(
         expected = Expectation.of(response, sensitivities, parts)
         if expected.influence.shape[::2] != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
-    found = infer(expected, readings, draws, seed)
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     design = None if response is None else response.design
-    decoder = decoder_of(
-        found,
-        parts,
-        (rows, cols),
-        usual_n,
-        pairs.noise,
-        pairs.bits,
-        correction,
-        design,
-        dead if dead.any() else None,
-        {"fine_tuned_on": pairs.content_hash, "pairs": n},
-    )
+
+    def decoded(found: Posterior) -> Decoupler:
+        return decoder_of(
+            found,
+            parts,
+            (rows, cols),
+            usual_n,
+            pairs.noise,
+            pairs.bits,
+            correction,
+            design,
+            dead if dead.any() else None,
+            {"fine_tuned_on": pairs.content_hash, "pairs": n},
+        )
+
+    found = infer(expected, readings, draws, seed)
+    decoder = decoded(found)
+    stated, led_to = expected.widths, found.expected.widths
+    if n > 1 and max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0:
+        decoder = _widened(decoder, readings, lambda some: decoded(infer(expected, some, draws, seed)))
     return Twin(design=design, posterior=found, decoder=decoder, n_pairs=n)
+
+
+def _widened(decoder: Decoupler, readings: Readings, fitted: Callable[[Readings], Decoupler]) -> Decoupler:
+    """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
+
+    `fitted` gives the decoder by some of the readings.
+    """
+    n = len(readings.force_n)
+    ratios = []
+    for part in np.array_split(np.random.default_rng(0).permutation(n), min(FOLDS, n)):
+        model = fitted(readings.of_pairs(np.setdiff1d(np.arange(n), part)))
+        tested = readings.of_pairs(part)
+        error_n = np.abs(model.outputs(tested.resistance_ohm) - tested.acting_n)
+        ratios.append([error_n / width for width in model.half_widths_of(tested.resistance_ohm)])
+    uncertainty = decoder.uncertainty
+    assert uncertainty is not None
+    n_axes = uncertainty.widths.shape[1]
+    scale = [
+        np.quantile(np.concatenate(ratio).reshape(-1, n_axes), share, axis=0)
+        for share, ratio in zip(WITHIN, zip(*ratios, strict=True), strict=True)
+    ]
+    widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
+    return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
 
 
 def _acting(pairs: Pairs) -> str:
@@ -135,7 +169,8 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
     return Readings(
         resistance_ohm=np.where(read, ohms, 1e4),
         read=read,
-        force_n=pairs.force_n[..., axes].reshape(n, -1),
+        force_n=(force_n := pairs.force_n[..., axes].reshape(n, -1)),
+        acting_n=force_n,
         unknown_n=unknown.reshape(len(pair), -1) if len(pair) else np.zeros((0, math.prod(unknown.shape[1:]))),
         pair=pair,
         noise=pairs.noise,

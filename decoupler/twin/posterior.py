@@ -21,7 +21,10 @@ MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
 CONVERGED = 0.03  #: standard deviations that an unknown still moves, and relative change of a width, at the end
 FARTHEST = 2.0  #: standard deviations that a shared unknown moves in a step
 HALVINGS = 10  #: of a pillar's own step until its misfit falls
-BELIEF = 20.0  #: number of unknowns that a stated width counts as, beside those that the pairs determine
+#: number of unknowns that a stated width counts as, beside those that the pairs determine
+BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 2.0}
+#: largest width that pairs may lead to, unless a larger one is stated
+WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
 MIN_NOISE = 1e-6  #: relative error that readings have at least
 
 
@@ -31,11 +34,26 @@ class Readings:
 
     resistance_ohm: FloatArray  #: (n, P); anything where not read
     read: NDArray[np.bool_]  #: (n, P)
-    force_n: FloatArray  #: (n, Q): expected
+    force_n: FloatArray  #: (n, Q): expected; effective forces, if the model has a correction for finite strain
+    acting_n: FloatArray  #: (n, Q): forces that these stand for
     unknown_n: FloatArray  #: (n_unknown, Q): directions in which forces may differ, a standard deviation each
     pair: NDArray[np.int64]  #: (n_unknown,): of which pair
     noise: float
     bits: int | None
+
+    def of_pairs(self, which: NDArray[np.int64]) -> "Readings":
+        """The readings of some pairs, by their numbers."""
+        kept = np.flatnonzero(np.isin(self.pair, which))
+        place = {int(pair): k for k, pair in enumerate(which)}
+        return replace(
+            self,
+            resistance_ohm=self.resistance_ohm[which],
+            read=self.read[which],
+            force_n=self.force_n[which],
+            acting_n=self.acting_n[which],
+            unknown_n=self.unknown_n[kept],
+            pair=np.array([place[int(pair)] for pair in self.pair[kept]], dtype=np.int64),
+        )
 
     def variance_ohm2(self) -> FloatArray:
         """Variance of the readings about their resistances, (n, P) [Ω²]."""
@@ -277,8 +295,9 @@ class _Evidence:
         changed = {}
         for name, known in self.known.items():
             start, width = getattr(stated, name), getattr(now, name)
-            believed = BELIEF * (start / width) ** 2
-            changed[name] = width * float(np.sqrt((self.squares[name] + believed) / (known + BELIEF)))
+            belief = BELIEF[name]
+            ratio = (self.squares[name] + belief * (start / width) ** 2) / (known + belief)
+            changed[name] = min(width * float(np.sqrt(ratio)), max(start, WIDEST[name]))
         return replace(now, **changed)
 
 
