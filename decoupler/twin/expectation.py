@@ -39,7 +39,7 @@ class Widths:
     offset: float = 0.02  #: of each pillar's offset, over its resistance at rest
     shared: float = 0.01  #: of the correction that all units share
     own: float = 0.003  #: of the correction of each pillar alone
-    misfit: float = 0.02  #: of a reading, over its distance from rest: what no correction explains
+    misfit: float = 0.01  #: of a reading, over its distance from rest: what no correction explains
 
 
 #: a sensor of which nothing is known
