@@ -92,9 +92,9 @@ class Expectation:
             rest_mm=rest,
             sign=np.ones_like(rest),
             ohm_per_mm2=c,
-            by_influence=np.stack(by_influence),
-            by_rest_mm=np.stack(by_rest),
-            by_log_c=np.stack(by_log_c),
+            by_influence=np.array(by_influence).reshape(-1, *influence.shape),
+            by_rest_mm=np.array(by_rest).reshape(-1, *rest.shape),
+            by_log_c=np.array(by_log_c).reshape(-1, len(c)),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
         )

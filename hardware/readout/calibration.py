@@ -67,31 +67,6 @@ class SensorCalibration:
         shape = (rows, cols, len(PILLARS))
         return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics or Electronics())
 
-    @classmethod
-    def fitted(
-        cls, measured_ohm: FloatArray, modelled_ohm: FloatArray, noise: float, electronics: Electronics | None = None
-    ) -> "SensorCalibration":
-        """The most probable gain and offset of each pillar, by least squares with the priors of `Calibration.fitted`.
-
-        A pillar of which nothing is measured, NaN, keeps gain 1 and offset 0.
-
-        Parameters
-        ----------
-        measured_ohm, modelled_ohm : array, shape (n_loads, rows, cols, 3)
-            What the crossbar gives, and what the design does, under the same known loads [Ω].
-        noise : float
-            Relative standard deviation of a measured resistance, converter's steps included.
-        """
-        n, *shape = measured_ohm.shape
-        known_ohm = np.where(np.isnan(measured_ohm), modelled_ohm, measured_ohm)
-        found = Calibration.fitted(known_ohm.reshape(n, -1), modelled_ohm.reshape(n, -1), noise)
-        return cls(
-            gain=found.gain.reshape(shape),
-            offset_ohm=found.offset_ohm.reshape(shape),
-            electronics=electronics or Electronics(),
-            made_from={"loads": n, "noise": noise},
-        )
-
     @property
     def is_tare_only(self) -> bool:
         """Every gain is 1 and every offset 0."""

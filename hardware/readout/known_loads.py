@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decoupler.data.columns import component_named, force_columns
+from decoupler.data.columns import Component, component_named, force_columns
 from decoupler.data.load_table import KnownLoad, known_forces
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.identification import readings_of
+from decoupler.twin.posterior import infer
+from fem.array.sensitivities import ResponseSensitivities
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
+from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.files import digest
 from hardware.readout.calibration import Electronics, SensorCalibration
 
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 
 MAX_MISSED = 0.2  #: largest relative misfit of resistances, root mean square; above, the loads were not on this sensor
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
+NEGLIGIBLE = 1e-9  #: width of a correction that is as good as none
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
 
@@ -50,19 +55,33 @@ def calibrated(
 ) -> tuple[SensorCalibration, float]:
     """The most probable calibration of a board's sensor, and the relative root mean square of its residuals.
 
-    `noise` is used in place of that of the pairs.
+    `noise` is used in place of that of the pairs. A pillar that is not read has the gain that all share.
 
     Raises
     ------
     FileFormatError
         If the loads cannot have acted on this sensor as stated, or determine too little. `force` takes them anyway.
+
+    Notes
+    -----
+    The posterior of a twin whose design is known exactly, so that the gains suit models of the sensor as designed;
+    loads are believed as far as their stated errors allow.
     """
     everything = component_named("all")
     forward = ForwardModel.of(response, everything)
     forces = force_columns(pairs.force_n, everything)
     modelled = forward.resistances(forces).reshape(pairs.resistance_ohm.shape)
-    found = SensorCalibration.fitted(
-        pairs.resistance_ohm, modelled, pairs.noise if noise is None else noise, electronics
+    noise = pairs.noise if noise is None else noise
+    readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(PILLARS))])
+    expected = _of_gains(response, everything)
+    state = infer(expected, readings, draws=1).state
+    gain = state.gain * state.ohm_per_mm2(expected) / expected.ohm_per_mm2  # resistivity is a gain of all pillars
+    found = SensorCalibration(
+        gain=gain.reshape(modelled.shape[1:]),
+        offset_ohm=state.offset_ohm.reshape(modelled.shape[1:]),
+        electronics=electronics,
+        serial=serial,
+        made_from={"loads": len(pairs), "noise": noise, "design_hash": digest(response.design)},
     )
     missed = (found.gain * modelled + found.offset_ohm) / pairs.resistance_ohm - 1.0
     residual = float(np.sqrt(np.nanmean(missed**2)))
@@ -74,8 +93,20 @@ def calibrated(
         )
     if doubt and not force:
         raise FileFormatError(f"{doubt} Or write it as it is with --force.")
-    story = found.made_from | {"design_hash": digest(response.design)}
-    return replace(found, serial=serial, made_from=story), residual
+    return found, residual
+
+
+def _of_gains(response: "ArrayResponse", component: Component) -> Expectation:
+    """The prior of a sensor that is as designed but for the gains and offsets of its pillars."""
+    none = ResponseSensitivities(
+        design=response.design,
+        parameters=(),
+        deviation=np.zeros(0),
+        influence_mm_per_n=np.zeros((0, *response.influence_mm_per_n.shape)),
+    )
+    known = Expectation.of(response, none, component)
+    widths = replace(known.widths, shared=0.0, own=NEGLIGIBLE)
+    return replace(known, near=known.near[:, :0], near_mm_per_n=known.near_mm_per_n[:0], widths=widths)
 
 
 def doubt_about(pairs: Pairs, response: "ArrayResponse") -> str | None:

@@ -1,5 +1,7 @@
 """Typed weights, and the calibrations that follow from them or are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,10 +48,32 @@ def fitted(pairs, **options):
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_weights_as_told_are_taken(noise):
-    for seed in range(20):
+    for seed in range(5):
         found, residual = fitted(measured([NOTHING, KILOS, "1 2 5000"], noise=noise, seed=seed))
         assert residual < 1e-3
         assert 0.7 < found.gain.min() < found.gain.max() < 1.3
+
+
+def test_gains_and_offsets_are_found():
+    """Kilograms on every pad change a resistance by some percent: noise of 3e-4 leaves a percent of a gain open."""
+    told = [NOTHING, *(f"{unit // 3} {unit % 3} {grams}" for unit in range(6) for grams in (10000, 20000))]
+    pairs = measured(told, noise=0.0)
+    pairs.resistance_ohm[:, 1, 2, 0] = np.nan
+    found, _ = fitted(pairs)
+    gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=200.0, specimen=0).gain_and_offset(2, 3)
+    assert (abs(found.gain[1, 2, 0] - 1) < 0.1, found.offset_ohm[1, 2, 0]) == (True, 0.0)  # what all pillars share
+    gain[1, 2, 0], offset_ohm[1, 2, 0] = found.gain[1, 2, 0], 0.0
+    assert np.sqrt(np.mean((found.gain / gain - 1) ** 2)) < 0.02
+    assert np.sqrt(np.mean((found.offset_ohm - offset_ohm) ** 2)) < 200.0
+
+
+def test_a_weight_is_believed_as_far_as_it_is_known():
+    """One of two weights lies: where the pair says that it may, the gains under it are nearer the truth."""
+    pairs = measured([NOTHING, KILOS, "1 2 5000"], [NOTHING, KILOS, "1 2 3500"], noise=0.0)
+    unsure = replace(pairs, unknown_n=(*pairs.unknown_n[:2], 0.3 * pairs.force_n[2:]))
+    gain, _ = Imperfections(gain_spread=0.2, offset_ohm=200.0, specimen=0).gain_and_offset(2, 3)
+    blind, wise = (np.abs(fitted(given)[0].gain / gain - 1)[1, 2].mean() for given in (pairs, unsure))
+    assert wise < 0.85 * blind
 
 
 def test_weights_without_a_rest_are_taken():

@@ -99,7 +99,7 @@ def calibrate(
 ) -> None:
     """Find gain and offset of every pillar from known loads.
 
-    One of the loads should be none at all. The fit is by least squares.
+    One of the loads should be none at all. Gains suit models of the sensor as designed; identify finds more.
     """
     from hardware.readout.calibration import read_calibration, write_calibration
     from hardware.readout.known_loads import calibrated
