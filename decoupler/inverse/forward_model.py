@@ -88,6 +88,11 @@ class ForwardModel:
         return len(self.influence)
 
     @cached_property
+    def _own_electrodes(self) -> bool:
+        """Each pillar has its own B."""
+        return np.array_equal(self.top, np.arange(self.influence.shape[1] // len(self.rest_mm)))
+
+    @cached_property
     def linear(self) -> "ForwardModel":
         """The same without its correction: the model of effective forces."""
         return self if self.correction is None else replace(self, correction=None)
@@ -100,7 +105,8 @@ class ForwardModel:
         """From each lower electrode to the upper one, (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""
         force_n = self.effective(force_n)
         moved = rowwise(force_n, self.influence).reshape(len(force_n), len(self.rest_mm), -1)
-        vectors = moved.take(self.top, axis=2, mode="clip")  # faster than checking; no index is out of bounds
+        own = self._own_electrodes  # faster than checking: no index is out of bounds
+        vectors = moved if own else moved.take(self.top, axis=2, mode="clip")
         vectors += self.rest_mm
         return vectors
 

@@ -24,7 +24,7 @@ from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
-DERIVATIVES = 64  #: samples whose derivatives are in memory together
+DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 

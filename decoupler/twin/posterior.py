@@ -5,7 +5,7 @@ that all units share, forces that are not quite known) is solved for together; w
 correction of its influence) is marginalised pillar by pillar. Widths that nobody states follow from the pairs, too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ HALVINGS = 10  #: of a pillar's own step until its misfit falls
 BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1.0}
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
+AT_ONCE = 10_000  #: readings of pillars whose derivatives are worked on together
 MIN_NOISE = 1e-6  #: relative error that readings have at least
 
 
@@ -106,56 +107,62 @@ class State:
 
 
 class _Marginal:
-    """S⁻¹ of S = I + J Jᵀ, (n, n): readings whitened, the pillar's own unknowns marginalised; J is (n, m)."""
+    """S⁻¹ of S = I + J Jᵀ for b pillars: readings whitened, each pillar's own unknowns marginalised.
+
+    J is (b, n, m). With fewer readings than unknowns S itself is factored, else I + Jᵀ J.
+    """
 
     def __init__(self, J: FloatArray) -> None:
-        n, m = J.shape
-        self.J, self.dual = J, n <= m
-        M = J @ J.T if self.dual else J.T @ J
-        M.flat[:: len(M) + 1] += 1.0
-        self.factor = cho_factor(M, lower=True, check_finite=False)
+        n, m = J.shape[1:]
+        self.J, self.Jt, self.dual = J, J.swapaxes(1, 2), n <= m
+        M = J @ self.Jt if self.dual else self.Jt @ J
+        M += np.eye(M.shape[1])
+        self.half = np.linalg.inv(np.linalg.cholesky(M))  # M⁻¹ = halfᵀ half
 
-    def solve(self, X: FloatArray) -> FloatArray:
-        """S⁻¹ X."""
-        if self.dual:
-            return cho_solve(self.factor, X, check_finite=False)
-        return X - self.J @ cho_solve(self.factor, self.J.T @ X, check_finite=False)
+    def _inverse(self, X: FloatArray) -> FloatArray:
+        return self.half.swapaxes(1, 2) @ (self.half @ X)
 
-    def own(self, X: FloatArray) -> FloatArray:
-        """Jᵀ S⁻¹ X."""
+    def solved(self, Y: FloatArray) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
+        """X = S⁻¹ Y, (b, n, g), and Jᵀ X V as a function of V (g, ·), (b, m, ·)."""
         if self.dual:
-            return self.J.T @ self.solve(X)
-        return cho_solve(self.factor, self.J.T @ X, check_finite=False)
+            X = self._inverse(Y)
+            return X, lambda V: self.Jt @ (X @ V)
+        K = self._inverse(self.Jt @ Y)
+        return Y - self.J @ K, lambda V: K @ V
 
     def drawn(self, prior: FloatArray, noise: FloatArray) -> FloatArray:
-        """Draws of the pillar's own unknowns about their mean, (m, draws), from draws of prior and noise."""
+        """Draws of the pillars' own unknowns about their means, (b, m, draws), from draws of prior and noise."""
         if self.dual:
-            return prior - self.own(self.J @ prior + noise)
-        return cho_solve(self.factor, prior - self.J.T @ noise, check_finite=False)
+            return prior - self.Jt @ self._inverse(self.J @ prior + noise)
+        return self._inverse(prior - self.Jt @ noise)
 
     def leverage(self) -> tuple[FloatArray, FloatArray]:
-        """Diagonals of S⁻¹, (n,), and of Jᵀ S⁻¹ J, (m,): what is left of a reading, what is known of an unknown.
+        """Diagonals of S⁻¹, (b, n), and of Jᵀ S⁻¹ J, (b, m): what is left of a reading, what is known of an unknown.
 
         With more readings than unknowns the first is the mean of all readings.
         """
-        n, m = self.J.shape
-        L = np.tril(self.factor[0])
+        n = self.J.shape[1]
+        squares = (self.half**2).sum(axis=1)
         if self.dual:
-            W = solve_triangular(L, np.column_stack([np.eye(n), self.J]), lower=True, check_finite=False)
-            squares = (W**2).sum(axis=0)
-            return squares[:n], squares[n:]
-        known = 1.0 - (solve_triangular(L, np.eye(m), lower=True, check_finite=False) ** 2).sum(axis=0)
-        return np.full(n, 1.0 - known.sum() / n), known
+            return squares, ((self.half @ self.J) ** 2).sum(axis=1)
+        known = 1.0 - squares
+        return np.repeat(1.0 - known.sum(axis=1, keepdims=True) / n, n, axis=1), known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Pillar:
-    """One pillar's readings, linearised about a state and whitened."""
+class _Pillars:
+    """Readings of b pillars of a kind, linearised about a state and whitened."""
 
-    shared: FloatArray  #: A, (n, g): derivatives by what pillars share
+    pillars: NDArray[np.int64]  #: (b,): their numbers
+    shared: FloatArray  #: A, (b, n, g): derivatives by what pillars share
     columns: NDArray[np.int64]  #: (g,): their places among all that is shared
-    own: FloatArray  #: J, (n, m): by the pillar's own unknowns, as `_own` has them
-    misfit: FloatArray  #: r, (n,): reading less model
+    own: FloatArray  #: J, (b, n, m): by each pillar's own unknowns, as `_own` has them
+    misfit: FloatArray  #: r, (b, n): readings less model
+
+    def with_misfit(self, own: FloatArray) -> FloatArray:
+        """A, and r as it would be without what pillars have of their own, (P, m): (b, n, g + 1)."""
+        misfit = self.misfit[..., None] + self.own @ own[self.pillars][..., None]
+        return np.concatenate([self.shared, misfit], axis=2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,8 +257,8 @@ def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[F
     return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
 
 
-def _linearised(expected: Expectation, readings: Readings, state: State, weight: FloatArray) -> Iterator[_Pillar]:
-    """Each pillar's readings about a state, whitened by `weight` (n, P)."""
+def _linearised(expected: Expectation, readings: Readings, state: State, weight: FloatArray) -> Iterator[_Pillars]:
+    """Readings about a state, whitened by `weight` (n, P), some pillars of a kind at a time."""
     n, P = weight.shape
     k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
     widths, pair = expected.widths, readings.pair
@@ -262,24 +269,28 @@ def _linearised(expected: Expectation, readings: Readings, state: State, weight:
     slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * weight)[..., None] * expected.sign * v  # by v, (n, P, C)
     scaled = weight * state.gain * modelled
     B, sizes = state.influence(expected), expected.sizes * widths.own
-    latent = k + 1 + state.shared.size + np.arange(len(pair))
-    for p in range(P):
-        unit, kind = divmod(p, kinds)
-        A = np.zeros((n, k + 1 + 3 * n_shared + len(pair)))
-        for j in range(k):
-            moved = expected.by_rest_mm[j, p] + force_n @ expected.by_influence[j, p].T
-            A[:, j] = (slope[:, p] * moved).sum(axis=1) + scaled[:, p] * expected.by_log_c[j, p]
-        A[:, k] = widths.resistivity * scaled[:, p]
-        A[:, k + 1 : k + 1 + 3 * n_shared] = (slope[:, p, :3, None] * near[:, None, unit]).reshape(n, -1)
-        A[pair, k + 1 + 3 * n_shared + np.arange(len(pair))] = (slope[pair, p] * (readings.unknown_n @ B[p].T)).sum(
-            axis=1
-        )
-        J = np.empty((n, 2 + 3 * Q))
-        J[:, 0] = widths.gain * weight[:, p] * modelled[:, p]
-        J[:, 1] = widths.offset * expected.rest_ohm[p] * weight[:, p]
-        J[:, 2:] = (slope[:, p, :3, None] * (force_n * sizes[p])[:, None]).reshape(n, -1)
-        shared = k + 1 + 3 * n_shared * kind + np.arange(3 * n_shared)
-        yield _Pillar(shared=A, columns=np.concatenate([np.arange(k + 1), shared, latent]), own=J, misfit=misfit[:, p])
+    first, latent = k + 1, k + 1 + 3 * n_shared
+    at_once = max(1, AT_ONCE // n)
+    for kind in range(kinds):
+        ours = kind + kinds * np.arange(P // kinds)
+        shared = first + 3 * n_shared * kind + np.arange(3 * n_shared)
+        columns = np.concatenate([np.arange(first), shared, first + state.shared.size + np.arange(len(pair))])
+        for p in np.split(ours, range(at_once, len(ours), at_once)):
+            s = np.ascontiguousarray(slope[:, p].swapaxes(0, 1))
+            A = np.zeros((len(p), n, latent + len(pair)))
+            for j in range(k):
+                moved = expected.by_rest_mm[j, p, None] + force_n @ expected.by_influence[j, p].swapaxes(1, 2)
+                A[..., j] = (s * moved).sum(axis=2) + (scaled[:, p] * expected.by_log_c[j, p]).T
+            A[..., k] = widths.resistivity * scaled[:, p].T
+            beside = near[:, p // kinds].swapaxes(0, 1)
+            A[..., first:latent] = (s[..., :3, None] * beside[:, :, None]).reshape(len(p), n, -1)
+            moved = readings.unknown_n @ B[p].swapaxes(1, 2)
+            A[:, pair, latent + np.arange(len(pair))] = (s[:, pair] * moved).sum(axis=2)
+            J = np.empty((len(p), n, 2 + 3 * Q))
+            J[..., 0] = widths.gain * (weight[:, p] * modelled[:, p]).T
+            J[..., 1] = widths.offset * expected.rest_ohm[p, None] * weight[:, p].T
+            J[..., 2:] = (s[..., :3, None] * (force_n * sizes[p, None])[:, :, None]).reshape(len(p), n, -1)
+            yield _Pillars(pillars=p, shared=A, columns=columns, own=J, misfit=misfit[:, p].T)
 
 
 @dataclass(kw_only=True)
@@ -310,36 +321,35 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
     N, rhs = np.eye(len(x)), -x
     squares = dict.fromkeys(("gain", "offset", "own", "misfit"), 0.0)
     known = dict.fromkeys(squares, 0.0)
-    solved, kinds = [], len(state.shared)
-    normal = [np.zeros(())] * kinds
-    for p, pillar in enumerate(_linearised(expected, readings, state, weight)):
-        marginal = _Marginal(pillar.own)
-        misfit = pillar.misfit + pillar.own @ own[p]
-        X = marginal.solve(np.column_stack([pillar.shared, misfit]))
-        normal[p % kinds] = normal[p % kinds] + pillar.shared.T @ X
+    solved = []
+    for part in _linearised(expected, readings, state, weight):
+        marginal = _Marginal(part.own)
+        Y = part.with_misfit(own)
+        X, to_own = marginal.solved(Y)
+        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X.reshape(-1, X.shape[2])
+        N[np.ix_(part.columns, part.columns)] += sums[:, :-1]
+        rhs[part.columns] += sums[:, -1]
         left, determined = marginal.leverage()
-        for name, part in (("gain", slice(0, 1)), ("offset", slice(1, 2)), ("own", slice(2, None))):
-            known[name] += float(determined[part].sum())
-        known["misfit"] += float(unsure[:, p] @ left)
-        solved.append((pillar.columns, X, marginal.own(np.column_stack([pillar.shared, misfit]))))
-    for (columns, *_), sums in zip(solved, normal, strict=False):
-        N[np.ix_(columns, columns)] += sums[:, :-1]
-        rhs[columns] += sums[:, -1]
+        for name, which in (("gain", slice(0, 1)), ("offset", slice(1, 2)), ("own", slice(2, None))):
+            known[name] += float(determined[:, which].sum())
+        known["misfit"] += float((unsure[:, part.pillars].T * left).sum())
+        solved.append((part.pillars, part.columns, X, to_own))
     factor = cho_factor(N, lower=True)
     step = cho_solve(factor, rhs)
     step *= min(1.0, FARTHEST / max(np.abs(step[:n_shared_first]).max(), 1e-12))
     found = np.empty_like(own)
-    for p, (columns, X, JX) in enumerate(solved):
-        found[p] = JX[:, -1] - JX[:, :-1] @ step[columns]
-        noise = X[:, -1] - X[:, :-1] @ step[columns]  # the reading's own error, whitened
-        squares["misfit"] += float(unsure[:, p] @ noise**2)
+    for p, columns, X, to_own in solved:
+        left_over = np.append(-step[columns], 1.0)[:, None]
+        found[p] = to_own(left_over)[..., 0]
+        noise = (X @ left_over)[..., 0]  # the readings' own errors, whitened
+        squares["misfit"] += float((unsure[:, p].T * noise**2).sum())
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
     squares["own"] = float((found[:, 2:] ** 2).sum())
     moved = _unflat(state, x + step)
     if state.shared.size:
-        inverse = cho_solve(factor, np.eye(len(N)))
+        half = solve_triangular(factor[0], np.eye(len(N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
         of_shared = slice(n_shared_first, n_shared_first + state.shared.size)
-        known["shared"] = float(state.shared.size - inverse.diagonal()[of_shared].sum())
+        known["shared"] = float(state.shared.size - (half[:, of_shared] ** 2).sum())
         squares["shared"] = float((moved.shared**2).sum())
     improved = _descended(expected, readings, moved, own, found, weight)
     farthest = max(float(np.abs(step).max()), float(np.abs(_own(expected, improved) - own).max()))
@@ -393,23 +403,21 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
     N = np.eye(len(x))
     own_draws, by_shared = np.empty((P, m, draws)), []
     deviations, excess = np.empty((P, 2)), []
-    for p, pillar in enumerate(_linearised(expected, readings, state, weight)):
-        marginal, J = _Marginal(pillar.own), pillar.own
-        prior = generator.standard_normal((m, draws))
-        noise = generator.standard_normal((n, draws))
-        misfit = pillar.misfit + J @ own[p]
-        X = marginal.solve(np.column_stack([pillar.shared, misfit]))
-        N[np.ix_(pillar.columns, pillar.columns)] += pillar.shared.T @ X[:, :-1]
-        own_draws[p] = marginal.drawn(prior, noise)
-        by_shared.append((pillar.columns, marginal.own(pillar.shared)))
+    for part in _linearised(expected, readings, state, weight):
+        marginal, p = _Marginal(part.own), part.pillars
+        X, to_own = marginal.solved(part.with_misfit(own))
+        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X[..., :-1].reshape(-1, X.shape[2] - 1)
+        N[np.ix_(part.columns, part.columns)] += sums
+        prior = generator.standard_normal((len(p), m, draws))
+        own_draws[p] = marginal.drawn(prior, generator.standard_normal((len(p), n, draws)))
+        by_shared.append((p, part.columns, to_own))
         left, determined = marginal.leverage()
-        deviations[p] = np.sqrt(1.0 - determined[:2])
-        read = readings.read[:, p]
-        excess.append(X[read, -1] ** 2 / left[read])
+        deviations[p] = np.sqrt(1.0 - determined[:, :2])
+        excess.append((X[..., -1] ** 2 / left)[readings.read[:, p].T])
     factor = np.linalg.cholesky(N)
     shared_draws = solve_triangular(factor, generator.standard_normal((len(N), draws)), lower=True, trans="T")
-    for p, (columns, JX) in enumerate(by_shared):
-        own_draws[p] -= JX @ shared_draws[columns]
+    for p, columns, to_own in by_shared:
+        own_draws[p] -= to_own(np.concatenate([shared_draws[columns], np.zeros((1, draws))]))
     k = len(state.parameters)
     inverse = cho_solve((factor, True), np.eye(len(N))[:, :k])[:k]
     widths = expected.widths

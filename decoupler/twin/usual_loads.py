@@ -23,20 +23,22 @@ def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -
     if n >= count:
         return force_n[np.linspace(0, n - 1, count).astype(int)]
     generator = np.random.default_rng(seed)
-    found = force_n[np.arange(count) % n].copy()
+    whose = np.arange(count) % n
     turned = generator.random((count, 2)) < 0.5
     moved = generator.integers((rows + 1, cols + 1), size=(count, 2))
     size = np.exp(SPREAD / np.sqrt(n) * generator.standard_normal(count))
-    alone = generator.random(count) < 1.0 / (1.0 + n**2)
-    for load in range(n, count):
-        i, j = moved[load]
-        image = np.pad(found[load], ((0, rows), (0, cols), (0, 0)), mode="symmetric")[i : i + rows, j : j + cols]
-        for axis, sign in enumerate(MIRRORED):
-            if turned[load, axis]:
-                image = np.flip(image, axis=1 - axis) * np.array(sign)[axes]
-        if alone[load]:
-            image = image.reshape(rows * cols, -1)[generator.integers(rows * cols, size=rows * cols)].reshape(
-                image.shape
-            )
-        found[load] = size[load] * image
+    alone = np.flatnonzero(generator.random(count) < 1.0 / (1.0 + n**2))
+    alone = alone[alone >= n]
+    places, signs = [], np.ones((count, len(axes)))
+    for axis, length in enumerate((rows, cols)):
+        place = moved[:, axis, None] + np.arange(length)
+        place = np.where(place < length, place, 2 * length - 1 - place)
+        places.append(np.where(turned[:, 1 - axis, None], place[:, ::-1], place))
+        signs[turned[:, axis]] *= np.array(MIRRORED[axis])[axes]
+    found = force_n[whose[:, None, None], places[0][:, :, None], places[1][:, None]] * signs[:, None, None]
+    pads = found[alone].reshape(len(alone), rows * cols, len(axes))
+    others = generator.integers(rows * cols, size=(len(alone), rows * cols))
+    found[alone] = np.take_along_axis(pads, others[..., None], axis=1).reshape(-1, rows, cols, len(axes))
+    found *= size[:, None, None, None]
+    found[:n] = force_n
     return found
