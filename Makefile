@@ -48,7 +48,7 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 edge-cases: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.edge_cases --out $(OUT)/edge-cases
 
-robustness: $(READY)  ## what noise, converters, spread pillars and dead ones cost the joint nets
+robustness: $(READY)  ## what worse sensors cost, and what measured pairs buy back
 	$(BIN)/python -m studies.robustness --out $(OUT)/robustness
 
 firmware:  ## the boards' firmware, ready to flash

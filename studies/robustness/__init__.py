@@ -1,4 +1,5 @@
-"""The cost of noise, converters, spread pillars and dead ones to the joint three-axis nets.
+"""The cost of noise, converters, dead pillars, and of sensors that are not the simulator, with what pairs buy back.
 
-Open `study.py` first; `python -m studies.robustness` prints its table and writes JSON and pictures.
+Open `study.py` first for nets on ever worse sensors, `identified.py` for sensors identified from measured pairs;
+`python -m studies.robustness` prints their tables and writes JSON and pictures.
 """

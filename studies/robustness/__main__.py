@@ -1,5 +1,7 @@
-"""``python -m studies.robustness``: the table, the JSON file and the pictures."""
+"""``python -m studies.robustness``: the tables, the JSON files and the pictures, all or in parts."""
 
+import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from geometry.design import SensorDesign
+from geometry.errors import DesignError
 from geometry.storage.files import write_json
+from studies.robustness.identified import COUNTS, markdown, merged, rows_of, write_table
 from studies.robustness.noise_charts import draw_dead, draw_pairs, draw_readings
 from studies.robustness.study import (
     BAR,
@@ -23,48 +27,82 @@ from studies.robustness.study import (
     sensor_under_load,
     study_sensors,
 )
+from studies.robustness.truths import PROTOCOLS, TRUTHS
 from tripillar.pipeline.run import respond
 from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show
 
+NETS_PART = "nets"
+PARTS = (NETS_PART, *TRUTHS)
 CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 
 
 def assess_all(
     out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/robustness"),
     samples: Annotated[int, typer.Option(help="Training samples.")] = Sizes.train,
+    part: Annotated[list[str] | None, typer.Option(help=f"Part to run: {', '.join(PARTS)}; default: all.")] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help="Loads of truths; default: all.")] = None,
+    page: Annotated[Path | None, typer.Option(help="Page of the docs whose table of truths is replaced.")] = None,
 ) -> None:
-    """Train and assess the joint nets on ever worse sensors of the default design."""
-    sizes = Sizes(train=samples)
+    """Train and assess the joint nets on ever worse sensors, and identify sensors that are not the simulator."""
+    parts, protocols = part or list(PARTS), protocol or list(PROTOCOLS)
+    for wanted, known in ((parts, PARTS), (protocols, PROTOCOLS)):
+        if unknown := [one for one in wanted if one not in known]:
+            raise DesignError(f"'{unknown[0]}' is unknown; known are {', '.join(known)}.")
+    if NETS_PART in parts:
+        assess_nets(out, Sizes(train=samples))
+    if truths := [name for name in TRUTHS if name in parts]:
+        identify_truths(out, truths, protocols, page)
+
+
+def assess_nets(out: Path, sizes: Sizes) -> None:
+    """Train and assess the nets; print the table and write it."""
     with Bars() as bars:
         _, response = respond(SensorDesign(), bars)
         advance = bars.begin("sensor under load", total=1)
         sensor = sensor_under_load(response, sizes)
         advance(1, "")
         trained = bars.begin("networks", total=CASES * len(NETS))
-        found = study_sensors(sensor, sizes, lambda case: trained(1, case))
+        found = study_sensors(sensor, lambda case: trained(1, case))
     show(robustness_table(found))
     wrote(write(found, out))
 
 
+def identify_truths(out: Path, truths: list[str], protocols: list[str], page: Path | None) -> None:
+    """Identify sensors from pairs; each truth's rows are kept as they come, beside those of earlier runs."""
+    kept, picture = out / "robustness-pairs.json", out / "robustness-pairs.png"
+    rows = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else []
+    with Bars() as bars:
+        advance = bars.begin("truths", total=len(truths) * len(protocols) * (1 + len(COUNTS)))
+        for name in truths:
+            for loads in protocols:
+                found = rows_of(name, loads, partial(advance, 1))
+                rows = merged(rows, found)
+                write_json(rows, kept)
+    draw_pairs(rows, picture)
+    if page is not None:
+        write_table(rows, page)
+    print(markdown(rows))
+    wrote([kept, picture] + ([] if page is None else [page]))
+
+
 def write(found: Findings, folder: Path) -> list[Path]:
-    """JSON and pictures; returns the files."""
-    plain, readings, pairs = (folder / f"robustness{part}" for part in (".json", "-readings.png", "-pairs.png"))
+    """JSON and pictures of the nets; returns the files."""
+    plain, readings = (folder / f"robustness{part}" for part in (".json", "-readings.png"))
     write_json(found.as_plain(), plain)
     draw_readings(found.rows, readings)
-    draw_pairs(found.rows, pairs)
     dead = {net: folder / f"robustness-dead-{net}.png" for net in NETS}
     for net, path in dead.items():
         draw_dead([one for one in found.named if one.net == net], path)
-    return [plain, readings, pairs, *dead.values()]
+    return [plain, readings, *dead.values()]
 
 
 def robustness_table(found: Findings) -> Table:
     """Errors of every sensor and net, and below what the models say of dead pillars themselves."""
     caption = [
-        "68 %, 95 %: share of errors within these deviations; specimen: gains ± 20 %, offsets of 200 Ω",
+        "68 %, 95 %: share of errors within these deviations",
         f"outputs whose error rose more than {ROSE:g}-fold by a dead pillar or wire, against those the model names:",
     ]
     for one in found.named:

@@ -1,13 +1,13 @@
 """Pictures of the study."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.charts import BLUE, GREEN, ORANGE, finish, new_figure, save
+from studies.charts import BLUE, GREEN, ORANGE, SERIES, finish, new_figure, save
 from studies.robustness.study import ROSE, ErrorRow, Named
 
 if TYPE_CHECKING:
@@ -35,20 +35,24 @@ def draw_readings(rows: list[ErrorRow], path: Path) -> None:
     finish(figure, path)
 
 
-def draw_pairs(rows: list[ErrorRow], path: Path) -> None:
-    """Write a PNG: error on a specimen against the number of pairs a model was fine-tuned on."""
-    figure = new_figure(10, 6)
-    axes = figure.subplots()
-    chosen = [row for row in rows if row.error_range_pct is not None]
-    _lines(axes, chosen)
-    for row in chosen:
-        assert row.error_range_pct is not None
-        axes.plot([_number(row)] * 2, row.error_range_pct, color=COLOURS[row.force], linewidth=1)
-    axes.set(xscale="log", yscale="log", xlabel="measured pairs", ylabel="error [% of full scale]")
-    _ticks(axes, chosen)
-    title = "gains ± 20 %, offsets of 200 Ω, noise 0.1 %: what measured pairs buy"
-    axes.set_title(f"{title}\nmean and range over draws of pairs")
-    axes.legend(fontsize=9, ncols=3, loc="upper right")
+def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write a PNG: error on every truth, the mean square of its three axes, against the number of pairs."""
+    protocols = sorted({row["protocol"] for row in rows})
+    figure = new_figure(13, 5.5)
+    panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
+    for axes, protocol in zip(panels, protocols, strict=True):
+        chosen = [row for row in rows if row["protocol"] == protocol]
+        for truth, colour in zip(dict.fromkeys(row["truth"] for row in rows), SERIES, strict=False):
+            mine = [(row["pairs"] or NONE, np.sqrt(np.mean(np.square(row["error_pct"])))) for row in chosen]
+            mine = [point for point, row in zip(mine, chosen, strict=True) if row["truth"] == truth]
+            if mine:
+                axes.plot(*zip(*mine, strict=True), "o-", color=colour, label=truth)
+        axes.set(xscale="log", yscale="log", xlabel="measured pairs", title=f"{protocol} loads")
+        counts = sorted({row["pairs"] for row in chosen})
+        axes.set_xticks([count or NONE for count in counts], [str(count or "none") for count in counts])
+        axes.minorticks_off()
+    panels[0].set_ylabel("error [% of full scale]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=9)
     finish(figure, path)
 
 
@@ -90,18 +94,17 @@ def _lines(axes: "Axes", rows: list[ErrorRow]) -> None:
 
 
 def _number(row: ErrorRow) -> float:
-    """Place of a case on the axis: its noise in %, its bits, its pairs.
+    """Place of a case on the axis: its noise in %, its bits.
 
     >>> _number(ErrorRow(part="noise", case="noise 0.5%", net="root", force="fx", error_pct=1.0))
     0.5
     """
     found = re.search(r"[\d.]+", row.case)
     assert found is not None
-    return float(found[0]) or NONE
+    return float(found[0])
 
 
 def _ticks(axes: "Axes", rows: list[ErrorRow]) -> None:
     places = sorted({_number(row) for row in rows})
-    pairs = any(row.error_range_pct is not None for row in rows)
-    axes.set_xticks(places, ["none" if pairs and place == NONE else f"{place:g}" for place in places])
+    axes.set_xticks(places, [f"{place:g}" for place in places])
     axes.minorticks_off()

@@ -1,17 +1,16 @@
 """The same loads measured by ever worse sensors: nets trained on each, and their errors."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
-from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named, fine_tune
+from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
 from decoupler.data.columns import force_columns, readable_columns
 from decoupler.evaluation.crossval import in_parallel
-from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes
 from decoupler.model.settings import Feature
@@ -22,12 +21,10 @@ HIDDEN = 17  #: the paper's best
 NETS: tuple[Feature, ...] = ("inverse", "root")  #: inputs of the two skip nets: the response's inverse, and √R
 NOISES = (0.001, 0.005, 0.01)
 BITS = (8, 10, 12, 16)
-SPECIMEN = Imperfections(noise=NOISES[0], gain_spread=0.2, offset_ohm=200.0, specimen=1)
-PAIRS = (0, 1, 2, 5, 10, 20, 50, 100, 200)
 BAR = 1.15  #: of the limit, that the net with the response's inverse is to stay below
 ROSE = 3.0  #: times the healthy error, from where an output should be distrusted
 LIMIT_SAMPLES = 200  #: of which the limits of single units are worked out; as many as `assess` takes
-SEEDS = {"train": 1, "test": 2, "pairs": 3}  #: of loads and of noise
+SEEDS = {"train": 1, "test": 2}  #: of loads and of noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +33,6 @@ class Sizes:
 
     train: int = 2000
     test: int = 400
-    draws: int = 5  #: sets of pairs that fine-tuning is repeated with
-    pairs: tuple[int, ...] = PAIRS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +47,6 @@ class ErrorRow:
     limit_pct: float | None = None  #: Cramér-Rao
     bayes_pct: float | None = None  #: Bayes, which knows the usual loads
     coverage: tuple[float, float] | None = None  #: shares of errors within the 68 % and the 95 % deviation
-    error_range_pct: tuple[float, float] | None = None  #: over the draws of pairs
 
     @property
     def ratio(self) -> float | None:
@@ -121,7 +115,7 @@ class LoadedSensor:
 
 def sensor_under_load(response: ArrayResponse, sizes: Sizes) -> LoadedSensor:
     """Loads on all pads along all axes, drawn once; sensors differ in how they measure them."""
-    counts = {"train": sizes.train, "test": sizes.test, "pairs": sizes.draws * max(sizes.pairs)}
+    counts = {"train": sizes.train, "test": sizes.test}
     loads = {
         split: simulate(response, DatasetSettings(protocol="three-axis", samples=n, seed=SEEDS[split]))
         for split, n in counts.items()
@@ -139,8 +133,8 @@ def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
     }
 
 
-def study_sensors(sensor: LoadedSensor, sizes: Sizes, progress: Callable[[str], None] = lambda case: None) -> Findings:
-    """Train every net on every sensor, fine-tune, and assess. `progress` is called with each trained case."""
+def study_sensors(sensor: LoadedSensor, progress: Callable[[str], None] = lambda case: None) -> Findings:
+    """Train every net on every sensor, and assess. `progress` is called with each trained case."""
     array = sensor.response.design.array
     noises = {f"noise {noise:.1%}": Imperfections(noise=noise) for noise in NOISES}
     converters = {f"{bits} bits": Imperfections(bits=bits) for bits in BITS}
@@ -156,8 +150,6 @@ def study_sensors(sensor: LoadedSensor, sizes: Sizes, progress: Callable[[str], 
     ]
     named = []
     healthy = {net: models[next(iter(noises)), net] for net in NETS}
-    for net in NETS:
-        rows += fine_tuned(sensor, sizes, net, healthy[net])
     for case, faults in dead.items():
         for net in NETS:
             lines, one = with_dead(sensor, case, faults, net, models[case, net], healthy[net].model)
@@ -201,27 +193,6 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[ErrorRow]:
                 bayes_pct=_rms(found.bayes_n[..., axis]) * pct_per_n, coverage=one.coverage,
             )
         )  # fmt: skip
-    return rows
-
-
-def fine_tuned(sensor: LoadedSensor, sizes: Sizes, net: Feature, designed: Trained) -> list[ErrorRow]:
-    """Errors on a specimen with other pillars: of a model of the sensor as designed, fine-tuned on ever more pairs.
-
-    The limits are those of the sensor as designed: to relative noise a known gain makes no difference.
-    """
-    test, pairs = sensor.measured(SPECIMEN, "test"), sensor.measured(SPECIMEN, "pairs")
-    rows = []
-    for count in sizes.pairs:
-        errors = []
-        for draw in range(sizes.draws if count else 1):
-            start = draw * max(sizes.pairs)
-            few = pairs[start : start + count]
-            tuned = fine_tune(designed.model, few, sensor.response) if count else designed.model
-            errors.append({force: one.full_scale_pct or 0.0 for force, one in evaluate(tuned, test).items()})
-        for row in _rows("specimen", "1 pair" if count == 1 else f"{count} pairs", net, designed):
-            values = [error[row.force] for error in errors]
-            span = min(values), max(values)
-            rows.append(replace(row, error_pct=float(np.mean(values)), error_range_pct=span, coverage=None))
     return rows
 
 

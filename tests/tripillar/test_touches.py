@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from dataset.measurement import measured
-from decoupler import NetworkConfig, TrainingConfig, fine_tune, train
+from decoupler import NetworkConfig, TrainingConfig, train
+from decoupler.data.pairs import Pairs
+from decoupler.twin import identify
 from fem.array.response import ArrayResponse
+from fem.array.sensitivities import ResponseSensitivities
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tripillar.pipeline.comparison import TOUCHES_N, touches
 from tripillar.pipeline.manufactured import READ, SPECIMEN
@@ -24,8 +27,15 @@ def rows():
     model = train(data, "fz", NetworkConfig(hidden=2, feature="inverse"), TrainingConfig(), response=RESPONSE)
     pairs = labelled(SENSOR, "z", n_samples=10, seed=1)
     specimen_ohm = SPECIMEN.apply(pairs.resistance_ohm, np.random.default_rng(0))
-    tuned = fine_tune(model, replace(pairs, resistance_ohm=specimen_ohm, noise=SPECIMEN.noise), RESPONSE)
-    found = touches({"ours": model.forces}, model, tuned, RESPONSE, truth)
+    pairs = Pairs.of(replace(pairs, resistance_ohm=specimen_ohm, noise=SPECIMEN.noise))
+    softness = ResponseSensitivities(
+        design=SENSOR,
+        parameters=("rubber.young_mpa",),
+        deviation=np.array([0.6]),
+        influence_mm_per_n=-RESPONSE.influence_mm_per_n[None] / 6.1,
+    )
+    identified = identify(pairs, RESPONSE, softness).decoder
+    found = touches({"ours": model.forces}, model, identified, RESPONSE, truth)
     return {row.decoupler: row for row in found}
 
 
@@ -41,8 +51,10 @@ def test_noise_is_what_limits_it(rows):
 
 
 def test_gains_and_offsets_hide_touches_until_they_are_known_and_rest_is_zero(rows):
-    untuned, tuned, zeroed = (rows[f"ours, as made, {how}"] for how in ("untuned", "tuned", "tuned, zeroed at rest"))
-    assert untuned.read_n[0] > 3 * tuned.read_n[0] > 3 * zeroed.read_n[0]
+    untuned, identified, zeroed = (
+        rows[f"ours, as made, {how}"] for how in ("untuned", "identified", "identified, zeroed at rest")
+    )
+    assert untuned.read_n[0] > 3 * identified.read_n[0] > 3 * zeroed.read_n[0]
     assert zeroed.exact_n[0] < TOUCHES_N[0]
 
 

@@ -36,12 +36,12 @@ def comparison_table(comparisons: "list[Comparison]") -> Table:
     (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
     table = _headed(
         ("data", "decoupler"),
-        ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "tuned"),
+        ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "identified"),
         title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%}), noise-free",
         caption="Test samples come from the response that ours starts from; full scale is the largest force on a pad.\n"
         f"{AS_READ}: relative error of the same networks on the same samples, read with that noise and converter.\n"
         "At rest: nothing is on the sensor. As made: relative error on a sensor whose geometry, rubber, gains and\n"
-        f"offsets are a little off, with that noise and converter; tuned: after {PAIRS} measured pairs of it",
+        f"offsets are a little off, with that noise and converter; identified: from {PAIRS} measured pairs of it",
     )
     for comparison in comparisons:
         title = f"{comparison.protocol}\nto {comparison.full_scale_n:.0f} N a pad"
@@ -50,7 +50,7 @@ def comparison_table(comparisons: "list[Comparison]") -> Table:
             at_rest = "" if entry.at_rest_n is None else f"{entry.at_rest_n:.3f}"
             read, *made = [
                 f"{errors.rel_err:.2%}" if errors and errors.rel_err else ""
-                for errors in (entry.as_read, entry.as_made, entry.as_made_tuned)
+                for errors in (entry.as_read, entry.as_made, entry.identified)
             ]
             table.add_row("", entry.decoupler, *_error_cells(entry.errors), read, at_rest, *made)
         floor = f"PCA floor of {comparison.floor_hidden} nodes"
@@ -67,7 +67,7 @@ def touch_table(comparisons: "list[Comparison]") -> Table:
         ("data", "decoupler"),
         tuple(f"{size_n:g} N" for size_n in TOUCHES_N),
         title="One pad touched, nothing else on the sensor: error of its force [N], exact readings / " + AS_READ,
-        caption="Root mean square over all pads; the networks of the table above. As made, tuned, zeroed: what the\n"
+        caption="Root mean square over all pads; the networks of the table above. Zeroed at rest: what the\n"
         f"sensor shows with nothing on it, the mean of {AT_REST} readings, is taken off",
     )
     for comparison in comparisons:

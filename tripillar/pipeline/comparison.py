@@ -1,7 +1,8 @@
 """Decouplers side by side on the same test samples, beside the errors that the paper prints.
 
 Every decoupler reads exact samples, the same samples through noise and converter, and the sensor at rest. Networks also
-read a sensor as made (`manufactured.py`), and single pads touched by 0.1 to 20 N.
+read a sensor as made (`manufactured.py`), which is also identified from a few pairs, and single pads touched by 0.1 to
+20 N.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,14 +14,16 @@ import numpy as np
 
 from dataset import Imperfections, Samples
 from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.pairs import Pairs
 from decoupler.evaluation.assessment import light_touches
 from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
-from decoupler.training.fine_tuning import fine_tune
+from decoupler.twin.identification import identify
 from fem.array.response import ArrayResponse
+from fem.array.sensitivities import ResponseSensitivities
 from geometry.layout import AXES, FloatArray
 from tripillar.pipeline.manufactured import PAIRS, PAIRS_SEED, READ, SPECIMEN, TEST_SEED, measured_on
 from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
@@ -42,7 +45,7 @@ class Entry:
     as_read: ForceErrors  #: of the same samples with noise of 0.1 % and 12 bits
     at_rest_n: float | None  #: root mean square error without a load [N]; None except for networks
     as_made: ForceErrors | None  #: on the sensor as made; None except for networks
-    as_made_tuned: ForceErrors | None  #: the same after fine-tuning on a few measured pairs
+    identified: ForceErrors | None  #: the same of the decoder identified from a few pairs; None except for our network
     made_from: dict[str, Any]  #: training settings of a network; empty for the others
 
 
@@ -75,11 +78,13 @@ def compare(
     test: Samples,
     models: dict[str, Decoupler],
     response: ArrayResponse,
+    sensitivities: ResponseSensitivities,
     truth: ArrayResponse,
 ) -> Comparison:
     """Errors of networks and of the two baselines that they must beat: eq. 8, and least squares on √R.
 
-    `response` is that of the sensor as designed, which made the data; `truth` that of the sensor as made.
+    `response` is that of the sensor as designed, which made the data, with its derivatives; `truth` that of the sensor
+    as made.
     """
     component = next(iter(models.values())).component
     paper = next(label for label, model in models.items() if model.network.net == "plain")
@@ -103,10 +108,8 @@ def compare(
         measured_on(truth, response.design, protocol, samples, seed)
         for samples, seed in ((len(test), TEST_SEED), (PAIRS, PAIRS_SEED))
     )
-    tuned = {label: fine_tune(model, pairs, response) for label, model in models.items()}
-    as_made, as_made_tuned = (
-        {label: evaluate(model, made)[name] for label, model in either.items()} for either in (models, tuned)
-    )
+    identified = identify(Pairs.of(pairs), response, sensitivities, component.name).decoder
+    as_made = {label: evaluate(model, made)[name] for label, model in models.items()}
     return Comparison(
         protocol=protocol,
         component=name,
@@ -121,7 +124,7 @@ def compare(
                 as_read=as_read[label],
                 at_rest_n=at_rest.get(label),
                 as_made=as_made.get(label),
-                as_made_tuned=as_made_tuned.get(label),
+                identified=evaluate(identified, made)[name] if label == ours else None,
                 made_from=models[label].made_from if label in models else {},
             )
             for label in decouplers
@@ -129,7 +132,7 @@ def compare(
         touches=touches(
             {LINEAR: least_squares.forces} | {label: models[label].forces for label in (paper, ours)},
             models[ours],
-            tuned[ours],
+            identified,
             response,
             truth,
         ),
@@ -139,21 +142,22 @@ def compare(
 def touches(
     decouplers: Mapping[str, Forces],
     ours: Decoupler,
-    tuned: Decoupler,
+    identified: Decoupler,
     response: ArrayResponse,
     truth: ArrayResponse,
 ) -> list[TouchErrors]:
-    """Errors of single touches: decouplers by name on the sensor as designed, our network on the sensor as made.
+    """Errors of single touches: decouplers by name on the sensor as designed, ours on the sensor as made.
 
-    `tuned` is our network after fine-tuning. The last row is the Cramér-Rao limit of the readings.
+    `ours` was trained on the sensor as designed, `identified` from a few pairs. The last row is the Cramér-Rao limit of
+    the readings.
     """
     component = ours.component
     exact = replace(SPECIMEN, noise=0.0, bits=None)
     trials = [(name, forces, response, Imperfections(), READ, False) for name, forces in decouplers.items()]
     trials += [
         ("ours, as made, untuned", ours.forces, truth, exact, SPECIMEN, False),
-        ("ours, as made, tuned", tuned.forces, truth, exact, SPECIMEN, False),
-        ("ours, as made, tuned, zeroed at rest", tuned.forces, truth, exact, SPECIMEN, True),
+        ("ours, as made, identified", identified.forces, truth, exact, SPECIMEN, False),
+        ("ours, as made, identified, zeroed at rest", identified.forces, truth, exact, SPECIMEN, True),
     ]
     rows = [
         TouchErrors(

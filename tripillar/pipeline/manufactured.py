@@ -18,7 +18,7 @@ SETTINGS = {"soft": ResponseSettings(tolerance=2e-3), "stiff": ResponseSettings(
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, specimen=1, noise=0.001, bits=12)
 READ = Imperfections(noise=SPECIMEN.noise, bits=SPECIMEN.bits)  #: noise and converter alone, for the sensor as designed
 AS_READ = f"{100 * READ.noise:g} %, {READ.bits} bits"
-PAIRS = 10  #: measured samples that a model is fine-tuned on
+PAIRS = 10  #: measured samples that the sensor is identified from
 TEST_SEED, PAIRS_SEED = 2, 3
 
 

@@ -18,6 +18,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
+from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response
 from fem.array.unit_check import check_unit
 from geometry.design import SensorDesign
@@ -101,10 +102,11 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
     stages.append(stage)
     stage, truth = respond(as_made(design), bars, SETTINGS[design.pad.kind])
     stages.append(replace(stage, name="as made"))
+    sensitivities, _, _ = response_sensitivities(design)
     comparisons = []
     for protocol in STUDIED:
         training, test = (read_samples(_dataset_path(out, protocol, split), labels_only=True) for split in SPLITS)
-        comparisons.append(compare(protocol, training, test, models[protocol], response, truth))
+        comparisons.append(compare(protocol, training, test, models[protocol], response, sensitivities, truth))
     result = PipelineResult(stages=stages, comparisons=comparisons)
     table = out / "table.json"
     write_json(result.as_plain(), table)

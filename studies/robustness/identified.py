@@ -1,0 +1,121 @@
+"""Sensors that are not the simulator: errors of the design's own decoder, and of those identified from pairs."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+from dataset import DatasetSettings, simulate
+from dataset.samples import joined
+from decoupler import Assessment, Decoupler, NetworkConfig, assess
+from decoupler.data.pairs import Pairs
+from decoupler.twin import identify
+from fem.array.response import ArrayResponse
+from fem.array.sensitivities import response_sensitivities
+from fem.array.solving import array_response
+from geometry.storage.files import write_text
+from studies.robustness.truths import TRUTHS, Truth
+from tripillar.pipeline.manufactured import READ
+
+HIDDEN = 17  #: nodes of the design's own decoder
+TRAINED, TESTED = 2000, 100  #: samples
+COUNTS = (1, 3, 10, 50, 200)  #: pairs, the first of one set
+BEGIN, END = "<!-- table of truths and pairs: begin -->", "<!-- end -->"
+Triple = tuple[float, float, float]  #: of forces along x, y, z
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairRow:
+    """Errors after some pairs, in % of full scale along x, y, z."""
+
+    truth: str
+    protocol: str
+    pairs: int  #: 0: the design's own decoder, untuned
+    error_pct: Triple
+    limit_pct: Triple  #: Bayes limit of the linear response of the sensor as made
+    within_68: Triple  #: shares of errors
+    within_95: Triple
+    seconds: float  #: of processor time for one identification
+
+
+def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda pairs: None) -> list[PairRow]:
+    """Rows of one truth, from 0 pairs on; `progress` is called with each number of pairs."""
+    truth = TRUTHS[name]
+    response, _, _ = array_response(truth.intended)
+    sensitivities, _, _ = response_sensitivities(truth.intended)
+    test, pairs = (truth.measured(protocol, split, n) for split, n in (("test", TESTED), ("pairs", max(COUNTS))))
+    own = own_decoder(truth, response, protocol)
+    before = assess(own, test, truth.response())
+    limit = _triple(
+        one.limits.bayes_n * one.errors.full_scale_pct / one.errors.rmse_n
+        for one in before.values()
+        if one.limits is not None and one.errors.full_scale_pct is not None
+    )
+    correction = own.inverse.forward.correction if own.inverse is not None else None
+
+    def row(count: int, found: dict[str, Assessment], seconds: float) -> PairRow:
+        progress(count)
+        return PairRow(
+            truth=name,
+            protocol=protocol,
+            pairs=count,
+            error_pct=_triple(one.errors.full_scale_pct for one in found.values()),
+            limit_pct=limit,
+            within_68=_triple(one.coverage[0] for one in found.values() if one.coverage is not None),
+            within_95=_triple(one.coverage[1] for one in found.values() if one.coverage is not None),
+            seconds=seconds,
+        )
+
+    rows = [row(0, before, 0.0)]
+    for count in COUNTS:
+        start = process_time()
+        twin = identify(Pairs.of(pairs[:count]), response, sensitivities, "all", correction=correction)
+        seconds = process_time() - start
+        rows.append(row(count, assess(twin.decoder, test, None), seconds))
+    return rows
+
+
+def own_decoder(truth: Truth, response: ArrayResponse, protocol: str) -> Decoupler:
+    """The decoder of the sensor as designed, trained on its samples, read with noise and converter."""
+    from decoupler import train  # loads torch
+
+    data = simulate(response, DatasetSettings(protocol=protocol, samples=TRAINED, seed=1, **vars(READ))).labels()
+    if truth.is_learned:
+        data = joined([data, truth.learned(protocol)])
+    return train(data, "all", NetworkConfig(hidden=HIDDEN, feature="inverse"), response=response)
+
+
+def merged(old: list[dict[str, Any]], new: list[PairRow]) -> list[dict[str, Any]]:
+    """Rows of earlier runs and new ones, which replace those of the same truth and protocol, in the order of truths."""
+    fresh = {(row.truth, row.protocol) for row in new}
+    rows = [row for row in old if (row["truth"], row["protocol"]) not in fresh] + [asdict(row) for row in new]
+    order = list(TRUTHS)
+    return sorted(rows, key=lambda row: (order.index(row["truth"]), row["protocol"], row["pairs"]))
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The table for the docs."""
+    lines = [
+        "| truth | loads | pairs | error | Bayes limit | within 68 % | within 95 % |",
+        "| --- | --- | ---: | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        size = TRUTHS[row["truth"]].made.array
+        labels = (row["truth"], f"{row['protocol']}, {size.rows} × {size.cols}") if not row["pairs"] else ("", "")
+        shares = (" / ".join(f"{100 * share:.0f}" for share in row[name]) for name in ("within_68", "within_95"))
+        errors = (" / ".join(f"{value:.3g}" for value in row[name]) for name in ("error_pct", "limit_pct"))
+        lines.append(f"| {' | '.join([*labels, str(row['pairs'] or 'none'), *errors, *shares])} |")
+    return "\n".join(lines)
+
+
+def write_table(rows: list[dict[str, Any]], page: Path) -> None:
+    """Replace the table of a page, between `BEGIN` and `END`."""
+    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
+    _, after = rest.split(END, 1)
+    write_text(f"{before}{BEGIN}\n\n{markdown(rows)}\n\n{END}{after}", page)
+
+
+def _triple(values: Iterable[float | None]) -> Triple:
+    x, y, z = (float(value) for value in values if value is not None)
+    return x, y, z
