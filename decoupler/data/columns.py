@@ -160,9 +160,15 @@ class Resting:
 
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with those that may be at rest there, where most of a sample's may."""
-        steps = self.full_counts * (SENSE_OHM / (columns_ohm + SENSE_OHM) - SENSE_OHM / (self.rest_ohm + SENSE_OHM))
-        alike = np.abs(steps) <= MAX_COUNTS_FROM_REST
-        return np.where(alike & (alike.mean(axis=1, keepdims=True) > MIN_RESTING), self.rest_ohm, columns_ohm)
+        shares = SENSE_OHM / (columns_ohm + SENSE_OHM)
+        alike = np.abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
+        resting = np.count_nonzero(alike, axis=1) > MIN_RESTING * columns_ohm.shape[1]
+        return np.where(alike & resting[:, None], self.rest_ohm, columns_ohm) if resting.any() else columns_ohm
+
+    @cached_property
+    def _rest_share(self) -> FloatArray:
+        """Voltages at rest as shares of the supply's, (n_in,)."""
+        return SENSE_OHM / (self.rest_ohm + SENSE_OHM)
 
 
 @dataclass(frozen=True, eq=False)

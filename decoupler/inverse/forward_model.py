@@ -27,7 +27,7 @@ MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted 
 LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
 SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
-GAINED = 0.99  #: ratio of errors before and after a correction, above which lengths with errors tell no more
+GAINED = 0.95  #: ratio of errors before and after a correction, above which lengths with errors tell no more
 HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
