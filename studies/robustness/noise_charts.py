@@ -9,6 +9,7 @@ import numpy as np
 
 from studies.charts import BLUE, GREEN, ORANGE, SERIES, finish, new_figure, save
 from studies.robustness.study import ROSE, ErrorRow, Named
+from studies.robustness.truths import TRUTHS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
         chosen = [row for row in rows if row["protocol"] == protocol]
-        for truth, colour in zip(dict.fromkeys(row["truth"] for row in rows), SERIES, strict=False):
+        for truth, colour in zip(TRUTHS, SERIES, strict=False):
             mine = [(row["pairs"] or NONE, np.sqrt(np.mean(np.square(row["error_pct"])))) for row in chosen]
             mine = [point for point, row in zip(mine, chosen, strict=True) if row["truth"] == truth]
             if mine:
@@ -52,7 +53,8 @@ def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         axes.set_xticks([count or NONE for count in counts], [str(count or "none") for count in counts])
         axes.minorticks_off()
     panels[0].set_ylabel("error [% of full scale]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=9)
+    shown = {label: line for axes in panels for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(shown.values(), shown.keys(), loc="outside right upper", fontsize=9)
     finish(figure, path)
 
 
