@@ -18,7 +18,6 @@ from decoupler.model.baseline import LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
-from decoupler.training.fine_tuning import fine_tune
 
 if TYPE_CHECKING:
     from decoupler.training.trainer import train
@@ -42,7 +41,6 @@ __all__ = [
     "component_named",
     "cross_validate",
     "evaluate",
-    "fine_tune",
     "force_errors",
     "hooke_forces",
     "model_cache_key",

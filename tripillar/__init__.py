@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from tripillar.face.boards import record, replay, simulated_board
     from tripillar.face.bodies import response, solve, view
     from tripillar.face.files import write
-    from tripillar.face.learning import crossval, evaluate, fine_tune, simulate, train
+    from tripillar.face.identifying import identify
+    from tripillar.face.learning import crossval, evaluate, simulate, train
 
     __version__: str
 
@@ -62,7 +63,8 @@ _NAMES_BY_HOME = {
     "decoupler.model.model_file": ["read_model"],
     "hardware.session": ["live"],
     "tripillar.face.bodies": ["response", "solve", "view"],
-    "tripillar.face.learning": ["simulate", "train", "evaluate", "crossval", "fine_tune"],
+    "tripillar.face.learning": ["simulate", "train", "evaluate", "crossval"],
+    "tripillar.face.identifying": ["identify"],
     "tripillar.face.boards": ["record", "replay", "simulated_board"],
     "tripillar.face.files": ["write"],
 }
@@ -74,7 +76,7 @@ __all__ = [
     "__version__",
     "crossval",
     "evaluate",
-    "fine_tune",
+    "identify",
     "live",
     "read_design",
     "read_model",

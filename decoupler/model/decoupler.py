@@ -185,14 +185,14 @@ class Decoupler:
         return self.ensemble.differences(effective_n, slopes, columns_ohm)
 
     @property
-    def is_fine_tuned(self) -> bool:
+    def is_identified(self) -> bool:
         """It knows gain and offset of one sensor's pillars, from measured pairs or from training data of that sensor.
 
         Training fits them too, and of a sensor as designed finds 1 and 0 but for noise: that is no knowledge of one.
         """
         if self.calibration is None:
             return False
-        if "fine_tuned_on" in self.made_from or self.inverse is None:
+        if {"identified_on", "fine_tuned_on"} & self.made_from.keys() or self.inverse is None:
             return True
         rest_ohm = self.inverse.forward.resistances(np.zeros((1, self.inverse.forward.n_forces)))
         return bool(np.abs(self.calibration.modelled(rest_ohm) / rest_ohm - 1.0).max() > ALIKE)

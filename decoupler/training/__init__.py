@@ -1,6 +1,6 @@
 """Training of a model on labelled samples.
 
 `suited` completes what is asked for, `trainer` prepares the samples and trains, `network` is the network in torch,
-`varpro`, `levenberg_marquardt` (both on `damping`) and `momentum` find its weights, `error_bars` the errors to expect,
-and `fine_tuning` fits a model to one sensor.
+`varpro`, `levenberg_marquardt` (both on `damping`) and `momentum` find its weights, and `error_bars` the errors to
+expect.
 """

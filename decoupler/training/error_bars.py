@@ -3,8 +3,6 @@
 Both come from the errors on its training set, or on measured pairs, had each sample been left out. Loads no torch.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -117,25 +115,3 @@ def fitted_uncertainty(
         widths_at_rest=widths[1],
         light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
     )
-
-
-def widened(
-    decoupler: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, noise: float, bits: int | None
-) -> Decoupler:
-    """The model with its uncertainty for another sensor and its noise, wider if the sensor's pairs say so.
-
-    Pairs are readings (n, n_in) [Ω] and forces (n, n_out) [N]. A model that knows no uncertainty stays as it is.
-    """
-    if decoupler.uncertainty is None:
-        return decoupler
-    one = np.ones_like(decoupler.uncertainty.widths)
-    changed = replace(decoupler.uncertainty, noise=noise, bits=bits, widths=one, widths_at_rest=one)
-    errors = np.abs(decoupler.outputs(columns_ohm) - force_n)
-    scales = [
-        np.quantile((errors / width).reshape(-1, one.shape[1]), share, axis=0)
-        for share, width in zip(
-            WITHIN, replace(decoupler, uncertainty=changed).half_widths_of(columns_ohm), strict=True
-        )
-    ]
-    wider = np.maximum(np.stack(scales), 1.0)
-    return replace(decoupler, uncertainty=replace(changed, widths=wider, widths_at_rest=wider))

@@ -70,7 +70,7 @@ def identify(
     sensitivities : ResponseSensitivities, optional
         Its derivatives by the parameters that manufacturing leaves unknown; goes with the response.
     component : str, optional
-        fz, fx, fy or all; default: the axes along which forces act.
+        fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: the pairs'. Images of them fill the array.
     correction : EffectiveForces, optional
@@ -85,7 +85,7 @@ def identify(
     SampleError
         If the pairs are of another array, or none presses the sensor.
     """
-    parts = component_named(component or _acting(pairs))
+    parts = component_named(component or acting(pairs, None if response is None else loads_n))
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     readings = readings_of(pairs, axes, pillars)
@@ -118,7 +118,7 @@ def identify(
             correction,
             design,
             dead if dead.any() else None,
-            {"fine_tuned_on": pairs.content_hash, "pairs": n},
+            {"identified_on": pairs.content_hash, "pairs": n},
         )
 
     found = infer(expected, readings, draws, seed)
@@ -152,9 +152,9 @@ def _widened(decoder: Decoupler, readings: Readings, fitted: Callable[[Readings]
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
 
 
-def _acting(pairs: Pairs) -> str:
-    """The component that takes the axes along which forces act, or may act."""
-    everything = [pairs.force_n, *pairs.unknown_n]
+def acting(pairs: Pairs, loads_n: FloatArray | None = None) -> str:
+    """The component that takes the axes along which forces act, or may, in pairs and loads (n, rows, cols, 3)."""
+    everything = [pairs.force_n, *pairs.unknown_n, *([] if loads_n is None else [loads_n])]
     acting = [axis for k, axis in enumerate(AXES) if any(part[..., k].any() for part in everything)]
     return f"f{acting[0]}" if len(acting) == 1 else "all"
 

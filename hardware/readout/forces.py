@@ -123,10 +123,10 @@ class ForceReader:
                 f"the calibration is for a sensor of design {made_for}, the model for one of {model.design_hash}: "
                 "take a model of that design, or calibrate by the model's."
             )
-        if model.is_fine_tuned and not calibration.is_tare_only:
+        if model.is_identified and not calibration.is_tare_only:
             raise FileFormatError(
-                "the model is fine-tuned to its sensor's pillars, and the calibration knows their gains too: give a "
-                "calibration that only holds a tare, or the model before fine-tuning."
+                "the model is identified from this sensor's pairs, and the calibration knows its gains too: give a "
+                "calibration that only holds a tare, or a model of the sensor as designed."
             )
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:

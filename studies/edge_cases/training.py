@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
-from decoupler import Decoupler, SampleError, component_named, evaluate, fine_tune
+from decoupler import Decoupler, SampleError, component_named, evaluate
 from decoupler.data.columns import Scaling, force_columns, pillar_columns, readable_columns
 from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
@@ -303,18 +303,6 @@ def _with_rest(data: Samples) -> Samples:
     )
 
 
-def one_pair() -> Judged:
-    """One measured pair of a specimen whose gains differ by 20 % is worth more than none."""
-    response = small_response()
-    network = NetworkConfig(hidden=HIDDEN, feature="inverse")
-    model = train(samples(protocol="three-axis"), "all", network, TrainingConfig(), response=response)
-    specimen = samples(seed=3, protocol="three-axis", gain_spread=0.2)
-    tuned = fine_tune(model, specimen[:1], response)
-    before, after = (evaluate(one, specimen[1:]) for one in (model, tuned))
-    error = max(after[name].rmse_n / before[name].rmse_n for name in after)
-    return Judged(error=error, allowed=1.0, against="the untouched model")
-
-
 def gradient_at_the_end(kind: Kind) -> Judged:
     """Autograd's slope at the end of a training that may not stop early, over that of the start: none is left."""
     forever = TrainingConfig(
@@ -380,7 +368,6 @@ def training_trials() -> list[Trial]:
     runs |= {f"no resistance, {ohm:g} Ω": partial(refused, SECOND_ORDER[0], ohm) for ohm in (np.nan, np.inf, 0.0, -1.0)}
     runs["dead column wire, joint, from the response"] = partial(joint, 12.0, dead_cols=(2,))
     runs |= {f"other response, pad {pad_mm:g} mm": partial(joint, pad_mm) for pad_mm in (10.0, 8.0, 4.0)}
-    runs["one pair, gains ± 20 %"] = one_pair
     trials = []
     for label, run in runs.items():
         name, _, value = label.partition(", ")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import SampleError
-from decoupler import NetworkConfig, TrainingConfig, cross_validate, evaluate, fine_tune, train
+from decoupler import NetworkConfig, TrainingConfig, cross_validate, evaluate, train
 from decoupler.data.columns import COMPONENTS, Scaling, component_named, force_columns, pillar_columns
 from decoupler.data.repeats import distinct, load_numbers, over_loads
 from decoupler.inverse.forward_model import ForwardModel
@@ -157,7 +157,6 @@ def test_functions_find_what_suits_the_samples_and_refuse_in_one_line_what_they_
         lambda: train(data, training=NetworkConfig()),
         lambda: evaluate(data, model),
         lambda: evaluate(model, data.force_n),
-        lambda: fine_tune(data, model),
         lambda: cross_validate("data.nc"),
     ):
         with pytest.raises(ArgumentError, match=r"^\w+ is of type \w+, expected \w+: [^\n]*\.$"):

@@ -5,7 +5,7 @@ class PillarModel:
     """Takes resistances (n, rows, cols, 3) to forces by a function; knows no design and no uncertainty."""
 
     design_hash = None
-    is_fine_tuned = knows_uncertainty = False
+    is_identified = knows_uncertainty = False
     reading_noise, load_test = 0.0, None
 
     def __init__(self, forces, rows=6, cols=6, rest_ohm=None):

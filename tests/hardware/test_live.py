@@ -29,7 +29,7 @@ class Shares:
     rows, cols = 2, 3
 
     design_hash = None
-    is_fine_tuned = knows_uncertainty = False
+    is_identified = knows_uncertainty = False
     reading_noise, load_test = 0.0, None
 
     def read_by(self, noise):
@@ -120,11 +120,11 @@ def test_a_calibration_for_another_design_is_refused():
 
 
 def test_gains_are_not_taken_out_twice():
-    """A fine-tuned model knows them by itself; a tare alone is welcome to it."""
+    """An identified model knows them by itself; a tare alone is welcome to it."""
     model = Shares()
-    model.is_fine_tuned = True
+    model.is_identified = True
     fresh = SensorCalibration.as_designed(2, 3)
-    with pytest.raises(FileFormatError, match=r"fine-tuned .* give a calibration that only holds a tare"):
+    with pytest.raises(FileFormatError, match=r"identified .* give a calibration that only holds a tare"):
         ForceReader(INFO, model, replace(fresh, gain=np.full((2, 3, 3), 1.1)))
     ForceReader(INFO, model, fresh.tared(REST_OHM))
 

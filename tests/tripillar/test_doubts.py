@@ -73,11 +73,11 @@ def unloaded(data):
 @pytest.mark.parametrize(
     "words",
     [
-        ("fine-tune", "--model", "model.safetensors"),
+        ("identify", "--design", "design.toml"),
         ("train", "--component", "all"),
         ("train", "--component", "all", "--net", "plain", "--feature", "root"),
     ],
-    ids=["fine-tune", "train", "train a plain net"],
+    ids=["identify", "train", "train a plain net"],
 )
 def test_nothing_is_written_of_what_looks_wrong(folder, command, tmp_path, change, words):
     wrong = changed(folder, f"{change.__name__}.nc", change)
@@ -92,7 +92,7 @@ def test_nothing_is_written_of_what_looks_wrong(folder, command, tmp_path, chang
 
 def test_force_writes_and_the_model_remembers(folder, command, tmp_path):
     wrong, out = changed(folder, "forced.nc", shuffle), tmp_path / "o.safetensors"
-    tuning = ("fine-tune", "--model", "model.safetensors", "--data", wrong, "--out", out)
+    tuning = ("identify", "--data", wrong, "--out", out)
     code, _, warning = command(*tuning, "--force", "-q")
     assert code == 0
     assert warning.startswith(f"warning: {wrong}: the readings fit the forces far better in another order")
@@ -104,16 +104,16 @@ def test_force_writes_and_the_model_remembers(folder, command, tmp_path):
 def test_right_pairs_are_taken_without_a_word(command, tmp_path):
     out = tmp_path / "o.safetensors"
     for pairs in (1, 2, 40):
-        tuning = ("fine-tune", "--model", "model.safetensors", "--data", "pairs.nc", "--pairs", pairs, "--out", out)
+        tuning = ("identify", "--data", "pairs.nc", "--pairs", pairs, "--out", out)
         code, _, said = command(*tuning, "-q")
         assert (code, said) == (0, f"{out}\n")
     assert "forced" not in read_model(out).made_from
 
 
 def test_more_pairs_than_there_are_is_a_mistake(command, tmp_path):
-    tuning = ("fine-tune", "--model", "model.safetensors", "--data", "pairs.nc", "--out", tmp_path / "o.safetensors")
+    tuning = ("identify", "--data", "pairs.nc", "--out", tmp_path / "o.safetensors")
     code, _, said = command(*tuning, "--pairs", "1000")
-    assert (code, said) == (2, "tripillar: --pairs 1000 must be at most 40: pairs.nc holds no more.\n")
+    assert (code, said) == (2, "tripillar: --pairs 1000 must be at most 40: there are no more.\n")
 
 
 @pytest.mark.parametrize("words", [("train", "--out", "fz.safetensors"), ("crossval", "--folds", "2")], ids=str)
@@ -135,7 +135,7 @@ def test_a_test_on_training_samples_is_named(command, tmp_path):
     )
     assert command(*asked, "pairs.nc")[2] == ""
     out = tmp_path / "own.safetensors"
-    command("fine-tune", "--model", "model.safetensors", "--data", "pairs.nc", "--pairs", "7", "--out", out)
+    command("identify", "--data", "pairs.nc", "--pairs", "7", "--out", out)
     assert "was trained on these samples" in command("evaluate", "--model", out, "--data", "pairs.nc")[2]
 
 
@@ -151,6 +151,6 @@ def test_samples_given_twice_are_counted_out_loud(folder, command, tmp_path):
             data[name][20:] = data[name].values[:20]
 
     twice = changed(folder, "twice.nc", repeat)
-    tuning = ("fine-tune", "--model", "model.safetensors", "--data", twice, "--out", tmp_path / "o.safetensors")
+    tuning = ("identify", "--data", twice, "--out", tmp_path / "o.safetensors")
     code, _, said = command(*tuning, "-q")
     assert (code, f"{twice}: 20 of 40 samples repeat an earlier one and count once" in said) == (0, True)

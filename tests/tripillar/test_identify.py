@@ -41,7 +41,7 @@ def shown(force_n):
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(identifying, "_solved", lambda sensor, bars: (RESPONSE, SENSITIVITIES))
+    monkeypatch.setattr(identifying, "with_derivatives", lambda sensor, bars: (RESPONSE, SENSITIVITIES))
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
@@ -112,3 +112,15 @@ def test_a_load_that_did_not_act_is_doubted_unless_forced(house):
     words = *IDENTIFY, "--data", "wrong.csv", "-o", "m.safetensors"
     assert "load 'two' changed the resistances by 0 % of what it should" in house.refusal(*words)
     house.result(*words, "--force")
+
+
+def test_a_pillar_that_has_come_to_be_stuck_counts_as_dead(house):
+    """Its gain would be nearly 0, and whatever it reads a wild force."""
+    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (30, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    stuck_ohm = shown(force_n)
+    stuck_ohm[:, 1, 2, 0] = 9000.0
+    Samples(force_n=force_n, resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
+    house.result("identify", "--data", "stuck.nc", "-o", "own.safetensors", "-q")
+    model = read_model(house.folder / "own.safetensors")
+    assert np.argwhere(model.dead).tolist() == [[1, 2, 0]]
+    assert model.is_identified

@@ -150,9 +150,7 @@ crossval --data few.nc --component all -> 3 samples are too few to cross-validat
 identify --data missing.nc -o x.safetensors -> missing.nc: no such file
 identify --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
 identify -o dir --next 1 -> dir is a folder: give the name of a file in it.
-fine-tune --model model.safetensors --data data.nc -o model.safetensors -> model.safetensors is read by this command
-fine-tune --model model.safetensors --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
-fine-tune --model missing --data missing.nc -o dir -> dir is a folder: give the name of a file in it.
+fine-tune --model model.safetensors -o x.safetensors -> fine-tune is gone: write tripillar identify --data
 export --model missing -o dir -> dir is a folder: give the name of a file in it.
 export --model model.safetensors -o model.txt -> must end in .onnx or .h
 export --model model.safetensors -o m.h --precision half -> --precision half must be one of float, double

@@ -13,7 +13,7 @@ from tripillar.cli.board.fitting import calibrate, tare
 from tripillar.cli.board.reading import bench, convert, info, live, ports, record, replay
 from tripillar.cli.board.simulating import simulate
 from tripillar.cli.identifying import identify
-from tripillar.cli.learning import crossval, dataset, evaluate, export, fine_tune, train
+from tripillar.cli.learning import crossval, dataset, evaluate, export, train
 from tripillar.cli.solving import cad, design, mesh, response, solve
 from tripillar.cli.studying import doctor, optimize, run, sweep
 from tripillar.cli.viewing import SeveralPressures, view
@@ -53,7 +53,7 @@ def root(
 
 for heading, commands in {
     SOLVING: (design, cad, mesh, solve, response),
-    LEARNING: (dataset, train, evaluate, crossval, identify, fine_tune, export),
+    LEARNING: (dataset, train, evaluate, crossval, identify, export),
     STUDYING: (run, view, sweep, optimize, doctor),
     BOARD: (ports, info, live, bench, record, convert, replay, tare, calibrate, simulate),
 }.items():

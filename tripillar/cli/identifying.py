@@ -1,13 +1,15 @@
 """The command that identifies one sensor from measured pairs, and says which to measure next."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geometry.errors import DesignError, FileFormatError
+from geometry.errors import DesignError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
-from tripillar.cli.learning import Protocol
+from tripillar.cli.learning import Protocol, caller
+from tripillar.face.identifying import checked_pairs, usual_loads, with_derivatives
 from tripillar.terminal.console import (
     JsonOption,
     VerbosityOption,
@@ -19,11 +21,11 @@ from tripillar.terminal.console import (
 )
 
 if TYPE_CHECKING:
+    from dataset.samples import Samples
     from decoupler.data.pairs import Pairs
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
     from geometry.design import SensorDesign
-    from tripillar.terminal.progress import Bars
 
 MAX_NEXT = 100  #: loads that are said in advance
 
@@ -82,25 +84,24 @@ def identify(
 
     sensor = _sensor(data, design)
     if port is None:
-        measured = None if data is None else _read(data, sensor)
+        read = None if data is None else _read(data, sensor)
     else:
         assert sensor is not None
         kept = keep or (None if out is None or Path(port).is_file() else out.with_suffix(".csv"))
-        measured = _measured(port, loads, sensor, kept, seconds, force, baud=baud, timeout=timeout)
-    if measured is not None and pairs is not None:
-        if pairs > len(measured):
-            raise DesignError(f"--pairs {pairs} must be at most {len(measured)}: there are no more.")
-        measured = measured[:pairs]
+        read = _measured(port, loads, sensor, kept, seconds, force, baud=baud, timeout=timeout)
+    if read is not None and pairs is not None:
+        if pairs > len(read):
+            raise DesignError(f"--pairs {pairs} must be at most {len(read)}: there are no more.")
+        read = read[:pairs]
+    measured: Pairs | None = None
     with progress_bars(verbosity) as bars:
-        response, sensitivities = (None, None) if sensor is None else _solved(sensor, bars)
+        response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, bars)
     if usual is None and (data is None or data.suffix != ".nc"):
         usual = "contact"
-    usual_n = None if usual is None or sensor is None else _usual_loads(sensor, usual)
-    if measured is not None and response is not None and (data is None or data.suffix != ".nc") and not force:
-        from hardware.readout.known_loads import doubt_about
-
-        if doubt := doubt_about(measured, response):
-            raise FileFormatError(f"{doubt} Or take the pairs as they are with --force.")
+    usual_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
+    forced: dict[str, str] = {}
+    if read is not None:
+        measured, forced = checked_pairs(read, response, force, caller(data or Path(str(port)), bars))
     result: dict[str, Any] = {}
     lines = []
     known = None
@@ -112,7 +113,7 @@ def identify(
         lines += [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in twin.parameters.items()]
         lines.append(f"{len(measured)} pairs; χ² of their readings over their number: {twin.posterior.excess:.3g}")
         if out is not None:
-            write_model(twin.decoder, out)
+            write_model(replace(twin.decoder, made_from=twin.decoder.made_from | forced), out)
             result["file"] = str(out)
         if twin.decoder.component.name == "all":
             known = (twin.posterior.expected, twin.posterior.state)
@@ -151,13 +152,15 @@ def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
     return read_samples(data, labels_only=True).design
 
 
-def _read(data: Path, sensor: "SensorDesign | None") -> "Pairs":
+def _read(data: Path, sensor: "SensorDesign | None") -> "Samples | Pairs":
     from dataset import read_samples
     from decoupler.data.load_table import read_pairs
-    from decoupler.data.pairs import Pairs
 
-    if sensor is None:
-        return Pairs.of(read_samples(data, labels_only=True))
+    if sensor is None or data.suffix == ".nc":
+        samples = read_samples(data, labels_only=True)
+        if sensor is not None and samples.force_n.shape[1:3] != (sensor.array.rows, sensor.array.cols):
+            raise DesignError(f"{data} is of another array than the design: give this array's design.")
+        return samples
     return read_pairs(data, sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
 
 
@@ -179,30 +182,6 @@ def _measured(
     if loads is None:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     return measured_in_recording(Path(port), loads, sensor, Electronics(), force)[0]
-
-
-def _solved(sensor: "SensorDesign", bars: "Bars") -> "tuple[ArrayResponse, ResponseSensitivities]":
-    """The response of a design and its derivatives, from the cache or solved."""
-    from fem.array.sensitivities import response_sensitivities
-    from tripillar.pipeline.run import respond
-
-    _, response = respond(sensor, bars)
-    advance = bars.begin("sensitivities", total=1)
-    sensitivities, _, reused = response_sensitivities(sensor, None, lambda step: advance(0, step))
-    advance(1, "reused" if reused else "")
-    return response, sensitivities
-
-
-def _usual_loads(sensor: "SensorDesign", protocol: Protocol) -> Any:
-    """Random loads of a protocol, (n, rows, cols, 3) [N]."""
-    import numpy as np
-
-    from dataset.protocols import PROTOCOLS
-    from decoupler.twin.identification import LOADS
-
-    traction = PROTOCOLS[protocol].draw(np.random.default_rng(0), LOADS, sensor)
-    newtons = traction * sensor.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
-    return newtons.reshape(LOADS, sensor.array.rows, sensor.array.cols, 3)
 
 
 def _next(
@@ -238,7 +217,7 @@ def _next(
     possible = kitchen_loads(sensor) if candidates is None else loads_of(candidates, sensor)
     if measured is not None:
         possible = [load for load in possible if load.name not in measured.names]
-    usual_n = force_columns(_usual_loads(sensor, protocol), everything)
+    usual_n = force_columns(usual_loads(sensor, protocol), everything)
     numbers, errors = choose(knowledge, [as_columns(load, everything) for load in possible], usual_n, count)
     return [
         {"load": possible[number].name, "error_before": errors[k], "error": errors[k + 1]}

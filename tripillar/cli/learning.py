@@ -1,4 +1,4 @@
-"""The commands that make data, and train, test, tune and export networks."""
+"""The commands that make data, and train, test and export networks."""
 
 import os
 from dataclasses import asdict, replace
@@ -352,44 +352,6 @@ def crossval(
             samples, component, folds, training, net, hidden, feature, stated, None, force, caller(data, bars)
         )
     answer(json_, {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
-
-
-def fine_tune(
-    model: Annotated[Path, typer.Option(help="Model file, trained on simulated data.")],
-    data: Annotated[Path, typer.Option(help="Data set of measured resistances and forces of one sensor.")],
-    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors).")],
-    pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
-    force: ForceOption = False,
-    json_: JsonOption = False,
-    verbosity: VerbosityOption = None,
-) -> None:
-    """Fit a model to one real sensor by a few measured pairs.
-
-    A pair is the forces on the pads and the resistances measured under them. Gain and offset of each pillar are fitted
-    first, then the network's output layer.
-    """
-    require_other(out, model, data)
-    from dataset import read_samples
-    from decoupler.evaluation.metrics import evaluate as errors_on
-    from decoupler.model.model_file import read_model, write_model
-    from tripillar.face import learning as face
-
-    if pairs is not None and pairs < 1:
-        raise DesignError(f"--pairs {pairs} must be at least 1.")
-    decoupler, measured = read_model(model), read_samples(data, labels_only=True)
-    if pairs is not None and pairs > len(measured):
-        raise DesignError(f"--pairs {pairs} must be at most {len(measured)}: {data} holds no more.")
-    measured = measured[:pairs]
-    with progress_bars(verbosity) as bars:
-        tuned = face.fine_tune(decoupler, measured, force=force, caller=caller(data, bars, model))
-    write_model(tuned, out)
-    before, after = (errors_on(one, measured) for one in (decoupler, tuned))
-    lines = [
-        f"{name}: {before[name].rmse_n:.3g} N before, {errors.rmse_n:.3g} N after, on the pairs themselves"
-        for name, errors in after.items()
-    ]
-    result = {"pairs": len(measured), "before": plain(before), "after": plain(after)}
-    answer(json_, result, "\n".join(lines), out)
 
 
 def export(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from dataset import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.pairs import Pairs
 from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.forward_model import ForwardModel
@@ -67,11 +68,11 @@ def mention(data: Samples, component: Component, forward: ForwardModel | None, c
 
 
 def mention_another_sensor(data: Samples, component: Component, forward: ForwardModel | None, caller: Caller) -> None:
-    """Say that pairs seem to come from another sensor than the model's, if its response explains too few of them."""
+    """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
     share = None if forward is None else explained(data, component, forward)
     if share is not None and share < OWN_EXPLAINED:
         caller.say(
-            f"{caller.samples}: the model's response explains {max(share, 0.0):.0%} of these readings, of its own "
+            f"{caller.samples}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
             f"sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
         )
 
@@ -79,8 +80,8 @@ def mention_another_sensor(data: Samples, component: Component, forward: Forward
 def warn_of_test(decoupler: Decoupler, data: Samples, response: ArrayResponse | None, caller: Caller) -> None:
     """Say why errors on these samples may mislead: training samples, a forced model, doubtful data."""
     story, component = decoupler.made_from, decoupler.component
-    tuned_on = data[: story.get("pairs", 0)].content_hash
-    if data.content_hash == story.get("data_hash") or tuned_on == story.get("fine_tuned_on"):
+    identified_on = "identified_on" in story and Pairs.of(data[: story["pairs"]]).content_hash
+    if data.content_hash == story.get("data_hash") or (identified_on and identified_on == story["identified_on"]):
         told = f"{caller.model} was trained on these samples: its errors on others are larger"
         caller.say(f"warning: {caller.samples}: {told}")
     if "forced" in story:

@@ -9,23 +9,26 @@ from geometry.errors import ArgumentError
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.model.decoupler import Decoupler
+    from decoupler.twin.identification import Twin
     from fem.array.response import ArrayResponse
 
 
-def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler", path: Path | str) -> None:
+def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", path: Path | str) -> None:
     """Write a file, whole or not at all.
 
     Parameters
     ----------
-    thing : SensorDesign, ArrayResponse, Samples or Decoupler
+    thing : SensorDesign, ArrayResponse, Samples, Decoupler or Twin
         A design is written as TOML, a response or samples as NetCDF, a model as its path ends: .onnx, .h (C for a
-        microcontroller), else safetensors.
+        microcontroller), else safetensors. A twin is a design as TOML with its decoder beside it, as safetensors.
     path : path
 
     Raises
     ------
     ArgumentError
         If it is something else.
+    DesignError
+        If it is a twin of no design: write its decoder.
     NotWrittenError
         If the disk is full or the folder may not be written to.
 
@@ -43,6 +46,8 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler", path: Pat
     from decoupler.export import export_model
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import write_model
+    from decoupler.twin.identification import Twin
+    from decoupler.twin.twin_file import most_probable, write_twin
     from fem.array.response import ArrayResponse, write_response
     from geometry.design_file import write_design
 
@@ -53,9 +58,16 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler", path: Pat
         write_response(thing, path)
     elif isinstance(thing, Samples):
         thing.write(path)
+    elif isinstance(thing, Twin):
+        most_probable(thing)  # refuses one of no design before anything is written
+        decoder = path.with_suffix(".safetensors")
+        if decoder == path:
+            raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")
+        write_model(thing.decoder, decoder)
+        write_twin(thing, path, decoder)
     elif not isinstance(thing, Decoupler):
         raise ArgumentError(
-            f"a {type(thing).__name__} cannot be written: give a design, a response, samples or a model."
+            f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."
         )
     elif path.suffix in (".onnx", ".h"):
         export_model(thing, path)

@@ -1,4 +1,4 @@
-"""Make samples, and train, test and tune networks on samples that are checked first; the commands call these, too."""
+"""Make samples, and train and test networks on samples that are checked first; the commands call these, too."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -299,59 +299,6 @@ def folds_of(
     parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, response, force, caller)
     advance = caller.bars.begin(f"{folds} folds", total=folds)
     return network, cross_validate(samples, parts, network, training, folds, solved, lambda _: advance(1, ""))
-
-
-def fine_tune(
-    model: "Decoupler", pairs: "Samples", *, force: bool = False, caller: "Caller | None" = None
-) -> "Decoupler":
-    """Fit a model to one real sensor by a few measured pairs of forces and resistances.
-
-    Parameters
-    ----------
-    model : Decoupler
-        Trained on simulated samples.
-    pairs : Samples
-        Measured on the sensor.
-    force : bool
-        True goes on although the pairs look wrong; the model remembers why they did.
-    caller : Caller, optional
-        As of `train`.
-
-    Raises
-    ------
-    FileFormatError
-        If the pairs are of another sensor than the model's.
-    SampleError
-        If the pairs look wrong or are too few.
-
-    Examples
-    --------
-    A sensor whose pillars differ by 10 % from the design:
-
-    >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> model = tp.train(tp.simulate(design, samples=200, seed=1, noise=0.001), hidden=4)
-    >>> own = tp.simulate(design, samples=120, seed=2, noise=0.001, gain_spread=0.1)
-    >>> tuned = tp.fine_tune(model, own[:20])
-    >>> before, after = (tp.evaluate(one, own[20:], limits=False)["fz"].errors.rmse_n for one in (model, tuned))
-    >>> after < before / 5
-    True
-    """
-    from decoupler import fine_tune, require_same_sensor
-    from decoupler.evaluation.plausibility import doubt
-    from tripillar.face.checks import Caller, heed, joint_model, mention, mention_another_sensor
-
-    caller = caller or Caller()
-    require_same_sensor(model, pairs, Path(caller.model), Path(caller.samples))
-    solved = None if model.inverse is not None else _response(pairs, pairs.design or model.design, None, caller)
-    judge = joint_model(solved) if model.inverse is None else model.inverse.forward
-    forced = heed(doubt(pairs, model.component, judge), force, caller)
-    mention(pairs, model.component, joint_model(solved), caller)
-    mention_another_sensor(pairs, model.component, judge, caller)
-    tuned = fine_tune(model, pairs, solved)
-    return replace(tuned, made_from=tuned.made_from | forced)
 
 
 def _checked(

@@ -38,8 +38,19 @@ VerbosityOption = Annotated[
 ]
 
 
+#: commands that are gone, and what to write instead
+GONE = {
+    "fine-tune": "tripillar identify --data PAIRS.nc --design sensor.toml --out own.safetensors; it needs no model",
+}
+
+
 class UnderHeadings(TyperGroup):
     """Lists commands under the headings above, each with the first line of its help."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in GONE:
+            raise DesignError(f"{cmd_name} is gone: write {GONE[cmd_name]}.")
+        return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         commands = [(name, self.commands[name]) for name in self.list_commands(ctx)]
