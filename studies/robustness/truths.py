@@ -76,6 +76,6 @@ TRUTHS = {
     "pads": Truth(intended=_SOFT, made=_STIFF),
     "conduction": Truth(intended=_SOFT, made=replace(_SOFT, electrics=_CONDUCTION)),
     "finite": Truth(intended=_SMALL_STIFF, made=_SMALL_STIFF, is_finite=True),
+    "finite-learned": Truth(intended=_SMALL_STIFF, made=_SMALL_STIFF, is_finite=True, is_learned=True),
     "all": Truth(intended=_SMALL_SOFT, made=as_made(_SMALL_CONDUCTING), is_finite=True),
-    "all-learned": Truth(intended=_SMALL_CONDUCTING, made=as_made(_SMALL_CONDUCTING), is_finite=True, is_learned=True),
 }
