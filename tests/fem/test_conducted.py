@@ -57,7 +57,7 @@ def pressed(coarse):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "design_interior", lambda *_: interior)
         patch.setattr(module, "unit_conductors", lambda unit: (coarse, coarse))
-        patch.setattr("fem.conduction.potentials.unit_conductors", lambda unit: (coarse, coarse))
+        patch.setattr("fem.conduction.potentials.unit_conductors", lambda unit, strained=False: (coarse, coarse))
         found = conducted_pillars(design, influence)
     response = ArrayResponse(
         design=design, influence_mm_per_n=influence, conducted=found, residual=0.0, unknowns=1, seconds={}
