@@ -59,6 +59,8 @@ def identify(
 
     >>> import tripillar as tp
     >>> from dataclasses import replace
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
     >>> soft = replace(tp.response(design), influence_mm_per_n=1.1 * tp.response(design).influence_mm_per_n)
@@ -69,6 +71,10 @@ def identify(
     True
     >>> tp.evaluate(twin.decoder, own[20:], limits=False)["fz"].errors.full_scale_pct < 1
     True
+    >>> folder = Path(mkdtemp())
+    >>> tp.write(twin, folder / "own.toml")
+    >>> sorted(path.name for path in folder.iterdir())
+    ['own.safetensors', 'own.toml']
     """
     from dataset.samples import Samples
     from decoupler.data.pairs import Pairs
