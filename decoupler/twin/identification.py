@@ -14,7 +14,7 @@ from decoupler.inverse.effective_forces import EffectiveForces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
-from decoupler.twin.expectation import Expectation
+from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.posterior import Posterior, Readings, infer
 from decoupler.twin.usual_loads import images_of
 from geometry.design import SensorDesign
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from fem.array.sensitivities import ResponseSensitivities
 
 CONTRADICTED = 3.0  #: times a correction's stated width, from which on pairs contradict the design
+UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 FOLDS = 5  #: parts of the pairs that are then left out in turn
 LOADS = 3000  #: usual loads that a decoder is fitted to
-UNKNOWN = 1000  #: unknown parts of forces that are solved for; more of them count as noise
-SCARCE = 2.0  #: pairs over unknown numbers of a pillar, below which a sensor without a design is hardly determined
+MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,10 +123,16 @@ def identify(
 
     found = infer(expected, readings, draws, seed)
     decoder = decoded(found)
-    stated, led_to = expected.widths, found.expected.widths
-    if n > 1 and max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0:
+    if n > 1 and _contradicted(found, expected.widths):
         decoder = _widened(decoder, readings, lambda some: decoded(infer(expected, some, draws, seed)))
     return Twin(design=design, posterior=found, decoder=decoder, n_pairs=n)
+
+
+def _contradicted(found: Posterior, stated: Widths) -> bool:
+    """Say whether pairs contradict what was stated: by corrections that are too large, or by loads that do not fit."""
+    led_to = found.expected.widths
+    too_large = max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0
+    return bool(too_large or np.sqrt(np.mean(found.scale**2)) > UNFIT)
 
 
 def _widened(decoder: Decoupler, readings: Readings, fitted: Callable[[Readings], Decoupler]) -> Decoupler:
@@ -138,7 +144,7 @@ def _widened(decoder: Decoupler, readings: Readings, fitted: Callable[[Readings]
     ratios = []
     for part in np.array_split(np.random.default_rng(0).permutation(n), min(FOLDS, n)):
         model = fitted(readings.of_pairs(np.setdiff1d(np.arange(n), part)))
-        tested = readings.of_pairs(part)
+        tested = readings.of_pairs(part[(readings.read | ~readings.read.any(axis=0))[part].all(axis=1)])
         error_n = np.abs(model.outputs(tested.resistance_ohm) - tested.acting_n)
         ratios.append([error_n / width for width in model.half_widths_of(tested.resistance_ohm)])
     uncertainty = decoder.uncertainty
@@ -165,6 +171,11 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
     ohms = pairs.resistance_ohm[..., pillars].reshape(n, -1)
     read = np.isfinite(ohms)
     pair = np.repeat(np.arange(n), [len(part) for part in pairs.unknown_n])
+    if len(pair) > MAX_UNKNOWN:
+        raise SampleError(
+            f"the forces of these {n} pairs have {len(pair)} unknown parts, at most {MAX_UNKNOWN} can be solved for: "
+            "give fewer pairs, or forces that are exact."
+        )
     unknown = np.concatenate(pairs.unknown_n)[..., axes]
     return Readings(
         resistance_ohm=np.where(read, ohms, 1e4),
@@ -175,4 +186,5 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
         pair=pair,
         noise=pairs.noise,
         bits=pairs.bits,
+        scale=np.ones(n),
     )

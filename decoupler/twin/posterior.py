@@ -23,6 +23,7 @@ FARTHEST = 2.0  #: standard deviations that a shared unknown moves in a step
 HALVINGS = 10  #: of a pillar's own step until its misfit falls
 #: number of unknowns that a stated width counts as, beside those that the pairs determine
 BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1.0}
+BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
 AT_ONCE = 10_000  #: readings of pillars whose derivatives are worked on together
@@ -41,6 +42,7 @@ class Readings:
     pair: NDArray[np.int64]  #: (n_unknown,): of which pair
     noise: float
     bits: int | None
+    scale: FloatArray  #: (n,): of all deviations of a pair; above 1 if its load or its reading was not as stated
 
     def of_pairs(self, which: NDArray[np.int64]) -> "Readings":
         """The readings of some pairs, by their numbers."""
@@ -54,6 +56,7 @@ class Readings:
             acting_n=self.acting_n[which],
             unknown_n=self.unknown_n[kept],
             pair=np.array([place[int(pair)] for pair in self.pair[kept]], dtype=np.int64),
+            scale=self.scale[which],
         )
 
     def variance_ohm2(self) -> FloatArray:
@@ -175,6 +178,7 @@ class Posterior:
     gain_deviation: FloatArray  #: (P,)
     offset_deviation_ohm: FloatArray  #: (P,)
     ensemble: Ensemble
+    scale: FloatArray  #: (n,): of all deviations of each pair, above 1 if it was not as stated or as modelled
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
 
 
@@ -201,6 +205,7 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
     for _ in range(MAX_STEPS):
         state, evidence = _improved(expected, readings, state)
         widths = evidence.widths(stated, expected.widths)
+        readings = replace(readings, scale=np.maximum(readings.scale * evidence.scale, 1.0))
         change = max(abs(getattr(widths, name) / getattr(expected.widths, name) - 1.0) for name in evidence.known)
         state = _in_other_widths(state, expected.widths, widths)
         expected = replace(expected, widths=widths)
@@ -253,7 +258,8 @@ def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[F
     rest_ohm = state.ohm_per_mm2(expected) * (expected.sign * state.rest_mm(expected) ** 2).sum(axis=1)
     distance = readings.resistance_ohm - state.gain * rest_ohm - state.offset_ohm
     misfit_ohm2 = (expected.widths.misfit * distance) ** 2
-    variance = readings.variance_ohm2() + misfit_ohm2
+    variance = (readings.variance_ohm2() + misfit_ohm2) * readings.scale[:, None] ** 2
+    misfit_ohm2 *= readings.scale[:, None] ** 2
     return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
 
 
@@ -299,6 +305,7 @@ class _Evidence:
 
     squares: dict[str, float]
     known: dict[str, float]
+    scale: FloatArray  #: (n,): size of each pair's errors, over the expected one
     moved: float  #: largest step of an unknown, in standard deviations
 
     def widths(self, stated: Widths, now: Widths) -> Widths:
@@ -322,6 +329,7 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
     squares = dict.fromkeys(("gain", "offset", "own", "misfit"), 0.0)
     known = dict.fromkeys(squares, 0.0)
     solved = []
+    errors, expected_errors = np.full((2, len(weight)), BELIEF_IN_PAIRS)
     for part in _linearised(expected, readings, state, weight):
         marginal = _Marginal(part.own)
         Y = part.with_misfit(own)
@@ -333,6 +341,7 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
         for name, which in (("gain", slice(0, 1)), ("offset", slice(1, 2)), ("own", slice(2, None))):
             known[name] += float(determined[:, which].sum())
         known["misfit"] += float((unsure[:, part.pillars].T * left).sum())
+        expected_errors += (readings.read[:, part.pillars].T * left).sum(axis=0)
         solved.append((part.pillars, part.columns, X, to_own))
     factor = cho_factor(N, lower=True)
     step = cho_solve(factor, rhs)
@@ -343,6 +352,7 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
         found[p] = to_own(left_over)[..., 0]
         noise = (X @ left_over)[..., 0]  # the readings' own errors, whitened
         squares["misfit"] += float((unsure[:, p].T * noise**2).sum())
+        errors += (noise**2).sum(axis=0)
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
     squares["own"] = float((found[:, 2:] ** 2).sum())
     moved = _unflat(state, x + step)
@@ -353,7 +363,7 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
         squares["shared"] = float((moved.shared**2).sum())
     improved = _descended(expected, readings, moved, own, found, weight)
     farthest = max(float(np.abs(step).max()), float(np.abs(_own(expected, improved) - own).max()))
-    return improved, _Evidence(squares=squares, known=known, moved=farthest)
+    return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
 
 
 def _descended(
@@ -428,6 +438,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
         gain_deviation=widths.gain * deviations[:, 0],
         offset_deviation_ohm=widths.offset * expected.rest_ohm * deviations[:, 1],
         ensemble=_ensemble(expected, state, own_draws, shared_draws),
+        scale=readings.scale,
         excess=float(np.concatenate(excess).mean()),
     )
 

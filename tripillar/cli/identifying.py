@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geometry.errors import DesignError
+from geometry.design_file import read_tolerances
+from geometry.errors import DesignError, FileFormatError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol, caller
 from tripillar.face.identifying import checked_pairs, usual_loads, with_derivatives
@@ -23,6 +24,7 @@ from tripillar.terminal.console import (
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.data.pairs import Pairs
+    from decoupler.inverse.effective_forces import EffectiveForces
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
     from geometry.design import SensorDesign
@@ -57,6 +59,15 @@ def identify(
         Path | None,
         typer.Option("--out", "-o", callback=output_file, help="Model file to write (safetensors)."),
     ] = None,
+    twin_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--twin", callback=output_file, help="Twin to write (TOML): the design as it was found, with deviations."
+        ),
+    ] = None,
+    finite: Annotated[
+        Path | None, typer.Option(help="Samples of the design at finite strain (.nc): what linear rubber misses.")
+    ] = None,
     next_: Annotated[int, typer.Option("--next", help="Number of loads to propose to measure next.")] = 0,
     candidates: Annotated[
         Path | None, typer.Option(help="Table (CSV) of the loads that you can make; default: docs/measuring.md's.")
@@ -74,13 +85,17 @@ def identify(
     """
     _require_sense(data, port, loads, keep, out, next_)
     require_positive(seconds=seconds, timeout=timeout)
-    require_other(out, data, loads, design, candidates)
+    require_other(out, data, loads, design, candidates, finite)
+    require_other(twin_file, data, loads, design, candidates, finite, out)
+    if twin_file is not None and out is None:
+        raise DesignError("--twin names the model file that it goes with: give --out FILE, too.")
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
     if not 0 <= next_ <= MAX_NEXT:
         raise DesignError(f"--next {next_} must be from 0 to {MAX_NEXT}.")
     from decoupler.model.model_file import write_model
     from decoupler.twin.identification import identify as identified
+    from decoupler.twin.twin_file import write_twin
 
     sensor = _sensor(data, design)
     if port is None:
@@ -96,6 +111,8 @@ def identify(
     measured: Pairs | None = None
     with progress_bars(verbosity) as bars:
         response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, bars)
+    if sensitivities is not None and design is not None:
+        sensitivities = sensitivities.with_tolerances(read_tolerances(design))
     if usual is None and (data is None or data.suffix != ".nc"):
         usual = "contact"
     usual_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
@@ -106,7 +123,8 @@ def identify(
     lines = []
     known = None
     if measured is not None:
-        twin = identified(measured, response, sensitivities, loads_n=usual_n)
+        correction = None if finite is None else _correction(finite, response)
+        twin = identified(measured, response, sensitivities, loads_n=usual_n, correction=correction)
         result["pairs"] = len(measured)
         result["parameters"] = {name: list(value) for name, value in twin.parameters.items()}
         result["excess"] = twin.posterior.excess
@@ -115,6 +133,9 @@ def identify(
         if out is not None:
             write_model(replace(twin.decoder, made_from=twin.decoder.made_from | forced), out)
             result["file"] = str(out)
+            if twin_file is not None:
+                write_twin(twin, twin_file, out)
+                result["twin"] = str(twin_file)
         if twin.decoder.component.name == "all":
             known = (twin.posterior.expected, twin.posterior.state)
     if next_:
@@ -182,6 +203,24 @@ def _measured(
     if loads is None:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     return measured_in_recording(Path(port), loads, sensor, Electronics(), force)[0]
+
+
+def _correction(finite: Path, response: "ArrayResponse | None") -> "EffectiveForces | None":
+    """The correction of a design's response by its samples at finite strain."""
+    from dataset import read_samples
+    from decoupler.data.columns import component_named, force_columns, pillar_columns
+    from decoupler.inverse.forward_model import ForwardModel
+    from decoupler.training.finite_strain import at_finite_strain
+
+    if response is None:
+        raise DesignError("--finite goes with a design: give --design.")
+    samples, everything = read_samples(finite, labels_only=True), component_named("all")
+    size = response.design.array.rows, response.design.array.cols
+    if samples.force_n.shape[1:3] != size:
+        raise FileFormatError(f"{finite} is of another array than the design's {size[0]} × {size[1]} units.")
+    columns = pillar_columns(samples.resistance_ohm, everything), force_columns(samples.force_n, everything)
+    electrodes = ForwardModel.of(replace(response, conducted=None), everything).influence
+    return at_finite_strain(ForwardModel.of(response, everything), size, *columns, electrodes).correction
 
 
 def _next(
