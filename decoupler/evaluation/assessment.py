@@ -76,7 +76,10 @@ def assess(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None"
     limits = _limits(decoupler, data, response)
     light = None
     if response is not None:
-        light = light_touches(decoupler, ForwardModel.of(response, component), data.noise, data.bits)
+        own = ForwardModel.of(response, component)
+        if decoupler.inverse is not None and decoupler.ensemble is not None:
+            own = decoupler.inverse.forward  # the sensor that was identified
+        light = light_touches(decoupler, own, data.noise, data.bits)
     covered = None
     if decoupler.uncertainty is not None:
         missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))

@@ -94,6 +94,25 @@ def test_deviations_hold_on_a_sensor_unlike_the_design(response, sensitivities, 
     assert (off < two).mean() > 0.9
 
 
+def test_deviations_hold_where_the_design_is_another_sensor(response, sensitivities):
+    """Pads of 9 mm instead of 12, which no tolerance allows: corrections take over, and say how unsure they are."""
+    other = layer_response(replace(DESIGN, pad=replace(DESIGN.pad, size_mm=9.0)))
+    test = measured(other, 200, 2)
+    model = identify(Pairs.of(measured(other, 20, 3)), response, sensitivities).decoder
+    off = np.abs(model.forces(test.resistance_ohm) - test.force_n)
+    one, two = model.half_widths(test.resistance_ohm)
+    assert 0.6 < (off < one).mean() < 0.85
+    assert (off < two).mean() > 0.9
+
+
+def test_a_pair_whose_load_was_another_is_trusted_less(response, sensitivities, made):
+    """One of ten loads was twice what was written down: errors stay near those without that pair."""
+    pairs, test = Pairs.of(measured(made, 10, 3)), measured(made, 200, 2)
+    without = errors_n(identify(pairs[1:], response, sensitivities).decoder, test)
+    pairs.force_n[0] *= 2.0
+    assert (errors_n(identify(pairs, response, sensitivities).decoder, test) < 1.5 * without).all()
+
+
 def test_without_a_design_many_pairs_decide_everything(made):
     """R = g |d + B F|² + o is all that is assumed: noise-free pairs of it determine the inverse."""
     exact = simulate(made, DatasetSettings(protocol="three-axis", samples=400, seed=1))
