@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
 
-CONTRADICTED = 3.0  #: times a correction's stated width, from which on pairs contradict the design
+CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 FOLDS = 5  #: parts of the pairs that are then left out in turn
 LOADS = 3000  #: usual loads that a decoder is fitted to
@@ -129,7 +129,9 @@ def identify(
 
 
 def _contradicted(found: Posterior, stated: Widths) -> bool:
-    """Say whether pairs contradict what was stated: by corrections that are too large, or by loads that do not fit."""
+    """Say whether pairs contradict what was stated: by parameters or corrections too far off, or loads that do not fit."""
+    if np.abs(found.state.parameters).max(initial=0.0) > CONTRADICTED:
+        return True
     led_to = found.expected.widths
     too_large = max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0
     return bool(too_large or np.sqrt(np.mean(found.scale**2)) > UNFIT)

@@ -95,13 +95,13 @@ def test_deviations_hold_on_a_sensor_unlike_the_design(response, sensitivities, 
 
 
 def test_deviations_hold_where_the_design_is_another_sensor(response, sensitivities):
-    """Pads of 9 mm instead of 12, which no tolerance allows: corrections take over, and say how unsure they are."""
-    other = layer_response(replace(DESIGN, pad=replace(DESIGN.pad, size_mm=9.0)))
+    """Pads of 10 mm instead of 12, seven times their tolerance."""
+    other = layer_response(replace(DESIGN, pad=replace(DESIGN.pad, size_mm=10.0)))
     test = measured(other, 200, 2)
     model = identify(Pairs.of(measured(other, 20, 3)), response, sensitivities).decoder
     off = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.half_widths(test.resistance_ohm)
-    assert 0.6 < (off < one).mean() < 0.85
+    assert 0.6 < (off < one).mean() < 0.8
     assert (off < two).mean() > 0.9
 
 
