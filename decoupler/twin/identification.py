@@ -129,7 +129,7 @@ def identify(
 
 
 def _contradicted(found: Posterior, stated: Widths) -> bool:
-    """Say whether pairs contradict what was stated: by parameters or corrections too far off, or loads that do not fit."""
+    """Say whether pairs contradict what was stated: by parameters or corrections far off, or loads that do not fit."""
     if np.abs(found.state.parameters).max(initial=0.0) > CONTRADICTED:
         return True
     led_to = found.expected.widths

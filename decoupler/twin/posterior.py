@@ -5,7 +5,7 @@ that all units share, forces that are not quite known) is solved for together; w
 correction of its influence) is marginalised pillar by pillar. Widths that nobody states follow from the pairs, too.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from dataset.measurement import reading_deviation
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, Widths
+from decoupler.twin.marginal import Marginal
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -107,49 +108,6 @@ class State:
         """c, (P,), of the sensor's own size and resistivity."""
         logarithm = self.parameters @ expected.by_log_c + expected.widths.resistivity * self.resistivity
         return expected.ohm_per_mm2 * np.exp(logarithm)
-
-
-class _Marginal:
-    """S⁻¹ of S = I + J Jᵀ for b pillars: readings whitened, each pillar's own unknowns marginalised.
-
-    J is (b, n, m). With fewer readings than unknowns S itself is factored, else I + Jᵀ J.
-    """
-
-    def __init__(self, J: FloatArray) -> None:
-        n, m = J.shape[1:]
-        self.J, self.Jt, self.dual = J, J.swapaxes(1, 2), n <= m
-        M = J @ self.Jt if self.dual else self.Jt @ J
-        M += np.eye(M.shape[1])
-        self.half = np.linalg.inv(np.linalg.cholesky(M))  # M⁻¹ = halfᵀ half
-
-    def _inverse(self, X: FloatArray) -> FloatArray:
-        return self.half.swapaxes(1, 2) @ (self.half @ X)
-
-    def solved(self, Y: FloatArray) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-        """X = S⁻¹ Y, (b, n, g), and Jᵀ X V as a function of V (g, ·), (b, m, ·)."""
-        if self.dual:
-            X = self._inverse(Y)
-            return X, lambda V: self.Jt @ (X @ V)
-        K = self._inverse(self.Jt @ Y)
-        return Y - self.J @ K, lambda V: K @ V
-
-    def drawn(self, prior: FloatArray, noise: FloatArray) -> FloatArray:
-        """Draws of the pillars' own unknowns about their means, (b, m, draws), from draws of prior and noise."""
-        if self.dual:
-            return prior - self.Jt @ self._inverse(self.J @ prior + noise)
-        return self._inverse(prior - self.Jt @ noise)
-
-    def leverage(self) -> tuple[FloatArray, FloatArray]:
-        """Diagonals of S⁻¹, (b, n), and of Jᵀ S⁻¹ J, (b, m): what is left of a reading, what is known of an unknown.
-
-        With more readings than unknowns the first is the mean of all readings.
-        """
-        n = self.J.shape[1]
-        squares = (self.half**2).sum(axis=1)
-        if self.dual:
-            return squares, ((self.half @ self.J) ** 2).sum(axis=1)
-        known = 1.0 - squares
-        return np.repeat(1.0 - known.sum(axis=1, keepdims=True) / n, n, axis=1), known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -331,7 +289,7 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
     solved = []
     errors, expected_errors = np.full((2, len(weight)), BELIEF_IN_PAIRS)
     for part in _linearised(expected, readings, state, weight):
-        marginal = _Marginal(part.own)
+        marginal = Marginal(part.own)
         Y = part.with_misfit(own)
         X, to_own = marginal.solved(Y)
         sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X.reshape(-1, X.shape[2])
@@ -414,7 +372,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
     own_draws, by_shared = np.empty((P, m, draws)), []
     deviations, excess = np.empty((P, 2)), []
     for part in _linearised(expected, readings, state, weight):
-        marginal, p = _Marginal(part.own), part.pillars
+        marginal, p = Marginal(part.own), part.pillars
         X, to_own = marginal.solved(part.with_misfit(own))
         sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X[..., :-1].reshape(-1, X.shape[2] - 1)
         N[np.ix_(part.columns, part.columns)] += sums
