@@ -9,7 +9,7 @@ from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component
 from decoupler.inverse.effective_forces import N_FEATURES, EffectiveForces, neighbours
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.limits import exact_inverse
+from decoupler.inverse.limits import nearest_inverse
 from decoupler.model.uncertainty import leverage
 from geometry.layout import FloatArray
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features of root mean square 1
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
+
+MIN_FOUND = 0.5  #: of the samples, that must be of effective forces
 
 
 def at_finite_strain(
@@ -55,7 +57,13 @@ def at_finite_strain(
     influence = linear.influence if electrodes_mm_per_n is None else electrodes_mm_per_n
     if linear.sign is not None and electrodes_mm_per_n is None:
         raise SampleError("a model of conduction does not tell how electrodes move: give electrodes_mm_per_n.")
-    effective_n = exact_inverse(linear, resistance_ohm, force_n.mean(axis=0))
+    effective_n, found = nearest_inverse(linear, resistance_ohm, force_n.mean(axis=0))
+    if found.mean() < MIN_FOUND:
+        raise SampleError(
+            f"{np.count_nonzero(~found)} of {len(found)} samples at finite strain have resistances that the linear "
+            "array cannot have: give samples of smaller loads (--cap)."
+        )
+    effective_n, force_n = effective_n[found], force_n[found]
     k = linear.n_forces // 3
     moved = (effective_n @ influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
     sizes = np.concatenate([effective_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)])

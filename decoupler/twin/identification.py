@@ -16,7 +16,7 @@ from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
 from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.posterior import Posterior, Readings, infer
-from decoupler.twin.usual_loads import images_of
+from decoupler.twin.usual_loads import images_of, loads_like
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 FOLDS = 5  #: parts of the pairs that are then left out in turn
+MAX_CORRECTED = 100  #: usual loads that are turned into effective ones, a tenth of a second each
 LOADS = 3000  #: usual loads that a decoder is fitted to
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
@@ -72,7 +73,8 @@ def identify(
     component : str, optional
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
-        Loads like those that the sensor will meet [N]; default: the pairs'. Images of them fill the array.
+        Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
+        pairs'. Images of them fill the array.
     correction : EffectiveForces, optional
         Of the design at finite strain, see `decoupler.training.finite_strain`; goes with the response.
     draws : int
@@ -89,11 +91,12 @@ def identify(
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     readings = readings_of(pairs, axes, pillars)
-    loads = pairs.force_n if loads_n is None else loads_n
-    usual_n = force_columns(loads, parts)
+    if loads_n is None and response is not None and correction is None:
+        loads_n = loads_like(pairs.force_n, axes, response.design, LOADS)
+    usual_n = force_columns(pairs.force_n if loads_n is None else loads_n, parts)
     if correction is not None:
         readings = replace(readings, force_n=correction.effective(readings.force_n), acting_n=readings.force_n)
-        usual_n = correction.effective(usual_n)
+        usual_n = correction.effective(usual_n[:MAX_CORRECTED])
     usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")

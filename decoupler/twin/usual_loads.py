@@ -2,11 +2,52 @@
 
 import numpy as np
 
-from geometry.layout import FloatArray
+from dataset.protocols import PROTOCOLS
+from geometry.design import SensorDesign
+from geometry.layout import AXES, FloatArray
 
 #: sign of forces along x, y, z in the mirrors across x and y, which turn columns and rows around
 MIRRORED = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
 SPREAD = 0.5  #: standard deviation of the logarithm of a load's size, if only one was measured
+
+ENOUGH = 100  #: loads that say more of the usual ones than a protocol like them
+ALIKE = (0.3, 1.5)  #: range of the mean squared distance of loads from a protocol's; 0.5 to 1.2 if drawn from it
+RIDGE = 1e-3  #: of the covariance of a protocol's loads, over its mean variance
+
+
+def loads_of(protocol: str, design: SensorDesign, count: int) -> FloatArray:
+    """Random loads of a protocol, (count, rows, cols, 3) [N]."""
+    traction = PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design)
+    newtons = traction * design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
+    return newtons.reshape(count, design.array.rows, design.array.cols, len(AXES))
+
+
+def loads_like(force_n: FloatArray, axes: list[int], design: SensorDesign, count: int) -> FloatArray | None:
+    """Loads (count, rows, cols, 3) [N] of the protocol that given ones, (n, rows, cols, 3), look drawn from, if any.
+
+    Notes
+    -----
+    The likeliest protocol by normal distributions of its mean and covariance, if the loads' mean squared Mahalanobis
+    distance, over its degrees of freedom, is in `ALIKE`. Few loads say little of how all pads are loaded together, and
+    a protocol says it all.
+    """
+    if len(force_n) >= ENOUGH:
+        return None
+    found, best = None, -np.inf
+    given = force_n[..., axes].reshape(len(force_n), -1)
+    for name, protocol in PROTOCOLS.items():
+        if protocol.is_light or [AXES.index(axis) for axis in protocol.axes] != axes:
+            continue
+        loads = loads_of(name, design, count)
+        columns = loads[..., axes].reshape(count, -1)
+        covariance = np.cov(columns.T, bias=True).reshape(given.shape[1], -1)
+        covariance.flat[:: len(covariance) + 1] += RIDGE * np.trace(covariance) / len(covariance)
+        off = given - columns.mean(axis=0)
+        distance = np.mean(np.einsum("nq,qn->n", off, np.linalg.solve(covariance, off.T))) / given.shape[1]
+        likelihood = -distance - np.linalg.slogdet(covariance)[1] / given.shape[1]
+        if likelihood > best:
+            found, best = loads if ALIKE[0] < distance < ALIKE[1] else None, likelihood
+    return found
 
 
 def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -> FloatArray:

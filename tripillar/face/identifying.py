@@ -138,13 +138,10 @@ def with_derivatives(design: SensorDesign, bars: "Bars") -> "tuple[ArrayResponse
 
 def usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
     """Random loads of a protocol, (n, rows, cols, 3) [N]."""
-    import numpy as np
-
     from dataset.protocols import PROTOCOLS
     from decoupler.twin.identification import LOADS
+    from decoupler.twin.usual_loads import loads_of
 
     if protocol not in PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(PROTOCOLS)}.")
-    traction = PROTOCOLS[protocol].draw(np.random.default_rng(0), LOADS, design)
-    newtons = traction * design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
-    return newtons.reshape(LOADS, design.array.rows, design.array.cols, 3)
+    return loads_of(protocol, design, LOADS)
