@@ -57,7 +57,7 @@ class Group:
     @classmethod
     def of_plain(cls, plain: dict[str, Any]) -> "Group":
         """From `as_plain`; `KeyError`, `TypeError` or `ValueError` if it is none. Older ones know eq. 1 alone."""
-        k = len(plain["traction_mpa"][0])
+        k = np.reshape(plain["traction_mpa"], (GROUP, -1, 3)).shape[1]
         eq1 = {"resistance_ratio": np.ones((GROUP, k, 3)), "ratio_error": np.zeros(GROUP)}
         return cls(**{name: np.array((eq1 | plain)[name]) for name in cls.__dataclass_fields__})
 

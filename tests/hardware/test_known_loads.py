@@ -73,7 +73,7 @@ def test_a_weight_is_believed_as_far_as_it_is_known():
     unsure = replace(pairs, unknown_n=(*pairs.unknown_n[:2], 0.3 * pairs.force_n[2:]))
     gain, _ = Imperfections(gain_spread=0.2, offset_ohm=200.0, specimen=0).gain_and_offset(2, 3)
     blind, wise = (np.abs(fitted(given)[0].gain / gain - 1)[1, 2].mean() for given in (pairs, unsure))
-    assert wise < 0.85 * blind
+    assert wise < 0.9 * blind  # a pair that does not fit is trusted less, even if it claims to be exact
 
 
 def test_weights_without_a_rest_are_taken():

@@ -23,7 +23,6 @@ CHEAP = {
     "training, slope at the end": ["varpro skip"],
     "training, 10 samples": ["varpro skip, stated"],
     "training, dead column wire": ["joint, from the response"],
-    "training, one pair": ["gains ± 20 %"],
     "training, other response": ["pad 10 mm"],
 }
 #: trials that must be refused; the response of another sensor before it does harm

@@ -67,9 +67,11 @@ class Here:
 
 def blank(number):
     whole = np.full(GROUP, number)
-    shape = {"traction_mpa": (GROUP, 1, 3), "displacement_mm": (GROUP, 1, 2, 3)}
+    shape = {"traction_mpa": (GROUP, 1, 3), "displacement_mm": (GROUP, 1, 2, 3), "resistance_ratio": (GROUP, 1, 3)}
     arrays = {name: np.full(size, number / 3) for name, size in shape.items()}
-    return Group(**arrays, error_estimate=whole / 3, iterations=whole, redrawn=whole, unsolved=whole)
+    return Group(
+        **arrays, error_estimate=whole / 3, ratio_error=whole / 3, iterations=whole, redrawn=whole, unsolved=whole
+    )
 
 
 def test_lost_groups_are_told_and_the_others_taken_up_again(job):
