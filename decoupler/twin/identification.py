@@ -126,7 +126,7 @@ def identify(
 
     found = infer(expected, readings, draws, seed)
     decoder = decoded(found)
-    if n > 1 and _contradicted(found, expected.widths):
+    if n > 1 and response is not None and _contradicted(found, expected.widths):
         decoder = _widened(decoder, readings, lambda some: decoded(infer(expected, some, draws, seed)))
     return Twin(design=design, posterior=found, decoder=decoder, n_pairs=n)
 
