@@ -1,10 +1,12 @@
 """From an array's response to labelled training data.
 
 In: a response (influence matrix) and a load protocol. Out: `Samples`, that is tractions, forces, displacements, pillar
-lengths and resistances of many samples, in memory and as a NetCDF file. In the order of the data: `protocols.py` draws
-the loads, `resistance.py` turns displacements into resistances, `imperfections.py` and `measurement.py` say what a real
-sensor makes of them, `simulation.py` does all of it for many samples, `samples.py` holds them and their file, and
-`torch_samples.py` gives them to torch. Names that need the finite elements or torch are loaded when they are asked for.
+lengths and resistances of many samples, in memory, as a NetCDF file or a zarr directory. In the order of the data:
+`protocols.py` draws the loads, `resistance.py` turns displacements into resistances, `imperfections.py` and
+`measurement.py` say what a real sensor makes of them, `simulation.py` does all of it for many samples, `samples.py`
+holds them, `variables.py` says how files name them, `leaves.py` writes and `stored.py` reads what memory does not hold,
+and `torch_samples.py` gives samples to torch. Names that need the finite elements or torch are loaded when they are
+asked for.
 """
 
 from importlib import import_module
@@ -13,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import Readout, counts_from_resistance, measured, resistance_from_counts
 from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
-from dataset.samples import SampleError, Samples, read_samples
+from dataset.samples import SampleError, Samples
+from dataset.stored import StoredSamples, in_memory, read_samples
 
 if TYPE_CHECKING:
     from dataset.simulation import DatasetSettings, measured_again, simulate
@@ -26,8 +29,10 @@ __all__ = [
     "Readout",
     "SampleError",
     "Samples",
+    "StoredSamples",
     "TorchSamples",
     "counts_from_resistance",
+    "in_memory",
     "measured",
     "measured_again",
     "pillar_lengths",

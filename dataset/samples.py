@@ -1,7 +1,6 @@
-"""`Samples`: forces and resistances of many samples, with what lies between, in memory and as a NetCDF file."""
+"""`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,54 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import OPEN_OHM, stated_imperfections
+from dataset.imperfections import stated_imperfections
+from dataset.leaves import LEAF, write_leaves
+from dataset.variables import ARRAYS, COORDINATES, SOLVED
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_dict, design_to_toml
-from geometry.errors import DesignError, FileFormatError, TriPillarError, require_type
-from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
+from geometry.design_file import design_to_toml
+from geometry.errors import DesignError, TriPillarError, require_type
+from geometry.layout import PILLARS, FloatArray
 from geometry.storage import files
-from geometry.storage.netcdf import read_netcdf, write_netcdf
-from geometry.storage.seal import say_made_anew
+from geometry.storage.netcdf import write_netcdf
+from geometry.storage.zarr_folder import is_zarr
 
 if TYPE_CHECKING:
     import xarray as xr
 
-#: every variable of a dataset file: its dims and attributes
-VARIABLES = {
-    "traction_mpa": (
-        ("sample", "row", "col", "axis"),
-        {"units": "MPa", "note": "force over the pad's area, as applied: z < 0 pushes down"},
-    ),
-    "force_n": (("sample", "row", "col", "axis"), {"units": "N", "note": "z > 0 is compression"}),
-    "displacement_mm": (
-        ("sample", "row", "col", "electrode", "axis"),
-        {"units": "mm", "note": "upper electrodes"},
-    ),
-    "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
-    "resistance_ohm": (
-        ("sample", "row", "col", "pillar"),
-        {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
-    ),
-}
-#: variables of conduction alone
-CONDUCTED = {
-    "effective_length_mm": (
-        ("sample", "row", "col", "pillar"),
-        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
-    ),
-}
-ARRAYS = VARIABLES | CONDUCTED
-#: variables (sample,) of samples at finite strain, and their attributes
-SOLVED = {
-    "strain_model": {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
-    "error_estimate": {"units": "1", "note": "of the displacements, relative"},
-    "iterations": {"units": "1", "note": "solves of the sample, one factor for all"},
-}
-#: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
-MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
-COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
-
-
+LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
 #: attributes that are of a whole file and not of some of its samples
 WHOLE_FILE = ("samples", "redrawn", "unsolved", "recipe")
 
@@ -135,6 +101,16 @@ class Samples:
         kept = {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
         return replace(self, **arrays, made_from=kept)
 
+    def blocks(self, size: int = LEAF) -> "Iterator[Samples]":
+        """All samples in order, so many at a time, as `StoredSamples.blocks` gives those that memory does not hold."""
+        return (self[start : start + size] for start in range(0, len(self), size))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the array."""
+        rows, cols = self.force_n.shape[1:3]
+        return rows, cols
+
     @cached_property
     def content_hash(self) -> str:
         """Hash of forces and resistances."""
@@ -142,9 +118,13 @@ class Samples:
 
     def labels(self) -> "Samples":
         """A copy without tractions, displacements and lengths, which training does not need."""
-        without = replace(self, traction_mpa=None, displacement_mm=None, length_mm=None)
-        without = replace(without, effective_length_mm=None)
-        return replace(without, error_estimate=None, iterations=None)
+        return self.only("strain_model")
+
+    def only(self, *names: str) -> "Samples":
+        """A copy that holds, of all variables, forces, resistances and these alone."""
+        require_variables(names)
+        dropped: dict[str, Any] = {name: None for name in (*ARRAYS, *SOLVED) if name not in (*names, *LABELS)}
+        return replace(self, **dropped)
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:
@@ -157,16 +137,33 @@ class Samples:
 
         known = ARRAYS | {name: (("sample",), notes) for name, notes in SOLVED.items()}
         held = {name: spec for name, spec in known.items() if getattr(self, name) is not None}
-        design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return xr.Dataset(
             {name: (dims, getattr(self, name), notes) for name, (dims, notes) in held.items()},
             coords={dim: COORDINATES[dim] for dim in COORDINATES if any(dim in dims for dims, _ in held.values())},
-            attrs={**design, "content_hash": self.content_hash, **self._sensor_and_origin()},
+            attrs={**self._stated_design(), "content_hash": self.content_hash, **self._sensor_and_origin()},
         )
 
-    def write(self, path: Path) -> None:
-        """Write a dataset file, whole or not at all."""
-        write_netcdf(self.to_xarray(), Path(path))
+    def write(self, path: Path, dtype: str = "float64") -> None:
+        """Write a dataset file, whole or not at all: NetCDF, or a zarr directory where the path ends in .zarr.
+
+        Raises
+        ------
+        DesignError
+            If `dtype` is neither float64 nor, in a zarr directory, float32.
+        FileFormatError, NotWrittenError
+            If something else is at that place, or it cannot be written to.
+        """
+        path = Path(path)
+        require_dtype(dtype, path)
+        if is_zarr(path):
+            held = (name for name in (*ARRAYS, *SOLVED) if getattr(self, name) is not None)
+            attributes = {**self._stated_design(), **self._sensor_and_origin()}
+            write_leaves(path, {name: getattr(self, name) for name in held}, attributes, dtype)
+        else:
+            write_netcdf(self.to_xarray(), path)
+
+    def _stated_design(self) -> dict[str, Any]:
+        return {} if self.design is None else {"design": design_to_toml(self.design)}
 
     def _sensor_and_origin(self) -> dict[str, Any]:
         """`made_from`, corrected where it says other than `noise`, `bits` and `dead`."""
@@ -222,116 +219,21 @@ def _dead(samples: Samples) -> NDArray[np.bool_]:
     return np.zeros(samples.force_n.shape[1:], dtype=bool) if samples.dead is None else samples.dead
 
 
+def require_variables(names: Sequence[str]) -> None:
+    """Refuse names that are no variables of a dataset."""
+    unknown = [name for name in names if name not in (*ARRAYS, *SOLVED)]
+    if unknown:
+        raise SampleError(f"'{unknown[0]}' is no variable of a dataset; there are {', '.join((*ARRAYS, *SOLVED))}.")
+
+
+def require_dtype(dtype: str, path: Path) -> None:
+    """Refuse a type of numbers that a dataset file cannot have."""
+    if dtype not in ("float64", "float32"):
+        raise DesignError(f"dtype={dtype} must be float64 or float32.")
+    if dtype != "float64" and not is_zarr(path):
+        raise DesignError(f"dtype={dtype} belongs to zarr directories, NetCDF is float64: end {path} in .zarr.")
+
+
 def require_samples(name: str, value: object) -> None:
     """Refuse an argument that is no `Samples`."""
     require_type(name, value, Samples, "make them with dataset.simulate, or read them with dataset.read_samples")
-
-
-def read_samples(path: Path, labels_only: bool = False) -> Samples:
-    """Read a dataset file, whoever made it.
-
-    Parameters
-    ----------
-    path : Path
-        Resistances and forces must be there; tractions, displacements and lengths may be missing.
-    labels_only : bool
-        True leaves tractions, displacements and lengths in the file: training does not need them.
-
-    Notes
-    -----
-    Attributes are free in files of others: one that is missing or makes no sense counts as not stated.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is damaged or foreign, states another hash than its content's, lacks an axis or a pillar, or holds
-        what no sensor gives.
-    """
-    path = Path(path)
-    dims = {name: spec[0] for name, spec in ARRAYS.items()}
-    wanted = {name: dims.pop(name) for name in ("force_n", "resistance_ohm")}
-    dims |= dict.fromkeys(SOLVED, ("sample",))
-    optional = {"strain_model": ("sample",)} if labels_only else dims
-    data = read_netcdf(path, wanted, made_by="tripillar dataset", optional=optional)
-    for dim, labels in COORDINATES.items():
-        if dim not in data.dims:
-            continue
-        given = [str(label) for label in data[dim].values] if dim in data.coords else None
-        if given is None or sorted(given) != sorted(labels):
-            raise FileFormatError(
-                f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
-            )
-        data = data.sel({dim: labels})
-    arrays = {name: _numbers(path, name, data[name].to_numpy()) for name in (*ARRAYS, *SOLVED) if name in data}
-    force_n, resistance_ohm = arrays["force_n"], arrays["resistance_ohm"]
-    _require_sane(path, "force_n", force_n, np.abs(force_n) <= MAX_N, f"finite, at most {MAX_N:g} N either way")
-    sound = (resistance_ohm >= MIN_OHM) & (resistance_ohm <= MAX_OHM)
-    _require_sane(path, "resistance_ohm", resistance_ohm, sound, f"finite and above 0, {MIN_OHM:g} to {MAX_OHM:g} Ω")
-    for name in dims.keys() & arrays.keys():
-        _require_sane(path, name, arrays[name], np.isfinite(arrays[name]), "finite")
-    design = _stated_design(data.attrs.get("design"))
-    if design is not None and force_n.shape[1:3] != (design.array.rows, design.array.cols):
-        raise FileFormatError(
-            f"{path}: holds {force_n.shape[1]} × {force_n.shape[2]} units, its attribute 'design' says "
-            f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
-        )
-    rows, cols = force_n.shape[1:3]
-    sensor = stated_imperfections(data.attrs, rows, cols)
-    known = {"content_hash"} if design is None else {"content_hash", "design"}
-    samples = Samples(
-        **arrays,
-        design=design,
-        noise=sensor.noise,
-        bits=sensor.bits,
-        dead=sensor.dead_mask(rows, cols),
-        made_from={name: value for name, value in data.attrs.items() if name not in known},
-    )
-    if data.attrs.get("content_hash", samples.content_hash) != samples.content_hash:
-        raise FileFormatError(
-            f"{path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if you "
-            "changed them on purpose, or make the file again."
-        )
-    return samples
-
-
-def _stated_design(text: object) -> SensorDesign | None:
-    """The design of a file's attribute; None where other hands describe the sensor in other words, or not at all."""
-    try:
-        table = tomllib.loads(text) if isinstance(text, str) else {}
-        return design_from_dict(table) if table else None
-    except (tomllib.TOMLDecodeError, DesignError):
-        return None
-
-
-def is_current(path: Path, cache_key: str) -> bool:
-    """Whether a dataset file has that cache key and still holds what was written; says so where it is damaged."""
-    import netCDF4
-
-    try:
-        read_samples(path, labels_only=True)
-        with netCDF4.Dataset(path) as opened:
-            return bool(opened.recipe == cache_key)
-    except (TriPillarError, OSError, AttributeError):
-        say_made_anew(path)
-        return False
-
-
-def _numbers(path: Path, name: str, values: np.ndarray) -> FloatArray:
-    if values.dtype.kind not in "fiu":
-        raise FileFormatError(f"{path}: {name} is of type {values.dtype}, expected numbers: store it as float64.")
-    if not values.size:
-        raise FileFormatError(f"{path}: {name} is empty, expected at least one sample of one unit.")
-    return values.astype(np.float64, copy=False)
-
-
-def _require_sane(path: Path, name: str, values: FloatArray, sound: np.ndarray, allowed: str) -> None:
-    if not sound.all():
-        index = tuple(np.argwhere(~sound)[0])
-        place = ", ".join(
-            f"{dim} {COORDINATES[dim][number] if dim in COORDINATES else number}"
-            for dim, number in zip(ARRAYS.get(name, (("sample",),))[0], index, strict=True)
-        )
-        raise FileFormatError(
-            f"{path}: {name} is {values[index]} at {place}; it must be {allowed}: remove that sample or measure it "
-            "again."
-        )

@@ -41,7 +41,8 @@ True
 
 TYPE_CHECKING = False  # as of `typing`, which takes time to load: a program takes Ctrl-C over first
 if TYPE_CHECKING:
-    from dataset.samples import Samples, read_samples
+    from dataset.samples import Samples
+    from dataset.stored import read_samples
     from decoupler.model.model_file import read_model
     from geometry.design import SensorDesign
     from geometry.design_file import read_design
@@ -59,7 +60,8 @@ _NAMES_BY_HOME = {
     "geometry.design": ["SensorDesign"],
     "geometry.design_file": ["read_design"],
     "geometry.errors": ["TriPillarError"],
-    "dataset.samples": ["Samples", "read_samples"],
+    "dataset.samples": ["Samples"],
+    "dataset.stored": ["read_samples"],
     "decoupler.model.model_file": ["read_model"],
     "hardware.session": ["live"],
     "tripillar.face.bodies": ["response", "solve", "view"],

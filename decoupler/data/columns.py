@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM
-from dataset.samples import MAX_N, MAX_OHM, MIN_OHM, SampleError
+from dataset.samples import SampleError
+from dataset.variables import MAX_N, MAX_OHM, MIN_OHM
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.samples import read_samples
+from dataset.stored import DATASETS, in_memory, read_samples
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -57,12 +57,12 @@ class KnownLoad:
 
 
 def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
-    """Measured pairs of a data set (.nc) or a table of loads with readings (.csv).
+    """Measured pairs of a data set (.nc, .zarr) or a table of loads with readings (.csv).
 
     Parameters
     ----------
     path : Path
-        NetCDF as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
+        NetCDF or zarr as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
     rows, cols : int
         Of the array.
     pad_mm2 : float
@@ -73,8 +73,8 @@ def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
     FileFormatError
         If the file is missing or makes no sense, is of another array, or a load has no readings.
     """
-    if Path(path).suffix == ".nc":
-        pairs = Pairs.of(read_samples(path, labels_only=True))
+    if Path(path).suffix in DATASETS:
+        pairs = Pairs.of(in_memory(read_samples(path, labels_only=True)))
         if pairs.force_n.shape[1:3] != (rows, cols):
             given = " × ".join(map(str, pairs.force_n.shape[1:3]))
             raise FileFormatError(

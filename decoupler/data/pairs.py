@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from dataset.samples import MAX_N, MAX_OHM, MIN_OHM, SampleError, Samples
+from dataset.samples import SampleError, Samples
+from dataset.variables import MAX_N, MAX_OHM, MIN_OHM
 from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.files import digest
 

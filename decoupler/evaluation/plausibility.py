@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
 from dataset.measurement import reading_deviation
-from dataset.samples import MAX_N
+from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Component, force_columns, pillar_columns, readable_columns
 from decoupler.data.repeats import distinct, load_numbers
 from decoupler.inverse.forward_model import ForwardModel

@@ -80,7 +80,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     target = require_file(path)
-    with _reported(path, target), _filled(target.parent, target.stem) as folder:
+    with reported(path, target), _filled(target.parent, target.stem) as folder:
         temporary = folder / target.name
         temporary.touch()
         yield temporary
@@ -91,7 +91,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_in(folder: Path) -> Iterator[Path]:
     """Give a temporary folder; move all its files into `folder` on success, none on any failure."""
     require_folder(folder)
-    with _reported(folder, folder), _filled(folder, "files") as temporary:
+    with reported(folder, folder), _filled(folder, "files") as temporary:
         yield temporary
         for path in temporary.iterdir():
             path.replace(folder / path.name)
@@ -141,7 +141,7 @@ def require_file(path: Path) -> Path:
     """The file that is to be written, links followed; `FileFormatError` if it is no file, `NotWrittenError` if it
     cannot be written."""
     target = Path(os.path.realpath(path))
-    with _reported(path, target):
+    with reported(path, target):
         if target.is_dir():
             raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
         if target.exists() and not target.is_file():
@@ -154,7 +154,7 @@ def require_file(path: Path) -> Path:
 def require_folder(path: Path) -> None:
     """Refuse to begin what could not be written into a folder in the end; errors as of `require_file`."""
     target = Path(os.path.realpath(path))
-    with _reported(path, target):
+    with reported(path, target):
         if target.exists() and not target.is_dir():
             raise FileFormatError(f"{path} is not a folder: give the name of one, or of one to be made.")
         _require_folder(path, target)
@@ -195,7 +195,7 @@ def explained(error: OSError, path: Path | None = None) -> str:
 
 
 @contextmanager
-def _reported(path: Path, target: Path) -> Iterator[None]:
+def reported(path: Path, target: Path) -> Iterator[None]:
     """Say of which file the system speaks that refuses to write it."""
     try:
         yield

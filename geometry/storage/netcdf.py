@@ -77,24 +77,34 @@ def read_netcdf(
     require_intact(path, f"give a file made by '{made_by}'")
     try:
         with uninterrupted(), xr.open_dataset(path, engine="netcdf4", decode_times=False) as opened:
-            missing = [name for name in wanted if name not in opened]
-            if missing:
-                raise FileFormatError(
-                    f"{path} has no variable '{missing[0]}', only {sorted(map(str, opened.data_vars))}: "
-                    f"give a file made by '{made_by}'."
-                )
-            wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
-            for name, dims in wanted.items():
-                if set(opened[name].dims) != set(dims):
-                    raise FileFormatError(
-                        f"{path}: '{name}' has the dims {opened[name].dims}, expected {dims}: "
-                        f"give a file made by '{made_by}'."
-                    )
-            data = opened[list(wanted)].load()
+            return chosen_variables(opened, path, wanted, made_by, optional).load()
     except (OSError, RuntimeError, ValueError, AttributeError, LookupError) as error:  # all that damage raises
         if isinstance(error, FileFormatError):
             raise
         missing_file = isinstance(error, FileNotFoundError)
         reason = "a folder" if path.is_dir() else "no such file" if missing_file else "truncated or not NetCDF"
         raise FileFormatError(f"{path}: {reason}: give a file made by '{made_by}'.") from None
+
+
+def chosen_variables(
+    opened: "xr.Dataset",
+    path: Path,
+    wanted: Mapping[str, tuple[str, ...]],
+    made_by: str,
+    optional: Mapping[str, tuple[str, ...]],
+) -> "xr.Dataset":
+    """The variables of an open file that `read_netcdf` reads, unread yet; errors as there."""
+    missing = [name for name in wanted if name not in opened]
+    if missing:
+        raise FileFormatError(
+            f"{path} has no variable '{missing[0]}', only {sorted(map(str, opened.data_vars))}: "
+            f"give a file made by '{made_by}'."
+        )
+    wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
+    for name, dims in wanted.items():
+        if set(opened[name].dims) != set(dims):
+            raise FileFormatError(
+                f"{path}: '{name}' has the dims {opened[name].dims}, expected {dims}: give a file made by '{made_by}'."
+            )
+    data = opened[list(wanted)]
     return data.assign({name: data[name].transpose(*dims) for name, dims in wanted.items()})

@@ -18,7 +18,8 @@ from dataset import (
     read_samples,
     simulate,
 )
-from dataset.samples import VARIABLES, is_current
+from dataset.stored import is_current
+from dataset.variables import VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.storage.netcdf import write_netcdf
 

@@ -7,7 +7,6 @@ import pytest
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.protocols import PROTOCOLS
-from dataset.samples import VARIABLES
 from dataset.simulation import (
     BLOCK,
     MAX_ROUNDS,
@@ -19,6 +18,7 @@ from dataset.simulation import (
     measured_again,
     simulate,
 )
+from dataset.variables import VARIABLES
 from geometry import DesignError, Pad, SensorDesign, TriPillarError
 from geometry.layout import AXES
 

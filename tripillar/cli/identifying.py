@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dataset.stored import DATASETS
 from geometry.design_file import read_tolerances
 from geometry.errors import DesignError, FileFormatError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
@@ -113,7 +114,7 @@ def identify(
         response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, bars)
     if sensitivities is not None and design is not None:
         sensitivities = sensitivities.with_tolerances(read_tolerances(design))
-    if usual is None and (data is None or data.suffix != ".nc"):
+    if usual is None and (data is None or data.suffix not in DATASETS):
         usual = "contact"
     usual_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
     forced: dict[str, str] = {}
@@ -166,7 +167,7 @@ def _require_sense(
 
 def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
     """The design: the stated one, else that of a data set, which may have none, else the paper's."""
-    if design is not None or data is None or data.suffix != ".nc":
+    if design is not None or data is None or data.suffix not in DATASETS:
         return chosen(design)
     from dataset import read_samples
 
@@ -174,11 +175,11 @@ def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
 
 
 def _read(data: Path, sensor: "SensorDesign | None") -> "Samples | Pairs":
-    from dataset import read_samples
+    from dataset import in_memory, read_samples
     from decoupler.data.load_table import read_pairs
 
-    if sensor is None or data.suffix == ".nc":
-        samples = read_samples(data, labels_only=True)
+    if sensor is None or data.suffix in DATASETS:
+        samples = in_memory(read_samples(data, labels_only=True))
         if sensor is not None and samples.force_n.shape[1:3] != (sensor.array.rows, sensor.array.cols):
             raise DesignError(f"{data} is of another array than the design: give this array's design.")
         return samples
@@ -207,14 +208,14 @@ def _measured(
 
 def _correction(finite: Path, response: "ArrayResponse | None") -> "EffectiveForces | None":
     """The correction of a design's response by its samples at finite strain."""
-    from dataset import read_samples
+    from dataset import in_memory, read_samples
     from decoupler.data.columns import component_named, force_columns, pillar_columns
     from decoupler.inverse.forward_model import ForwardModel
     from decoupler.training.finite_strain import at_finite_strain
 
     if response is None:
         raise DesignError("--finite goes with a design: give --design.")
-    samples, everything = read_samples(finite, labels_only=True), component_named("all")
+    samples, everything = in_memory(read_samples(finite, labels_only=True)), component_named("all")
     size = response.design.array.rows, response.design.array.cols
     if samples.force_n.shape[1:3] != size:
         raise FileFormatError(f"{finite} is of another array than the design's {size[0]} × {size[1]} units.")

@@ -266,13 +266,13 @@ def train(
     """Train a network that turns resistances into forces; write a model file."""
     require_other(out, *data, design)
     stated = None if design is None else chosen(design)
-    from dataset import read_samples
+    from dataset import in_memory, read_samples
     from dataset.samples import joined
     from decoupler.evaluation.metrics import evaluate as errors_on
     from decoupler.model.model_file import write_model
     from tripillar.face import learning as face
 
-    samples = joined([read_samples(path, labels_only=True) for path in data])
+    samples = joined([in_memory(read_samples(path, labels_only=True)) for path in data])
     with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
         model = face.train(
             samples, component, net=net, hidden=hidden, trainer=trainer, feature=feature, seed=seed, design=stated,
@@ -308,13 +308,13 @@ def evaluate(
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
     stand beside.
     """
-    from dataset import read_samples
+    from dataset import in_memory, read_samples
     from decoupler.evaluation.assessment import as_plain
     from decoupler.model.model_file import read_model
     from tripillar.cli.tables import assessment_table
     from tripillar.face import learning as face
 
-    decoupler, samples = read_model(model), read_samples(data, labels_only=True)
+    decoupler, samples = read_model(model), in_memory(read_samples(data, labels_only=True))
     with progress_bars(verbosity) as bars:
         assessed = face.evaluate(decoupler, samples, limits=limits, caller=caller(data, bars, model))
     answer(json_, as_plain(assessed), lambda: [assessment_table(assessed)])
@@ -338,7 +338,7 @@ def crossval(
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
     stated = None if design is None else chosen(design)
-    from dataset import read_samples
+    from dataset import in_memory, read_samples
     from decoupler.evaluation.crossval import summary
     from decoupler.model.settings import TrainingConfig
     from tripillar.cli.tables import crossval_table
@@ -346,7 +346,7 @@ def crossval(
 
     with spelled(goal_mse="--goal"):
         training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
-    samples = read_samples(data, labels_only=True)
+    samples = in_memory(read_samples(data, labels_only=True))
     with progress_bars(verbosity) as bars:
         network, tested = folds_of(
             samples, component, folds, training, net, hidden, feature, stated, None, force, caller(data, bars)

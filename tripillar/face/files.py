@@ -19,8 +19,8 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", pa
     Parameters
     ----------
     thing : SensorDesign, ArrayResponse, Samples, Decoupler or Twin
-        A design is written as TOML, a response or samples as NetCDF, a model as its path ends: .onnx, .h (C for a
-        microcontroller), else safetensors. A twin is a design as TOML with its decoder beside it, as safetensors.
+        A design is written as TOML, a response or samples as NetCDF, samples as a zarr directory where the path ends in
+        .zarr, a model as its path ends: .onnx, .h (C for a microcontroller), else safetensors. A twin is a design as TOML with its decoder beside it, as safetensors.
     path : path
 
     Raises

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from dataset.samples import Samples, is_current, read_samples
+from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, dataset_cache_key, simulate
+from dataset.stored import in_memory, is_current, read_samples
 from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key, read_model, write_model
@@ -105,7 +106,8 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
     sensitivities, _, _ = response_sensitivities(design)
     comparisons = []
     for protocol in STUDIED:
-        training, test = (read_samples(_dataset_path(out, protocol, split), labels_only=True) for split in SPLITS)
+        paths = (_dataset_path(out, protocol, split) for split in SPLITS)
+        training, test = (in_memory(read_samples(path, labels_only=True)) for path in paths)
         comparisons.append(compare(protocol, training, test, models[protocol], response, sensitivities, truth))
     result = PipelineResult(stages=stages, comparisons=comparisons)
     table = out / "table.json"
@@ -225,7 +227,7 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
     files, all_reused = [], True
     advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
     for protocol, component in STUDIED.items():
-        data = read_samples(_dataset_path(out, protocol, "train"), labels_only=True)
+        data = in_memory(read_samples(_dataset_path(out, protocol, "train"), labels_only=True))
         models[protocol] = {}
         for name, (network, training) in NETWORKS.items():
             path = out / "models" / f"{protocol}-{network.net}{network.hidden}-{network.feature}.safetensors"
