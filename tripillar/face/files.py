@@ -20,7 +20,8 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", pa
     ----------
     thing : SensorDesign, ArrayResponse, Samples, Decoupler or Twin
         A design is written as TOML, a response or samples as NetCDF, samples as a zarr directory where the path ends in
-        .zarr, a model as its path ends: .onnx, .h (C for a microcontroller), else safetensors. A twin is a design as TOML with its decoder beside it, as safetensors.
+        .zarr, a model as its path ends: .onnx, .h (C for a microcontroller), else safetensors. A twin is a design as
+        TOML with its decoder beside it, as safetensors.
     path : path
 
     Raises
