@@ -1,7 +1,9 @@
 """Fixtures of every test: a cache of its own or one shared by all, folders that are filled once, and Ctrl-C."""
 
 import os
+import re
 import signal
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +20,17 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # the workers inherit the first pro
     os.environ["TRIPILLAR_CACHE"] = f"{_scratch.name}/cache"  # of fixtures that live longer than one test
 SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a session, in whatever process they run
 LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
+#: what tests name that Windows cannot run: pseudo-terminals, the firmware, signals and files of POSIX, the laboratory
+POSIX = re.compile(
+    r"\b(VirtualBoard|SimavrBoard|simulated_board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
+    r"|SIGKILL|SIGSTOP|SIGUSR|\"simulate\"|import studies|from studies"
+)
+HERE = Path(__file__).parent
+collect_ignore = [
+    str(path)
+    for path in (*sorted(HERE.glob("tests/**/test_*.py")), *sorted(HERE.glob("hardware/boards/*.py")))
+    if sys.platform == "win32" and POSIX.search(path.read_text(encoding="utf-8"))
+] + ([str(HERE / "studies"), str(HERE / "tripillar/face/boards.py")] if sys.platform == "win32" else [])
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.storage.files import replacing
+from geometry.storage.files import write_text
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
 
@@ -141,5 +141,4 @@ def tolerances_from_dict(stated: dict[str, Any], design: SensorDesign, source: s
 
 def write_design(design: SensorDesign, path: Path) -> None:
     """Write a design file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(design_to_toml(design), encoding="utf-8")
+    write_text(design_to_toml(design), path)

@@ -173,3 +173,55 @@ def test_training_and_replay_load_no_cad_and_no_mesher():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == ""
+
+
+#: modules and names that Windows lacks
+POSIX_MODULES = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
+POSIX_NAMES = {
+    "os": {"fork", "geteuid", "getuid", "killpg", "openpty", "posix_fallocate", "sched_getaffinity", "set_blocking"}
+    | {"ttyname"},
+    "signal": {"SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "alarm", "pthread_sigmask", "setitimer"},
+    "loop": {"add_signal_handler", "remove_signal_handler"},
+}
+
+
+def test_what_only_posix_has_is_guarded():
+    """A function that uses it asks for the system: what is no pseudo-terminal works on Windows, too."""
+    bare = []
+    for path in sources(*FLOORS[:-1]):
+        functions = [node for node in ast.walk(tree(path)) if isinstance(node, ast.FunctionDef)]
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                named = {alias.name for alias in node.names} | {getattr(node, "module", "")}
+                is_posix = bool(named & POSIX_MODULES)
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                is_posix = node.attr in POSIX_NAMES.get(node.value.id, ())
+            else:
+                is_posix = False
+            if not is_posix:
+                continue
+            around = [each for each in functions if each.lineno <= node.lineno <= (each.end_lineno or 0)]
+            asked = ast.unparse(around[-1] if around else tree(path))
+            if not ("sys.platform" in asked or "hasattr" in asked):
+                bare.append(f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}")
+    assert not bare, "\n".join(bare)
+
+
+def test_text_names_its_encoding():
+    """Windows would take another for files and for what other programs print. Texts are written by `write_text`."""
+    unnamed = []
+    for path in sources(*FLOORS, "examples"):
+        for node in ast.walk(tree(path)):
+            if not isinstance(node, ast.Call) or isinstance(node.func, ast.Subscript):
+                continue
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            of = ast.unparse(node.func.value) if isinstance(node.func, ast.Attribute) else ""
+            given = {word.arg: ast.unparse(word.value) for word in node.keywords}
+            words = [ast.unparse(word) for word in node.args] + [given.get("mode", "")]
+            is_binary = any(word.startswith("'") and "b" in word and len(word) <= 5 for word in words)
+            opens = name in ("open", "fdopen", "TemporaryFile", "NamedTemporaryFile") and of not in ("os", "Image")
+            reads = name in ("read_text", "write_text") and bool(of)
+            runs = name in ("run", "Popen", "check_output") and "text" in given
+            if "encoding" not in given and (reads or runs or (opens and not is_binary)):
+                unnamed.append(f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)[:80]}")
+    assert not unnamed, "\n".join(unnamed)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -23,6 +24,8 @@ from geometry.storage.files import uninterrupted
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
+
+MAX_WORKERS = 61  #: processes that Windows can wait for at once
 
 Job = tuple[Any, ...]  #: a function and its arguments, all of which another process can import or unpickle
 
@@ -103,7 +106,8 @@ def jobs_of(
 
 def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
     """Run jobs (function, arguments ...), as many at once as there are cores, a thread each; their results in order."""
-    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+    workers = min(os.cpu_count() or 1, MAX_WORKERS)
+    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         with uninterrupted(), deaf_to_interrupts():
             futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
         try:
@@ -191,7 +195,7 @@ def summary(tested: list[Fold]) -> dict[str, Any]:
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
     """Keep Ctrl-C, which a terminal sends to all, from the processes started meanwhile: who started them ends them."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
+    if sys.platform == "win32":
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

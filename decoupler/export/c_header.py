@@ -261,7 +261,12 @@ def compiled_forces(
         (Path(folder) / "model.h").write_text(header, encoding="utf-8")
         (Path(folder) / "main.c").write_text(Template(_MAIN).substitute(real=_real(dtype)), encoding="utf-8")
         built = subprocess.run(
-            [compiler, *STRICT, "main.c", "-o", "main", "-lm"], cwd=folder, capture_output=True, text=True, check=False
+            [compiler, *STRICT, "main.c", "-o", "main", "-lm"],
+            cwd=folder,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            check=False,
         )
         if built.returncode:
             raise ExportError(f"{compiler} refuses the header: {built.stderr.strip().splitlines()[0]}")

@@ -71,7 +71,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     with replacing(path) as temporary:
         if path.suffix == ".h":
             header = header_text(decoupler, dtype)
-            temporary.write_text(header, encoding="utf-8")
+            temporary.write_text(header, encoding="utf-8", newline="\n")
             compiler = shutil.which("cc")
             if compiler is None:
                 return Exported(precision=precision, deviation=None, unchecked="no C compiler 'cc' is installed")

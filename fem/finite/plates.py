@@ -69,7 +69,7 @@ class Plates:
         if not self.count:
             return np.zeros((*forces.shape[:-2], 0, 3)), np.zeros((*forces.shape[:-2], 0, 3))
         moments = np.cross(self.turned(rotation), forces)
-        return tuple(np.add.reduceat(v, self.starts, axis=-2) for v in (forces, moments))  # type: ignore[return-value]
+        return tuple(np.add.reduceat(v, self.starts, axis=-2) for v in (forces, moments))  # type: ignore[return-value]  # two
 
 
 def turns(spin: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import logging
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -120,9 +121,8 @@ def write_bytes(path: Path, *parts: bytes | memoryview) -> None:
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a text file in UTF-8, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    """Write a text file in UTF-8, whole or not at all; its lines end in \\n on every system."""
+    write_bytes(path, text.encode())
 
 
 def write_json(plain: Any, path: Path) -> None:
@@ -179,7 +179,7 @@ def keep(write: Callable[[Path], None], path: Path) -> None:
 def explained(error: OSError, path: Path | None = None) -> str:
     """One line about a file that could not be written, and how to mend it."""
     named = str(path or error.filename or "standard output")
-    if error.errno == errno.EFBIG:
+    if sys.platform != "win32" and error.errno == errno.EFBIG:
         import resource
 
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -12,9 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-if sys.platform != "win32":  # where no file can be removed that is in use, so that nothing need be locked
-    import fcntl
-
 MARK = ".tripillar-"  #: in the names of these folders
 _OURS = re.compile(rf"\..*{re.escape(MARK)}[a-z0-9_]{{8}}")
 _of_this_process: set[Path] = set()
@@ -58,7 +55,11 @@ def remove_unfinished() -> None:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove what killed processes of this user left unfinished in a folder."""
-    if sys.platform == "win32" or folder in _looked_through:
+    if sys.platform == "win32":  # which has no such locks: leftovers stay
+        return
+    import fcntl
+
+    if folder in _looked_through:
         return
     _looked_through.add(folder)
     with suppress(OSError):
@@ -79,6 +80,8 @@ def _locked(path: Path) -> int | None:
     """A lock on a new folder, -1 where there are none; None if another process took it for a leftover."""
     if sys.platform == "win32":
         return -1
+    import fcntl
+
     try:
         handle = os.open(path, os.O_RDONLY)
     except FileNotFoundError:

@@ -11,6 +11,7 @@ import signal
 import stat
 import struct
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Self
@@ -35,6 +36,8 @@ class SimavrError(TriPillarError, RuntimeError):
 
 def find_tools() -> str | None:
     """Name the tools that are missing for a simulated board, in one line with their packages; None if all are there."""
+    if sys.platform == "win32":
+        return "the simulated board runs on Linux and macOS, not on Windows."
     programs = {"make": "make", "cc": "gcc", "avr-gcc": "gcc-avr", "avr-size": "binutils-avr"}
     headers = {"libsimavr-dev": ("cc", "simavr/sim_avr.h"), "libelf-dev": ("cc", "libelf.h")}
     headers["avr-libc"] = ("avr-gcc", "avr/io.h")
@@ -144,10 +147,14 @@ class SimavrBoard:
 
     def __enter__(self) -> Self:
         require_own(self._program, self._program.parent)
-        self._messages = tempfile.TemporaryFile("w+")  # not a pipe, which would fill up unread
+        self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # not a pipe, which would fill up unread
         try:
             self._process = subprocess.Popen(
-                self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._messages, text=True
+                self._command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=self._messages,
+                encoding="utf-8",
             )
             assert self._process.stdout is not None
             self.port = self._answer(self._process.stdout.readline())["port"]
@@ -166,11 +173,13 @@ class SimavrBoard:
 
     def press_reset(self) -> None:
         """Press the board's reset button: the sequence and its clock start again."""
-        self._running().send_signal(signal.SIGUSR1)
+        if sys.platform != "win32":
+            self._running().send_signal(signal.SIGUSR1)
 
     def hang(self) -> None:
         """Take the interrupt away that starts scans, as a disturbed register would: nothing is sent any more."""
-        self._running().send_signal(signal.SIGUSR2)
+        if sys.platform != "win32":
+            self._running().send_signal(signal.SIGUSR2)
 
     def stop(self) -> dict[str, Any]:
         """Stop the board, if it did not stop by itself, and give its statistics.
@@ -229,6 +238,8 @@ def require_own(place: Path, root: Path) -> None:
     UntrustedError
         Naming the first such file, and how to mend it.
     """
+    if sys.platform == "win32":
+        raise UntrustedError(f"{place}: its owner is not known on Windows, so it is not run.")
     place, root = place.absolute(), root.absolute()
     above = [place, *(folder for folder in place.parents if folder.is_relative_to(root))]
     within = sorted(place.rglob("*")) if place.is_dir() and not place.is_symlink() else []
@@ -256,6 +267,8 @@ def _is_open(status: os.stat_result) -> bool:
 
 def _is_private_group(status: os.stat_result) -> bool:
     """True if the group of a file is its owner's own, without other members."""
+    if sys.platform == "win32":
+        return False
     import grp
     import pwd
 

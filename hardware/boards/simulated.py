@@ -204,7 +204,8 @@ def firmware_built(info: Info) -> Path:
     done = subprocess.run(
         [*command, *(f"{name}={value}" for name, value in settings.items())],
         capture_output=True,
-        text=True,
+        encoding="utf-8",
+        errors="replace",
         umask=0o077,
     )
     if done.returncode:

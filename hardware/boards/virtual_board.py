@@ -6,9 +6,9 @@ A host program is tried with it without hardware. It follows docs/frames.md, as 
 import contextlib
 import os
 import select
+import sys
 import threading
 import time
-import tty
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,6 +29,7 @@ Command = Literal["info", "errors"] | int  #: a question, or the rate that was a
 _RATES_HZ = range(1, 1001)  # that it can hold
 _MAX_HZ = 65535  # that a command can name
 _MAX_LINE = 1000  # characters of a command
+NO_TERMINALS = "a simulated board needs a pseudo-terminal, which Windows has not: use Linux, macOS or WSL."
 
 
 class VirtualBoard:
@@ -237,11 +238,7 @@ class VirtualBoard:
     def _connect(self) -> None:
         if self._fds is not None:
             return
-        board_end, host_end = os.openpty()
-        tty.setraw(host_end)
-        os.set_blocking(board_end, False)
-        self._fds = host_end, board_end
-        self._port = os.ttyname(host_end)
+        self._fds, self._port = _terminal()
         if self._link:
             if self._link.exists() and not self._link.is_symlink():
                 raise PortError(f"{self._link} exists and is no link: give another name for the link to the port.")
@@ -274,6 +271,18 @@ class VirtualBoard:
         while not done.wait(0.1):
             if not self._running:  # it ended before it saw the work
                 raise RuntimeError("the board is closed: make another.") from self._error
+
+
+def _terminal() -> tuple[tuple[int, int], str]:
+    """Both ends of a new pseudo-terminal, the host's and the board's, and the name of the host's."""
+    if sys.platform == "win32":
+        raise PortError(NO_TERMINALS)
+    import tty
+
+    board_end, host_end = os.openpty()
+    tty.setraw(host_end)
+    os.set_blocking(board_end, False)
+    return (host_end, board_end), os.ttyname(host_end)
 
 
 def _looped(counts: NDArray[Any], step_s: float) -> Counts:

@@ -7,6 +7,7 @@ A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one,
 import contextlib
 import errno
 import socket
+import sys
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
@@ -17,10 +18,13 @@ from serial.urlhandler import protocol_socket
 
 from geometry.errors import TriPillarError
 
-try:
+if sys.platform == "win32":
+    _TerminalError = OSError
+    EXAMPLE = "COM3"
+else:
     from termios import error as _TerminalError  # no subclass of OSError
-except ImportError:  # Windows has none
-    _TerminalError = OSError  # type: ignore[misc,assignment]  # mypy sees a class bound twice
+
+    EXAMPLE = "/dev/ttyUSB0"
 
 BAUD = 1_000_000  #: what the firmware sends at
 PORT_FAULTS = (
@@ -40,7 +44,7 @@ class PortError(TriPillarError, OSError):
 class Port:
     """A serial port of this computer."""
 
-    device: str  #: what to open, as /dev/ttyUSB0
+    device: str  #: what to open, as /dev/ttyUSB0 or COM3
     description: str  #: by its maker
     hardware_id: str  #: USB vendor, product and serial number
 
@@ -124,23 +128,23 @@ def _cause(fault: Exception, url: str) -> str:
     """Say why a port does not open, and how to mend it."""
     code = getattr(fault, "errno", None)
     if not url:
-        return "no port was named: give a device as /dev/ttyUSB0."
+        return f"no port was named: give a device as {EXAMPLE}."
     if url.lower().startswith("socket://") and not _names_server(url):
         return "no host and port number: give socket://HOST:PORT of a running server."
     if code == errno.ENOENT:
         there = ", ".join(port.device for port in list_ports()) or "none"
         return f"no such port; there are: {there}. Plug the board in, or name another."
     if code == errno.EISDIR:
-        return "a folder, not a port: name a device as /dev/ttyUSB0."
+        return f"a folder, not a port: name a device as {EXAMPLE}."
     if code in (errno.EAGAIN, errno.EBUSY):
         return "in use by another program: close that one first."
     if code in (errno.EACCES, errno.EPERM):
         return "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew."
     if "not known" in str(fault) and "://" in url:
-        return f"there are no ports of the kind {url.partition('://')[0]}://; name a device as /dev/ttyUSB0, or socket://HOST:PORT."
+        return f"there are no ports of the kind {url.partition('://')[0]}://; name a device as {EXAMPLE}, or socket://HOST:PORT."
     if url.lower().startswith("socket://"):
         return f"no connection ({fault}): give socket://HOST:PORT of a running server."
-    return f"no serial port ({fault}): name a device as /dev/ttyUSB0."
+    return f"no serial port ({fault}): name a device as {EXAMPLE}."
 
 
 def _names_server(url: str) -> bool:

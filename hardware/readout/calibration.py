@@ -16,7 +16,7 @@ from decoupler.data.columns import Calibration
 from geometry.design import quantity, require_numbers
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
-from geometry.storage.files import replacing
+from geometry.storage.files import write_text
 from geometry.storage.seal import opened_json, sealed_json
 from geometry.storage.text_file import read_text
 from hardware.link.frames import Info
@@ -162,5 +162,4 @@ def read_calibration(path: Path) -> SensorCalibration:
 
 def write_calibration(calibration: SensorCalibration, path: Path) -> None:
     """Write a calibration file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(calibration.to_json() + "\n", encoding="utf-8")
+    write_text(calibration.to_json() + "\n", path)

@@ -16,7 +16,7 @@ import numpy as np
 
 from geometry.errors import FileFormatError, TriPillarError
 from geometry.layout import FloatArray
-from geometry.storage.files import replacing
+from geometry.storage.files import replacing, write_text
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.storage.text_file import why_unreadable
 from hardware.link.frames import Statistics
@@ -62,8 +62,7 @@ def convert(recording: Recording, path: Path) -> None:
     elif suffix == ".mcap":
         write_mcap(recording, path)
     elif suffix == ".csv":
-        with replacing(path) as temporary:
-            temporary.write_text(csv_text(recording))
+        write_text(csv_text(recording), path)
     else:
         raise FileFormatError(f"{path}: no form of a recording: end the name in .nc or .mcap or .csv.")
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from geometry.storage.files import replacing
+from geometry.storage.files import write_text
 from studies.pictures.page import page_in_chromium
 from tripillar.terminal.entry import run_alone
 
@@ -56,8 +56,7 @@ def measure(
         found[name] = {"median": float(np.median(values)), "p90": float(np.percentile(values, 90))}
     print(json.dumps(found, indent=2))
     if out is not None:
-        with replacing(out) as temporary:
-            temporary.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        write_text(json.dumps(found, indent=2) + "\n", out)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import numpy as np
 from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
-from geometry.storage.files import replacing
+from geometry.storage.files import write_text
 from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.scenes import all_scenes
 
@@ -108,8 +108,7 @@ def main(names: list[str]) -> None:
     for group, finest in solved_together(names or all_scenes()):
         entries = make_references(group, finest)
         stored = stored_references() | entries
-        with replacing(REFERENCES) as temporary:
-            temporary.write_text(_laid_out({"method": METHOD, "scenes": stored}), encoding="utf-8")
+        write_text(_laid_out({"method": METHOD, "scenes": stored}), REFERENCES)
         for name, entry in entries.items():
             print(f"{name}: uncertain by {max(entry['uncertainties'].values()):g}", flush=True)
 

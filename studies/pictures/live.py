@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from geometry.design import SensorDesign
-from geometry.storage.files import replacing
+from geometry.storage.files import write_text
 from hardware.boards.simulated import PressAndSlide, press_and_slide
 from hardware.link.frames import ScanMode
 from hardware.link.reception import LinkStatistics
@@ -37,8 +37,7 @@ def draw(out: Path) -> None:
     )  # fmt: skip
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
     console.print(view)
-    with replacing(out) as temporary:
-        temporary.write_text(console.export_svg(title="tripillar live"), encoding="utf-8")
+    write_text(console.export_svg(title="tripillar live"), out)
 
 
 if __name__ == "__main__":

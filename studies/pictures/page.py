@@ -32,7 +32,7 @@ def page_in_chromium(*options: str, size: tuple[int, int] = (1280, 800)) -> Iter
     from playwright.sync_api import sync_playwright
 
     command = [sys.executable, "-m", "tripillar", "view", "--serve", "--http-port", "0", "--json", "-q", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as playwright:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as server, sync_playwright() as playwright:
         try:
             assert server.stdout is not None
             line = server.stdout.readline()

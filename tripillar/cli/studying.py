@@ -146,7 +146,7 @@ def optimize(
     """
     require_counts(workers=count, trials=trials)
     require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
-    from geometry.storage.files import replacing
+    from geometry.storage.files import write_text
     from tripillar.sweep.optimize import finished, open_study, search, written
     from tripillar.sweep.run import kept_rows
     from tripillar.sweep.trade_offs import best_table, ranked
@@ -178,8 +178,7 @@ def optimize(
     if not best:
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {file}: loosen them or try more.")
     path = out / f"{file.stem}-best.toml"
-    with replacing(path) as temporary:
-        temporary.write_text(best[0].design or "", encoding="utf-8")
+    write_text(best[0].design or "", path)
     counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
     result = counts | {"best": best[0].flat(), "file": str(path)}
     answer(json_, result, lambda: [best_table(rows, asked, 5)], path)

@@ -120,7 +120,7 @@ def display() -> Check:
     server = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     where = f"display {server}" if server else "no display"
     try:
-        drawn = subprocess.run([sys.executable, "-c", DRAW], capture_output=True, text=True, timeout=LONGEST_S)
+        drawn = subprocess.run([sys.executable, "-c", DRAW], capture_output=True, encoding="utf-8", timeout=LONGEST_S)
         sound = drawn.returncode == 0 and drawn.stdout.split() == ["255", "0", "0"]
     except subprocess.TimeoutExpired:
         sound = False

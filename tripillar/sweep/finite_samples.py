@@ -10,7 +10,7 @@ from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups
 from dataset.simulation import DatasetSettings, LoadError
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError, TriPillarError
-from geometry.storage.files import cache_folder, replacing
+from geometry.storage.files import cache_folder, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
 from tripillar.sweep.run import next_row
 from tripillar.sweep.workers import Workers
@@ -107,7 +107,7 @@ def make_groups(
     failed: list[GroupRow] = []
     while waiting or flying:
         while waiting and flying < workers.count:
-            workers.give(waiting.pop(0), job)  # type: ignore[arg-type]
+            workers.give(waiting.pop(0), job)  # type: ignore[arg-type]  # a task with a cache_key
             flying += 1
         row: Any = next_row(workers)
         flying -= 1
@@ -116,8 +116,7 @@ def make_groups(
         if row.plain is None:
             failed.append(row)
             continue
-        with replacing(_path(job, row.number)) as temporary:
-            temporary.write_text(sealed_json(row.plain) + "\n", encoding="utf-8")
+        write_text(sealed_json(row.plain) + "\n", _path(job, row.number))
         made[row.number] = Group.of_plain(row.plain)
         progress(made[row.number])
     if failed:

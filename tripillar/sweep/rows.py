@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geometry.layout import AXES, PILLARS, FloatArray
-from geometry.storage.files import replacing, write_bytes
+from geometry.storage.files import write_bytes, write_text
 from geometry.storage.netcdf import write_netcdf
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
 
@@ -129,8 +129,7 @@ def metric_label(name: str) -> str:
 def write_row(row: Row, folder: Path) -> None:
     """Write a row as a file of its own with its hash, whole or not at all."""
     stored = {STORED_AS.get(name, name): value for name, value in asdict(row).items()}
-    with replacing(folder / f"{row.cache_key}.json") as temporary:
-        temporary.write_text(sealed_json(stored) + "\n", encoding="utf-8")
+    write_text(sealed_json(stored) + "\n", folder / f"{row.cache_key}.json")
 
 
 def read_row(folder: Path, cache_key: str) -> Row | None:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import get_all_start_methods, get_context, parent_process, resource_tracker, util
+from multiprocessing import get_context, parent_process, resource_tracker, util
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -43,6 +43,8 @@ LOOK_S = 0.5  #: between two looks at the memory and the time of a worker
 STOP_S = 0.4  #: for workers to remove half-written files and end, before they are killed
 REAPED_S = 30.0  #: for the exit code of a worker that has ended, on a busy machine
 CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
+#: of worker processes; macOS has a server of copies, too, but its libraries may not survive being copied
+START = "forkserver" if sys.platform == "linux" else "spawn"
 
 
 Judge = Callable[[Any, Any], Any]  #: a design and how to judge it to its row
@@ -175,7 +177,8 @@ class LocalWorkers:
 
     def _attend(self) -> None:
         """Keep a worker at work; in a thread of its own."""
-        resource_tracker.ensure_running()  # lets Ctrl-C through again, so before the line that stops it
+        if sys.platform != "win32":  # which has none
+            resource_tracker.ensure_running()  # lets Ctrl-C through again, so before the line that stops it
         with deaf_to_interrupts():
             worker = None
             while not self._closed:
@@ -202,8 +205,8 @@ class LocalWorkers:
 
     def _start(self) -> _Worker:
         """Begin a process; a copy of one that has loaded the packages already, where the system can."""
-        context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
-        if context.get_start_method() == "forkserver":
+        context: Any = get_context(START)
+        if START == "forkserver":
             context.set_forkserver_preload(["__main__", __name__, "xarray", "netCDF4"])
             remove_at_end(Path(util.get_temp_dir()))  # where the server's socket will be
         ours, theirs = context.Pipe()
@@ -240,7 +243,8 @@ class LocalWorkers:
             number = -code if code < 0 else code - 128
             by_signal = number in signal.valid_signals()
             why = f"ended by {signal.Signals(number).name}" if by_signal else f"ended with exit code {code}"
-            raise self._lost(worker, why, killed=number in (signal.SIGKILL, signal.SIGTERM)) from None
+            killed = by_signal and signal.Signals(number).name in ("SIGKILL", "SIGTERM")
+            raise self._lost(worker, why, killed) from None
 
     def _lost(self, worker: _Worker, why: str, killed: bool = False) -> WorkerLost:
         worker.process.kill()

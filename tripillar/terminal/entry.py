@@ -45,7 +45,8 @@ def _run(app: Any) -> int:
     """The exit code of a command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(encoding="utf-8")  # Ω and ρ, whatever the console's own encoding
+            # Ω and ρ, whatever the console's own encoding; file names that are not UTF-8
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
     try:
         code = app(standalone_mode=False)
         sys.stdout.flush()  # where a full disk shows

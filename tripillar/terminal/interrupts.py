@@ -39,7 +39,8 @@ def install() -> None:
     warnings = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{warnings},{_SILENT}" if warnings else _SILENT
     heard, rung = os.pipe()
-    os.set_blocking(rung, False)
+    if sys.platform != "win32":  # where a pipe to be woken by may block, and never does
+        os.set_blocking(rung, False)
     _rung.append(rung)
     for number in SIGNALS:
         signal.signal(number, _end)
@@ -127,9 +128,10 @@ def _end_children() -> None:
     for child in psutil.wait_procs(children, timeout=TIDY_S)[1]:
         with suppress(psutil.Error):
             child.kill()
-    for number in (os.getpid(), *(child.pid for child in children)):
-        with suppress(OSError):
-            os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
+    if sys.platform == "linux":
+        for number in (os.getpid(), *(child.pid for child in children)):
+            with suppress(OSError):
+                os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{number}_{os.getuid()}")
 
 
 def _tidies_up(child: "psutil.Process") -> bool:

@@ -149,7 +149,9 @@ def solve_by_ccx(scene: Scene, n: float, element: str, graded: bool) -> Solved:
         threads = os.environ.get("OMP_NUM_THREADS", "2")
         environment = os.environ | {"OMP_NUM_THREADS": threads, "CCX_NPROC_EQUATION_SOLVER": threads}
         watch.spent("assemble")
-        run = subprocess.run(["ccx", "scene"], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            ["ccx", "scene"], cwd=folder, env=environment, capture_output=True, encoding="utf-8", check=False
+        )
         printed = Path(folder, "scene.dat")
         if run.returncode or not printed.exists() or not printed.stat().st_size:
             raise RuntimeError(f"ccx failed: {run.stdout[-500:]}{run.stderr[-500:]}")

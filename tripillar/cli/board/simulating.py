@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -82,9 +83,12 @@ def simulate(
         suited_kind,
         write_truth,
     )
+    from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.session import ended_by_signal
     from tripillar.face.boards import info_of
 
+    if sys.platform == "win32":
+        raise DesignError(NO_TERMINALS)
     require_positive(seconds=seconds)
     if not 0.1 <= period <= 600:
         raise DesignError(f"--period {period:g} must be from 0.1 to 600 s.")

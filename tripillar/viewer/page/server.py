@@ -7,8 +7,10 @@ import re
 import secrets
 import signal
 import socket
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -238,6 +240,27 @@ class Server:
                     connection.transport.abort()
 
 
+@contextmanager
+def _ended_by_signals(loop: asyncio.AbstractEventLoop, ended: asyncio.Event) -> Iterator[None]:
+    """Set `ended` on Ctrl-C or a termination."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    if sys.platform == "win32":  # where loops are woken by signals, but do not handle them
+        before = {number: signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set)) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        return
+    for number in numbers:
+        loop.add_signal_handler(number, ended.set)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            loop.remove_signal_handler(number)
+
+
 async def serve(subject: Subject, host: str, port: int, on_ready: Callable[[str], None]) -> None:
     """Serve the page until Ctrl-C or a termination.
 
@@ -256,20 +279,17 @@ async def serve(subject: Subject, host: str, port: int, on_ready: Callable[[str]
         If the server cannot listen there.
     """
     ended, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
     server = Server(subject, host)
     working: list[asyncio.Task[Any]] = [asyncio.create_task(ended.wait())]
     if subject.feed is not None:
         working.append(asyncio.create_task(subject.feed.run()))
     try:
-        on_ready(await server.start(host, port))
-        done, _ = await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
+        with _ended_by_signals(loop, ended):  # left, a second Ctrl-C interrupts
+            on_ready(await server.start(host, port))
+            done, _ = await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()  # the sensor's failure, if it is that
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)  # a second Ctrl-C interrupts
         for task in working:
             task.cancel()
         await server.stop()

@@ -1,0 +1,95 @@
+"""What differs on Windows and macOS: consoles in other encodings, no POSIX, workers that are no copies."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.house import House
+from tripillar.sweep import workers as local
+from tripillar.sweep.run import judge_all
+from tripillar.sweep.sampling import samples_of
+from tripillar.sweep.sweep_file import sweep_from_dict
+from tripillar.sweep.workers import open_workers
+
+ROOT = Path(__file__).parents[2]
+SWEEP = sweep_from_dict(
+    {
+        "design": {"array": {"rows": 1, "cols": 2}},
+        "sweep": {"sampling": "grid", "tolerance": 2e-2},
+        "vary": [{"key": "unit.height_mm", "values": [9.0, 10.0]}],
+    }
+)
+#: modules that ask for the system load, and work, where it is none of POSIX; libraries are loaded before
+WITHOUT_POSIX = """
+import concurrent.futures.process, ctypes, mmap, multiprocessing.spawn, os, select, signal, subprocess, sys
+import netCDF4, numpy, psutil, serial.tools.list_ports, serial.urlhandler.protocol_socket, typer, xarray
+from pathlib import Path
+sys.platform = "win32"
+made, set_blocking = os.pipe(), os.set_blocking
+set_blocking(made[1], False)  # which this system asks of the pipe that signals wake
+os.pipe = lambda: made
+for name in ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"):
+    sys.modules[name] = None
+for name in ("getuid", "geteuid", "openpty", "posix_fallocate", "set_blocking", "ttyname"):
+    delattr(os, name)
+for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "pthread_sigmask"):
+    delattr(signal, name)
+from tripillar.terminal import interrupts
+interrupts.install()
+from geometry.storage.files import explained
+from geometry.storage.netcdf import write_netcdf
+from hardware.boards import simavr_board, simulated, virtual_board
+from hardware.link.frames import Info
+from hardware.link.serial_ports import PortError, open_port
+from decoupler.evaluation.crossval import deaf_to_interrupts
+import tripillar.cli.app, tripillar.sweep.memory, tripillar.sweep.workers
+assert tripillar.sweep.workers.START == "spawn"
+write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
+assert [path.name for path in Path().iterdir()] == ["a.nc"]
+assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))
+with deaf_to_interrupts():
+    assert "Windows" in simavr_board.find_tools()
+for begin in (lambda: virtual_board.VirtualBoard([1], Info(rows=1, cols=1)), lambda: open_port("")):
+    try:
+        begin()
+    except PortError as error:
+        print(error, flush=True)
+interrupts._end(signal.SIGINT)
+"""
+
+
+def test_a_console_of_another_encoding_gets_utf_8(tmp_path):
+    """As on Windows: neither Ω nor a name that is no UTF-8 ends a command."""
+    house = House(tmp_path)
+    old = {"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    name = os.fsdecode(b"caf\xe9.toml")
+    for words, said in ((["dataset", "--help"], "[Ω]"), (["design", "--out", name], "caf")):
+        done = subprocess.run(
+            house.command(*words), cwd=tmp_path, env=house.environment | old, capture_output=True, check=True
+        )
+        assert said in (done.stdout + done.stderr).decode()
+    assert "Poisson" in (tmp_path / name).read_text(encoding="utf-8")
+    assert b"\r" not in (tmp_path / name).read_bytes()
+
+
+def test_nothing_but_boards_needs_posix(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_POSIX],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, encoding="utf-8",
+    )  # fmt: skip
+    assert done.stdout.splitlines() == [
+        "a simulated board needs a pseudo-terminal, which Windows has not: use Linux, macOS or WSL.",
+        ": no port was named: give a device as COM3.",
+    ]
+    assert done.stderr == "tripillar: interrupted.\n"
+    assert done.returncode == 130
+
+
+def test_workers_that_are_no_copies_judge_the_same(tmp_path, monkeypatch):
+    """Windows and macOS begin them anew (spawn)."""
+    monkeypatch.setattr(local, "START", "spawn")
+    samples = samples_of(SWEEP)
+    with open_workers(1, None, tmp_path / "log") as judges:
+        rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows")
+    assert [rows[sample.cache_key].reason for sample in samples] == ["", ""]
