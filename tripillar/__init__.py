@@ -30,6 +30,10 @@ True
 >>> tp.read_model(folder / "model.safetensors").forces(samples.resistance_ohm).shape
 (100, 1, 2, 1)
 
+>>> sensor = tp.VirtualSensor(design, folder / "model.safetensors", noise=0.001)  # in torch, for simulators
+>>> sensor.shape
+(1, 2)
+
 >>> try:
 ...     replace(design.array, rows=0)
 ... except tp.TriPillarError as error:
@@ -48,6 +52,7 @@ if TYPE_CHECKING:
     from geometry.design_file import read_design
     from geometry.errors import TriPillarError
     from hardware.session import live
+    from hardware.virtual.sensor import VirtualSensor
     from tripillar.face.boards import record, replay, simulated_board
     from tripillar.face.bodies import response, solve, view
     from tripillar.face.files import write
@@ -64,6 +69,7 @@ _NAMES_BY_HOME = {
     "dataset.stored": ["read_samples"],
     "decoupler.model.model_file": ["read_model"],
     "hardware.session": ["live"],
+    "hardware.virtual.sensor": ["VirtualSensor"],
     "tripillar.face.bodies": ["response", "solve", "view"],
     "tripillar.face.learning": ["simulate", "train", "evaluate", "crossval"],
     "tripillar.face.identifying": ["identify"],
@@ -75,7 +81,7 @@ __all__ = [
     "Samples",
     "SensorDesign",
     "TriPillarError",
-    "__version__",
+    "VirtualSensor",
     "crossval",
     "evaluate",
     "identify",

@@ -117,6 +117,18 @@ class Crossbar:
         column = self.line_ohm + self.sense_ohm / (1.0 + self.amplifier_gain) if is_amplified else switched
         return np.repeat([switched, column], [2 * self.rows, 2 * self.cols])
 
+    @cached_property
+    def loss_by_wire(self) -> FloatArray:
+        """From y to the share of its voltage that each wire loses, (n_crossings, n_wires) [Ω].
+
+        Its series resistance, and where idle rows are grounded the sense resistor that a column's sum passes.
+        """
+        row, column = self.ends
+        wires = np.arange(2 * (self.rows + self.cols))
+        sense_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
+        lossy_ohm = self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols])
+        return np.asarray(((row[:, None] == wires) | (column[:, None] == wires)) * lossy_ohm)
+
     def readings(self, resistance_ohm: FloatArray) -> FloatArray:
         """Share of full scale at every crossing, without noise or converter.
 
@@ -141,7 +153,7 @@ class Crossbar:
         y = self.apparent_of(conductance)
         if self.scan_mode == ScanMode.DIVIDER:
             return self.sense_ohm / (self.sense_ohm + 2.0 * (self.switch_ohm + self.line_ohm) + 1.0 / y)
-        return self._gain_ohm * y
+        return self.gain_ohm * y
 
     def counts(self, resistance_ohm: FloatArray, generator: np.random.Generator | None = None) -> NDArray[np.int64]:
         """Counts of the converter for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
@@ -200,7 +212,7 @@ class Crossbar:
         if self.scan_mode == ScanMode.DIVIDER:
             around_ohm = self.sense_ohm / readings - self.sense_ohm - 2.0 * (self.switch_ohm + self.line_ohm)
             return 1.0 / np.clip(around_ohm, MIN_OHM, MAX_OHM)
-        return np.maximum(readings / self._gain_ohm, 1.0 / MAX_OHM)
+        return np.maximum(readings / self.gain_ohm, 1.0 / MAX_OHM)
 
     def apparent_of(self, conductance: FloatArray) -> FloatArray:
         """y of pillars' conductances: the nodal analysis."""
@@ -239,7 +251,7 @@ class Crossbar:
         return y, derivatives
 
     @property
-    def _gain_ohm(self) -> float:
+    def gain_ohm(self) -> float:
         """Reading per apparent conductance [Ω]."""
         if self.scan_mode == ScanMode.ZERO_POTENTIAL:
             return self.sense_ohm * self.amplifier_gain / (1.0 + self.amplifier_gain)
@@ -252,7 +264,7 @@ class Crossbar:
         L = np.zeros((len(conductance), n_wires, n_wires))
         L[:, row, column] = L[:, column, row] = -conductance
         if self.has_shunts:
-            L -= self._shunts
+            L -= self.shunt_matrix
         wires = np.arange(n_wires)
         L[:, wires, wires] = -L.sum(axis=2)
         return L
@@ -262,7 +274,7 @@ class Crossbar:
         return any(self.shunt_siemens)
 
     @cached_property
-    def _shunts(self) -> FloatArray:
+    def shunt_matrix(self) -> FloatArray:
         """Conductances of all units' shunts between wires, (n_wires, n_wires) [S]."""
         upper, lower, across = self.shunt_siemens
         G = np.zeros((2 * (self.rows + self.cols),) * 2)
@@ -314,13 +326,7 @@ class Corrector:
         self.crossbar = crossbar
         self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
         self._tangent: _Tangent | None = None
-        # from y to the share of its voltage that each wire loses, (n_crossings, n_wires) [Ω]: its series resistance,
-        # and where idle rows are grounded the sense resistor that a column's sum passes
-        row, column = crossbar.ends
-        wires = np.arange(2 * (crossbar.rows + crossbar.cols))
-        sense_ohm = crossbar.sense_ohm if crossbar.scan_mode == ScanMode.GROUNDED else 0.0
-        lossy_ohm = crossbar.series_ohm + np.repeat([0.0, sense_ohm], [2 * crossbar.rows, 2 * crossbar.cols])
-        self._loss_by_wire = ((row[:, None] == wires) | (column[:, None] == wires)) * lossy_ohm
+        self._loss_by_wire = crossbar.loss_by_wire
 
     def correct(self, readings: FloatArray) -> FloatArray:
         """Resistances that would give these readings.

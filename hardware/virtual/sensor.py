@@ -1,0 +1,367 @@
+"""The sensor in a simulation of others: points and forces in, readings and decoded forces out. Loads torch.
+
+Every tensor has the environments first: e sensors of one design live side by side, each with imperfections of its own.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from dataset.imperfections import OPEN_OHM, Imperfections
+from dataset.measurement import SENSE_OHM
+from dataset.simulation import require_conducted
+from decoupler.data.columns import COMPONENTS, MIN_CALIBRATED_OHM
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.model_file import read_model
+from decoupler.twin.twin_file import TwinFile, read_twin
+from fem.array.solving import ResponseSettings, array_response
+from geometry.design import SensorDesign
+from geometry.design_file import read_design
+from geometry.errors import ArgumentError, DesignError
+from geometry.layout import AXES, rest_lengths
+from hardware.readout.crossbar import Crossbar
+from hardware.virtual.decoding import TorchDecoder, TorchForward
+from hardware.virtual.wires import TorchCrossbar
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """One reading of e sensors; derivatives lead back to points and forces."""
+
+    force_n: Tensor  #: (e, rows, cols, 3): on each pad along x, y, z [N]; Fz positive in compression
+    resistance_ohm: Tensor  #: (e, rows, cols, 3): pillars z, x, y as the host finds them [Ω]; `OPEN_OHM` of dead ones
+    decoded_n: Tensor | None  #: (e, rows, cols, k): forces that the model tells of these [N]; None without a model
+
+
+class VirtualSensor:
+    """Sensors of one design in a simulation of others, one an environment, all at once and differentiable.
+
+    Contact forces at points go to the pads, by the array's response into displacements, by eq. 1 (or conduction) into
+    resistances; each specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these,
+    and a trained model forces. Loads are quasi-static and the rubber linear, as everywhere.
+
+    Parameters
+    ----------
+    design : SensorDesign, TwinFile or path
+        A design, its file, or the file of a twin: then each environment has a sensor of the twin's posterior.
+    model : Decoupler or path, optional
+        Default: a twin's own decoder; of a design none, and nothing is decoded.
+    environments : int
+        Number e of sensors.
+    noise : float
+        Relative standard deviation of a measured resistance.
+    bits : int, optional
+        Bits of a converter behind a voltage divider, 4 to 24; default: exact readings. Leave it out with a crossbar.
+    crossbar : Crossbar, optional
+        Circuit that the array is read through, its crosstalk and converter included; default: each pillar alone.
+    correct : bool
+        False leaves the crossbar's crosstalk in.
+    gain_spread : float
+        Each pillar's resistance has a factor, uniform in 1 ± gain_spread.
+    offset_ohm : float
+        Standard deviation of what is added to each pillar's resistance [Ω].
+    dead_probability : float
+        Of each pillar to be broken; it reads as open. A model that was not trained so takes that for forces.
+    seed : int
+        Of all that is drawn.
+    dtype, device
+        Of all tensors; float32 is faster and errs by up to 0.01 N.
+    response : ArrayResponse, optional
+        Of the design; default: solved, or from the cache.
+
+    Raises
+    ------
+    DesignError, ArgumentError
+        If a setting makes no sense, or model, crossbar and design are not of one size.
+
+    Examples
+    --------
+    The force that a finger must have pressed with, by the gradient of what one pillar shows:
+
+    >>> from dataclasses import replace
+    >>> from fem.array.closed_forms import layer_response
+    >>> design = replace(SensorDesign(), array=replace(SensorDesign().array, rows=1, cols=2))
+    >>> sensor = VirtualSensor(design, response=layer_response(design), bits=12)
+    >>> force_n = torch.tensor([[[0.0, 0.0, 300.0]]], dtype=torch.float64, requires_grad=True)
+    >>> reading = sensor.touch(torch.tensor([[[-7.5, 0.0]]], dtype=torch.float64), force_n)
+    >>> reading.resistance_ohm[0, 0, 0, 0].backward()  # the z pillar below
+    >>> bool(force_n.grad[0, 0, 2] < 0)  # falls in compression
+    True
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign | TwinFile | Path | str,
+        model: Decoupler | Path | str | None = None,
+        *,
+        environments: int = 1,
+        noise: float = 0.0,
+        bits: int | None = None,
+        crossbar: Crossbar | None = None,
+        correct: bool = True,
+        gain_spread: float = 0.0,
+        offset_ohm: float = 0.0,
+        dead_probability: float = 0.0,
+        seed: int = 0,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+        response: "ArrayResponse | None" = None,
+    ) -> None:
+        twin = design if isinstance(design, TwinFile) else None
+        if isinstance(design, Path | str):
+            twin = read_twin(Path(design))
+            design = read_design(Path(design))
+        self.design = design.design if isinstance(design, TwinFile) else design
+        self.shape = self.design.array.rows, self.design.array.cols  #: rows, cols
+        self._imperfections = Imperfections(
+            noise=noise, bits=bits, gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=seed
+        )  # refuses what makes no sense
+        if not isinstance(environments, int) or environments < 1:
+            raise ArgumentError(f"environments={environments!r} must be a whole number from 1 on.")
+        if not 0.0 <= dead_probability < 1.0:
+            raise ArgumentError(f"dead_probability={dead_probability!r} must be from 0 to below 1.")
+        if dtype not in (torch.float32, torch.float64):
+            raise ArgumentError(f"dtype={dtype} must be torch.float32 or torch.float64.")
+        if crossbar is not None and bits is not None:
+            raise ArgumentError(f"bits={bits}: the crossbar has a converter of its own, say its bits there.")
+        self.environments, self.dead_probability = environments, dead_probability
+        self._like = torch.zeros((), dtype=dtype, device=device)
+        self._generator = torch.Generator(device=self._like.device).manual_seed(seed)
+        decoder = twin.read_decoder() if twin is not None else None
+        if model is None:
+            model = decoder
+        elif isinstance(model, Path | str):
+            model = read_model(Path(model))
+        for name, other in (("model", model), ("crossbar", crossbar)):
+            if other is not None and (other.rows, other.cols) != self.shape:
+                raise ArgumentError(
+                    f"the {name} has {other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}: "
+                    f"take one of this design."
+                )
+        self._decoder = None if model is None else TorchDecoder(model, self._like)
+        self._wires = None if crossbar is None else TorchCrossbar(crossbar, self._like, correct)
+        if decoder is None:
+            self._twin = None
+            self._forward = TorchForward(self._designed(response), self._like)
+        else:
+            if gain_spread or offset_ohm:
+                raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
+            self._twin = _TorchTwin(decoder, self._like)
+            self._forward = self._twin.forward
+        self._gain = self._like.new_ones((environments, *self.shape, 3))
+        self._offset = torch.zeros_like(self._gain)
+        self._dead = torch.zeros_like(self._gain, dtype=torch.bool)
+        self._member = torch.zeros(environments, dtype=torch.int64, device=self._like.device)
+        self.reset()
+
+    def _designed(self, response: "ArrayResponse | None") -> ForwardModel:
+        if response is None:
+            response, *_ = array_response(self.design, ResponseSettings())
+        elif response.design != self.design:
+            raise ArgumentError("the response is of another design: leave it out, or give that of the design.")
+        require_conducted(response)
+        return ForwardModel.of(response, COMPONENTS["all"])
+
+    @cached_property
+    def _pads(self) -> tuple[Tensor, Tensor]:
+        """Centres of the pads' columns along x, of their rows along y [mm]."""
+        pad, pitch_mm = self.design.pad, self.design.array.pitch_mm
+        y, x = (torch.arange(n, dtype=self._like.dtype, device=self._like.device) - (n - 1) / 2 for n in self.shape)
+        return x * pitch_mm + pad.offset_x_mm, y * pitch_mm + pad.offset_y_mm
+
+    def reset(self, which: Tensor | None = None) -> None:
+        """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.
+
+        Parameters
+        ----------
+        which : tensor, optional
+            Numbers of environments, or a mask (e,); default: all.
+
+        Raises
+        ------
+        DesignError
+            If an offset outweighs a resistance.
+        """
+        everywhere = torch.arange(self.environments, device=self._like.device)
+        chosen = everywhere if which is None else everywhere[which]
+        shape, settings = (len(chosen), *self.shape, 3), self._imperfections
+
+        def drawn(draw: str) -> Tensor:
+            fill = self._like.new_empty(shape)
+            return getattr(fill, draw)(generator=self._generator)
+
+        self._gain[chosen] = 1.0 + settings.gain_spread * (2.0 * drawn("uniform_") - 1.0)
+        self._offset[chosen] = settings.offset_ohm * drawn("normal_")
+        self._dead[chosen] = drawn("uniform_") < self.dead_probability
+        if self._twin is not None:
+            members = torch.randint(
+                self._twin.members, (len(chosen),), generator=self._generator, device=self._like.device
+            )
+            self._member[chosen] = members
+        rest_ohm = self._gain * self.resistances(torch.zeros_like(self._gain)) + self._offset
+        if bool((rest_ohm <= 0.0).any()):
+            raise DesignError(
+                f"offset_ohm={settings.offset_ohm:g} takes a pillar's resistance at rest to {float(rest_ohm.min()):.4g}"
+                " Ω: lower it."
+            )
+
+    @property
+    def dead(self) -> Tensor:
+        """Which pillars are broken, (e, rows, cols, 3)."""
+        return self._dead.clone()
+
+    def pad_loads(self, points_mm: Tensor, force_n: Tensor) -> Tensor:
+        """Forces on the pads from forces at points of the surface, as a stiff sheet on the pads would share them.
+
+        Parameters
+        ----------
+        points_mm : tensor, shape (e, k, 2) or (e, k, 3)
+            In the sensor's frame: x along columns, y along rows, origin in the array's middle; z is not looked at.
+        force_n : tensor, shape (e, k, 3)
+            On the sensor along x and y, and Fz positive in compression. Unused points hold 0. For pressures give
+            pressure times area.
+
+        Returns
+        -------
+        tensor, shape (e, rows, cols, 3)
+            A force is shared by the four pads around it in proportion to nearness along x and y, so that total and
+            moment are kept; beyond the outermost pads' centres they take it alone. A point beyond the slab's edge does
+            not touch the sensor.
+        """
+        e, k = points_mm.shape[:2]
+        if points_mm.shape[-1] not in (2, 3) or force_n.shape != (e, k, 3) or e != self.environments:
+            raise ArgumentError(
+                f"points_mm has shape {tuple(points_mm.shape)}, force_n {tuple(force_n.shape)}: expected "
+                f"({self.environments}, k, 2 or 3) and ({self.environments}, k, 3)."
+            )
+        (rows, cols), pitch_mm = self.shape, self.design.array.pitch_mm
+        x, y = points_mm[..., 0], points_mm[..., 1]
+        on_slab = (x.abs() <= cols * pitch_mm / 2) & (y.abs() <= rows * pitch_mm / 2)
+        by_col, by_row = (_shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
+        return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
+
+    def resistances(self, force_n: Tensor) -> Tensor:
+        """Exact resistances (e, rows, cols, 3) [Ω] under forces on the pads (e, rows, cols, 3) [N].
+
+        A twin's are those of the environment's own sensor, gains and offsets included.
+        """
+        self._require(force_n, "force_n")
+        columns = force_n.reshape(self.environments, -1)
+        if self._twin is not None:
+            return self._twin.resistances(columns, self._member).reshape(force_n.shape)
+        return self._forward.resistances(columns).reshape(force_n.shape)
+
+    def strains(self, force_n: Tensor) -> Tensor:
+        """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
+        lengths = self._forward.lengths(force_n.reshape(self.environments, -1)).reshape(self.environments, -1, 3)
+        return (lengths / self._like.new_tensor(rest_lengths(self.design.unit)) - 1.0).abs().amax(dim=(1, 2))
+
+    def read(self, resistance_ohm: Tensor) -> Tensor:
+        """Resistances as this specimen shows them and its electronics read them, both (e, rows, cols, 3) [Ω].
+
+        Order as of `Imperfections.apply`: gain and offset, noise, converter, and last what is dead reads as open.
+        A converter's counts have the derivatives of what they round; outside its range they stay at its end.
+        """
+        self._require(resistance_ohm, "resistance_ohm")
+        settings = self._imperfections
+        ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_CALIBRATED_OHM)
+        if settings.noise:
+            ohms = ohms * (1.0 + settings.noise * self._normal(ohms.shape))
+        if self._wires is not None:
+            crossbar = self._wires.crossbar
+            readings = self._wires.readings(torch.where(self._dead, OPEN_OHM, ohms))
+            if crossbar.noise:
+                readings = readings + crossbar.noise * self._normal(readings.shape)
+            if crossbar.full_scale is not None:
+                readings = self._wires.counts(readings) / crossbar.full_scale
+            ohms = self._wires.resistances(readings)
+        elif settings.bits is not None:
+            full = 2.0**settings.bits - 1.0
+            counts = (full * SENSE_OHM / (ohms + SENSE_OHM)).clamp(1.0, full - 1.0)
+            counts = counts + (counts.round() - counts).detach()
+            ohms = SENSE_OHM * (full / counts - 1.0)
+        return torch.where(self._dead, OPEN_OHM, ohms)
+
+    def forces(self, resistance_ohm: Tensor) -> Tensor:
+        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω].
+
+        Raises
+        ------
+        ArgumentError
+            If the sensor has no model.
+        """
+        if self._decoder is None:
+            raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
+        self._require(resistance_ohm, "resistance_ohm")
+        return self._decoder.forces(resistance_ohm)
+
+    def touch(self, points_mm: Tensor, force_n: Tensor) -> Reading:
+        """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`."""
+        applied_n = self.pad_loads(points_mm, force_n)
+        resistance_ohm = self.read(self.resistances(applied_n))
+        decoded_n = None if self._decoder is None else self.forces(resistance_ohm)
+        return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n)
+
+    def _normal(self, shape: torch.Size) -> Tensor:
+        return self._like.new_empty(shape).normal_(generator=self._generator)
+
+    def _require(self, values: Tensor, name: str) -> None:
+        expected = (self.environments, *self.shape, len(AXES))
+        if values.shape != expected:
+            raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
+
+
+class _TorchTwin:
+    """The posterior's sensors of a twin, each to first order about the most probable one, as `Ensemble.drawn`."""
+
+    def __init__(self, decoder: Decoupler, like: Tensor) -> None:
+        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            raise DesignError(
+                f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
+            )
+        self.forward = TorchForward(decoder.inverse.forward, like)
+        found, held = decoder.calibration, decoder.ensemble
+        self._calibration = None if found is None else (like.new_tensor(found.gain), like.new_tensor(found.offset_ohm))
+        self.members = len(held)
+        self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
+        self._rest = like.new_tensor(held.rest_mm).mT  # (m, 3, P)
+        self._influence = like.new_tensor(held.influence).permute(0, 3, 2, 1).flatten(2)  # (m, Q, 3 P)
+
+    def resistances(self, force_n: Tensor, member: Tensor) -> Tensor:
+        """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
+        vectors = self.forward.vectors(force_n)
+        squares = self.forward.squares(vectors)
+        shown = self.forward.ohm_per_mm2 * squares
+        if self._calibration is not None:
+            gain, offset = self._calibration
+            shown = gain * shown + offset
+        signed = vectors if self.forward.sign is None else vectors * self.forward.sign
+        slopes = (2.0 * signed / squares[:, None])[:, : self._rest.shape[1]]
+        order, moved_by = torch.argsort(member, stable=True), []
+        for m, some in zip(*self._groups(member[order], order), strict=True):
+            moved_by.append((force_n[some] @ self._influence[m]).reshape(len(some), *slopes.shape[1:]))
+        moved = torch.cat(moved_by)[torch.argsort(order)]
+        relative = self._relative[member] + ((moved + self._rest[member]) * slopes).sum(dim=1)
+        return (shown + relative * shown + self._offset[member]).clamp(min=MIN_CALIBRATED_OHM)
+
+    @staticmethod
+    def _groups(sorted_members: Tensor, order: Tensor) -> tuple[list[int], tuple[Tensor, ...]]:
+        """Each member once, and the environments that have it."""
+        members, sizes = torch.unique_consecutive(sorted_members, return_counts=True)
+        return members.tolist(), order.split(sizes.tolist())
+
+
+def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:
+    """Shares of the pads at these centres (n,) in forces at places (e, k), (e, k, n); they sum to 1."""
+    if len(centres_mm) == 1:
+        return torch.ones_like(place_mm)[..., None]
+    within = torch.minimum(torch.maximum(place_mm, centres_mm[0]), centres_mm[-1])
+    return (1.0 - (within[..., None] - centres_mm).abs() / (centres_mm[1] - centres_mm[0])).clamp(min=0.0)

@@ -1,0 +1,180 @@
+"""The sensor in torch: equal to what simulates, reads and decodes in NumPy, and differentiable all the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dataset import OPEN_OHM, DatasetSettings, simulate
+from dataset.imperfections import Imperfections
+from decoupler import NetworkConfig, TrainingConfig, train
+from decoupler.data.pairs import Pairs
+from decoupler.model.model_file import write_model
+from decoupler.twin import identify, simulate_twin, write_twin
+from decoupler.twin.twin_file import read_twin
+from fem.array.closed_forms import layer_response
+from fem.array.sensitivities import ResponseSensitivities
+from geometry.design import Array, SensorDesign
+from geometry.errors import ArgumentError, DesignError
+from hardware.link.frames import ScanMode
+from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.virtual import VirtualSensor
+
+DESIGN = SensorDesign(array=Array(rows=2, cols=3))
+STEP_N = 1e-3  #: of finite differences; their error is of its square
+
+
+@pytest.fixture(scope="module")
+def response():
+    return layer_response(DESIGN)
+
+
+@pytest.fixture(scope="module")
+def samples(response):
+    return simulate(response, DatasetSettings(protocol="three-axis", samples=40, seed=1))
+
+
+@pytest.fixture(scope="module")
+def model(samples, response):
+    return train(samples, "all", NetworkConfig(hidden=4), TrainingConfig(), response=response)
+
+
+def sensor(response, **settings):
+    return VirtualSensor(DESIGN, response=response, environments=40, **settings)
+
+
+def crossbar(mode, bits=None):
+    return Crossbar.suited(mode, rows=2, cols=3, bits=bits, line_ohm=3.0)
+
+
+def test_resistances_are_those_of_a_dataset(response, samples):
+    found = sensor(response).resistances(torch.from_numpy(samples.force_n)).numpy()
+    np.testing.assert_allclose(found, samples.resistance_ohm, rtol=1e-12)
+
+
+def test_it_decodes_as_the_model_does(response, samples, model):
+    for decoder in (model, train(samples, "all", NetworkConfig(hidden=4, net="plain", feature="root"))):
+        found = sensor(response, model=decoder).forces(torch.from_numpy(samples.resistance_ohm)).numpy()
+        np.testing.assert_allclose(found, decoder.forces(samples.resistance_ohm), atol=1e-9 * abs(found).max())
+
+
+@pytest.mark.parametrize("mode", ScanMode)
+def test_the_crossbar_reads_and_corrects_as_the_board_does(response, samples, mode):
+    exact = samples.resistance_ohm.copy()
+    exact[3, 1, 2, 0] = OPEN_OHM
+    for corrected in (True, False):
+        wired = crossbar(mode, bits=12)
+        virtual = sensor(response, crossbar=wired, correct=corrected)
+        readings, _ = wired.fractions(wired.counts(exact))
+        expected = Corrector(wired).correct(readings) if corrected else wired.uncorrected(readings)
+        found = virtual.read(torch.from_numpy(exact)).numpy()
+        one_count = np.abs(1.0 / expected - 1.0 / found) * wired.sense_ohm * 4095
+        assert one_count.max() < 0.2  # both correctors end at a fraction of a count
+
+
+def test_a_converter_without_crossbar_reads_as_a_dataset(response, samples):
+    exact = samples.resistance_ohm
+    expected = Imperfections(bits=12).apply(exact, np.random.default_rng(0))
+    np.testing.assert_allclose(sensor(response, bits=12).read(torch.from_numpy(exact)).numpy(), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [None, *ScanMode])
+def test_gradients_are_those_of_finite_differences(response, samples, model, mode):
+    """From points and forces of contact to decoded newtons, the crossbar's correction included."""
+    wired = None if mode is None else replace(crossbar(mode), shunt_siemens=(2e-5, 1e-5, 3e-5))
+    virtual = VirtualSensor(DESIGN, model, response=response, crossbar=wired, gain_spread=0.1, offset_ohm=50.0, seed=3)
+    generator = torch.Generator().manual_seed(0)
+    points = torch.tensor([[[-11.0, 3.0], [4.0, -6.0]]], dtype=torch.float64)
+    force_n = torch.tensor([[[20.0, -10.0, 200.0], [5.0, 15.0, 150.0]]], dtype=torch.float64)
+    weight = torch.randn(1, 2, 3, 3, generator=generator, dtype=torch.float64)
+
+    def score(points, force_n):
+        return (virtual.touch(points, force_n).decoded_n * weight).sum()
+
+    for number, values in enumerate((points, force_n)):
+        wanted = values.clone().requires_grad_()
+        arguments = [points, force_n]
+        arguments[number] = wanted
+        (gradient,) = torch.autograd.grad(score(*arguments), wanted)
+        for place in np.ndindex(*values.shape):
+            step = torch.zeros_like(values)
+            step[place] = STEP_N
+            arguments[number] = values + step
+            above = score(*arguments)
+            arguments[number] = values - step
+            difference = (above - score(*arguments)) / (2 * STEP_N)
+            assert float(gradient[place]) == pytest.approx(float(difference), abs=1e-6 * float(gradient.abs().max()))
+
+
+def test_point_forces_keep_their_sum_and_their_moment(response):
+    generator = torch.Generator().manual_seed(0)
+    points = (torch.rand(40, 7, 2, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([30.0, 15.0])
+    force_n = torch.randn(40, 7, 3, generator=generator, dtype=torch.float64)
+    pads = sensor(response).pad_loads(points, force_n)
+    torch.testing.assert_close(pads.sum(dim=(1, 2)), force_n.sum(dim=1))
+    x, y = torch.tensor([-15.0, 0.0, 15.0]), torch.tensor([-7.5, 7.5])
+    for axis, centres in ((0, x.reshape(1, 1, 3)), (1, y.reshape(1, 2, 1))):
+        torch.testing.assert_close(
+            (pads[..., 2] * centres).sum(dim=(1, 2)), (points[..., axis] * force_n[..., 2]).sum(dim=1)
+        )
+    beside = torch.tensor([[[40.0, 0.0]]], dtype=torch.float64).expand(40, 1, 2)
+    assert not sensor(response).pad_loads(beside, force_n[:, :1]).any()
+
+
+def test_each_reset_draws_other_specimens(response, samples):
+    virtual = sensor(response, gain_spread=0.2, offset_ohm=10.0, dead_probability=0.1, noise=0.001, seed=4)
+    exact = torch.from_numpy(samples.resistance_ohm)
+    before, dead = virtual.read(exact), virtual.dead
+    assert (before[dead] == OPEN_OHM).all()
+    assert 0.05 < float(dead.double().mean()) < 0.15
+    mask = torch.zeros(40, dtype=torch.bool)
+    mask[:5] = True
+    virtual.reset(mask)
+    after = virtual.read(exact)
+    assert bool((virtual.dead[5:] == dead[5:]).all())
+    ratio = (after / before)[5:][~dead[5:]]
+    assert float((ratio - 1.0).std()) == pytest.approx(0.001 * 2**0.5, rel=0.1)
+    assert float((after / before)[:5][~(dead | virtual.dead)[:5]].std()) > 0.05
+    again = sensor(response, gain_spread=0.2, offset_ohm=10.0, dead_probability=0.1, noise=0.001, seed=4)
+    torch.testing.assert_close(again.read(exact), before, rtol=0, atol=0)
+
+
+def test_a_twin_gives_each_environment_a_sensor_of_its_posterior(response, tmp_path):
+    measured = simulate(response, DatasetSettings(protocol="three-axis", samples=6, seed=3, noise=0.001))
+    unknown = ResponseSensitivities(
+        design=DESIGN, parameters=(), deviation=np.empty(0), influence_mm_per_n=np.empty((0, 2, 3, 2, 3, 2, 3, 3))
+    )
+    twin = identify(Pairs.of(measured), response, unknown)
+    write_model(twin.decoder, tmp_path / "own.safetensors")
+    write_twin(twin, tmp_path / "twin.toml", tmp_path / "own.safetensors")
+    read = read_twin(tmp_path / "twin.toml")
+    settings = DatasetSettings(protocol="three-axis", samples=32, seed=5)
+    drawn = simulate_twin(read, replace(response, design=read.design), settings)
+    virtual = VirtualSensor(tmp_path / "twin.toml", environments=32)
+    virtual._member[:] = torch.arange(32)  # samples have the sensors in turn
+    found = virtual.resistances(torch.from_numpy(drawn.force_n)).numpy()
+    np.testing.assert_allclose(found, drawn.resistance_ohm, rtol=1e-6)  # its draws are of single precision
+    decoded = virtual.forces(torch.from_numpy(drawn.resistance_ohm)).numpy()
+    np.testing.assert_allclose(decoded, twin.decoder.forces(drawn.resistance_ohm), atol=1e-8 * abs(decoded).max())
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"environments": 0}, "environments=0 must be"),
+        ({"noise": 0.5}, "noise=0.5 must be"),
+        ({"dead_probability": 1.0}, "dead_probability=1.0 must be"),
+        ({"dtype": torch.int64}, "must be torch.float32"),
+        ({"crossbar": Crossbar()}, "the crossbar has 6 × 6 units, the design 2 × 3"),
+        ({"crossbar": Crossbar(rows=2, cols=3), "bits": 12}, "has a converter of its own"),
+        ({"offset_ohm": 1e6}, "takes a pillar's resistance at rest to"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(response, settings, said):
+    with pytest.raises((ArgumentError, DesignError), match=said):
+        VirtualSensor(DESIGN, response=response, **settings)
+    with pytest.raises(ArgumentError, match="no model to decode with"):
+        VirtualSensor(DESIGN, response=response).forces(torch.ones(1, 2, 3, 3))
+    with pytest.raises(ArgumentError, match=r"expected \(1, k, 2 or 3\)"):
+        VirtualSensor(DESIGN, response=response).touch(torch.ones(1, 4, 2), torch.ones(1, 3, 3))
