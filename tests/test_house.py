@@ -24,7 +24,7 @@ ROOMS = {
     "geometry": ["storage"],
     "fem": ["scene", "linear", "discretization", "conduction", "finite", "array", "methods", "fields", "pictures"],
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
-    "hardware": ["link", "recording", "readout", "virtual", "boards"],
+    "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "face", "cli"],
     "studies": ["pictures", "bench", "edge_cases", "paper", "robustness"],
 }

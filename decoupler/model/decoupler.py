@@ -1,6 +1,7 @@
 """A trained network with its scaling: ohms in, newtons out. In numpy: a live sensor loads no torch."""
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -105,6 +106,47 @@ class Decoupler:
         one, two = self.half_widths_of(self.columns(resistance_ohm))
         return one.reshape(shape), two.reshape(shape)
 
+    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths of `forces` and the covariance of weighted sums of them, at the price of the half-widths.
+
+        Parameters
+        ----------
+        resistance_ohm : array, shape (n_samples, rows, cols, 3)
+            As of `forces`.
+        weights : array, shape (rows·cols·n_axes, m)
+            Of the forces in each of m sums.
+
+        Returns
+        -------
+        array, shape (n_samples, rows, cols, n_axes)
+            Half-widths that hold 68 % of the errors [N].
+        array, shape (n_samples, m, m)
+            Covariance of the sums, in the square of their unit.
+
+        Raises
+        ------
+        SampleError
+            As `half_widths` does.
+
+        Notes
+        -----
+        One error of a reading, or of the sensor's model, moves all forces: Wᵀ S (G Gᵀ + D) S W with W the weights, G
+        what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
+        to force, and S the half-widths' scale.
+        """
+        if self.uncertainty is None:
+            raise SampleError("this model knows no uncertainty: train it again.")
+        found, columns = self.uncertainty, self.columns(resistance_ohm)
+        own_n2, (scale, _) = self._own_variance(columns)
+        variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
+        for chunk, factors in self._error_factors(columns, found.noise, found.bits):
+            variance[chunk] += (factors**2).sum(axis=2)
+            by_error = (weights[None] * scale[chunk, :, None]).swapaxes(1, 2) @ factors
+            covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
+        covariance += np.einsum("no,oi,oj->nij", own_n2 * scale**2, weights, weights, optimize=True)
+        shape = (-1, self.rows, self.cols, len(self.component.axes))
+        return (np.sqrt(variance) * scale).reshape(shape), covariance
+
     def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
         """χ², over its degrees of freedom, of readings (n, rows, cols, 3) [Ω] if a usual load is on the sensor, (n,).
 
@@ -153,9 +195,16 @@ class Decoupler:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
         found = self.uncertainty
         assert found is not None
-        A, half_range_n = self.activations(columns_ohm), self.output_scaling.half_range
+        own_n2, (one, two) = self._own_variance(columns_ohm)
+        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.noise, found.bits))
+        return deviation_n * one, deviation_n * two
+
+    def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+        """`Uncertainty.own_variance` for columns of resistances."""
+        assert self.uncertainty is not None
+        A = self.activations(columns_ohm)
         force_n = self.output_scaling.unscale(A @ self.output_weights.T)
-        return found.half_widths(A, force_n, self.noise_variance(columns_ohm, found.noise, found.bits), half_range_n)
+        return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
     def noise_variance(self, columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:
         """Variance of the forces (n, n_out) [N²] that errors of the readings and of the sensor's model cause.
@@ -163,17 +212,29 @@ class Decoupler:
         Readings are (n, n_in) [Ω].
         """
         found = np.zeros((len(columns_ohm), len(self.output_weights)))
+        for chunk, factors in self._error_factors(columns_ohm, noise, bits):
+            found[chunk] = (factors**2).sum(axis=2)
+        return found
+
+    def _error_factors(
+        self, columns_ohm: FloatArray, noise: float, bits: int | None
+    ) -> Iterator[tuple[slice, FloatArray]]:
+        """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
+
+        Errors are one standard deviation of each reading, and each draw of the ensemble over the root of their number.
+        Where nothing errs there is no chunk.
+        """
         if not noise and bits is None and self.ensemble is None:
-            return found
+            return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
             slopes = self.derivatives(columns_ohm[chunk])
-            variance = reading_deviation(columns_ohm[chunk], noise, bits) ** 2
-            found[chunk] = np.einsum("nom,nm->no", slopes**2, variance)
+            factors = slopes * reading_deviation(columns_ohm[chunk], noise, bits)[:, None]
             if self.ensemble is not None:
                 differences = self._ensemble_differences(columns_ohm[chunk])
-                found[chunk] += ((differences @ slopes.swapaxes(1, 2)) ** 2).mean(axis=1)
-        return found
+                by_draw = slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble))
+                factors = np.concatenate([factors, by_draw], axis=2)
+            yield chunk, factors
 
     def _ensemble_differences(self, columns_ohm: FloatArray) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""

@@ -40,10 +40,10 @@ class Uncertainty:
         if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
             raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
 
-    def half_widths(
-        self, A: FloatArray, force_n: FloatArray, noise_n2: FloatArray, half_range_n: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of forces, each (n, n_out) [N].
+    def own_variance(
+        self, A: FloatArray, force_n: FloatArray, half_range_n: FloatArray
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+        """Variance that training left, and factors of a standard deviation that hold 68 % and 95 % of the errors.
 
         Parameters
         ----------
@@ -51,21 +51,26 @@ class Uncertainty:
             Activations of the samples.
         force_n : array, shape (n, n_out)
             Forces that the network gives [N].
-        noise_n2 : array, shape (n, n_out)
-            Variance that errors of the readings cause in them [N²].
         half_range_n : array, shape (n_out,)
             Half the range of each force in training [N].
+
+        Returns
+        -------
+        array, shape (n, n_out)
+            Variance, without that of the readings [N²].
+        two arrays, shape (n, n_out)
+            Half-widths over the standard deviation.
         """
         load = np.minimum((force_n**2).mean(axis=1, keepdims=True) / np.maximum(self.light_n2, 1e-300), 1.0)
         weights_n2 = self.unexplained_n2 * leverage(A, self.inverse_matrix)[:, None]
-        variance = noise_n2 + (self.misfit_at_rest_n2 + load * (self.misfit_n2 - self.misfit_at_rest_n2))
-        variance += np.minimum(weights_n2, half_range_n**2)
-        deviation = np.sqrt(variance).reshape(len(A), -1, self.widths.shape[1])
+        variance = self.misfit_at_rest_n2 + load * (self.misfit_n2 - self.misfit_at_rest_n2)
+        variance = variance + np.minimum(weights_n2, half_range_n**2)
+        n_units = force_n.shape[1] // self.widths.shape[1]
         one, two = (
-            k * (deviation * (at_rest + load * (width - at_rest))[:, None]).reshape(variance.shape)
+            k * np.tile(at_rest + load * (width - at_rest), n_units)
             for k, at_rest, width in zip((1, 2), self.widths_at_rest, self.widths, strict=True)
         )
-        return one, two
+        return variance, (one, two)
 
     def untrusted(self, half_range_n: FloatArray, limit_n: FloatArray | None = None) -> NDArray[np.bool_]:
         """Which outputs (n_out,) dead pillars leave unsure.

@@ -1,5 +1,6 @@
 """Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -10,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.netcdf import write_netcdf
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import SensorCalibration
 from hardware.readout.crossbar import Corrector
+from hardware.readout.description import SensorDescription, describe
+from hardware.readout.wrench import Wrench, net_values, net_wrench, wrench_weights
 from hardware.recording import Recording
 
 if TYPE_CHECKING:
@@ -34,18 +37,32 @@ class Forces:
     saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
     time_s: FloatArray | None = None  #: (n,), of a recording: the board's clock
     model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
+    description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     @cached_property
-    def deviation_n(self) -> FloatArray | None:
-        """Half-widths that hold 68 % of the forces' errors, of their shape [N]; None if the model knows none.
+    def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:
+        """Half-widths that hold 68 % of the forces' errors, of their shape [N], and the net wrench's covariance.
 
-        Computed when first asked for, which takes ten times as long as the forces.
+        The latter is (n, 6, 6), as `net_wrench` takes it; both are None if the model knows none. Computed when first
+        asked for, which takes twenty times as long as the forces.
         """
         if self.model is None:
-            return None
+            return None, None
         n = len(self.resistance_ohm)
-        parts = [self.model.half_widths(self.resistance_ohm[k : k + CHUNK])[0] for k in range(0, n, CHUNK)]
-        return np.concatenate(parts)
+        parts = [self.model.deviations(self.resistance_ohm[k : k + CHUNK], self.weights) for k in range(0, n, CHUNK)]
+        deviation_n, covariance = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return deviation_n, covariance
+
+    @property
+    def deviation_n(self) -> FloatArray | None:
+        """Half-widths that hold 68 % of the forces' errors, of their shape [N]; None if the model knows none."""
+        return self.deviations[0]
+
+    @cached_property
+    def wrench(self) -> Wrench:
+        """Net force, net moment and centre of pressure, with deviations if the model knows them."""
+        return net_wrench(self.force_n, self.weights, self.deviations[1])
 
     @cached_property
     def chi2(self) -> FloatArray | None:
@@ -107,6 +124,8 @@ class ForceReader:
             )
         self._pillars = self.calibration.pillars
         self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
+        self.description = describe(model, info)
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes)
         self._uncertain = model if model.knows_uncertainty else None
         if rest_ohm is not None and self._uncertain:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
@@ -139,7 +158,14 @@ class ForceReader:
         measured_ohm, saturated = self.measured(counts)
         resistance_ohm = self._pillars.modelled(measured_ohm) * self._tare_factor
         force_n = self.model.forces(resistance_ohm)
-        return Forces(force_n=force_n, resistance_ohm=resistance_ohm, saturated=saturated, model=self._uncertain)
+        return Forces(
+            force_n=force_n,
+            resistance_ohm=resistance_ohm,
+            saturated=saturated,
+            model=self._uncertain,
+            weights=self._weights,
+            description=self.description,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,6 +182,11 @@ class ScanForces:
     def deviation_n(self) -> FloatArray | None:
         """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
         return None if self.source.deviation_n is None else self.source.deviation_n[0]
+
+    @property
+    def wrench(self) -> Wrench:
+        """Net force, net moment and centre of pressure, n = 1, with deviations if the model knows them."""
+        return self.source.wrench
 
     @property
     def chi2(self) -> float | None:
@@ -189,6 +220,11 @@ class LiveSensor:
     def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
         self.scanner, self.model = scanner, model
         self._reader = ForceReader(scanner.info, model, calibration)
+
+    @property
+    def description(self) -> SensorDescription:
+        """Where the pads are, and what does not change from scan to scan."""
+        return self._reader.description
 
     def __iter__(self) -> Iterator[ScanForces]:
         """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
@@ -239,6 +275,8 @@ def replay(
         saturated=np.concatenate([part.saturated for part in parts]),
         time_s=recording.time_s,
         model=parts[0].model,
+        weights=parts[0].weights,
+        description=reader.description,
     )
 
 
@@ -260,9 +298,15 @@ def write_forces(recording: Recording, forces: Forces, axes: tuple[str, ...], pa
     if forces.chi2 is not None:
         meaning = {"units": "1", "meaning": "chi squared over its degrees of freedom if a known load is on the sensor"}
         variables["chi2"] = (("frame",), forces.chi2, meaning)
+    for name, (values, unit) in net_values(forces.wrench).items():
+        place = "place" if "centre" in name else "direction"
+        variables[name] = (("frame", place), values, {"units": unit})
+    coordinates = {"axis": list(axes), "pillar": list(PILLARS), "direction": list(AXES), "place": list(AXES[:2])}
     data = xr.Dataset(
         variables,
-        coords={"time_s": ("frame", recording.time_s, {"units": "s"}), "axis": list(axes), "pillar": list(PILLARS)},
-        attrs=asdict(recording.statistics) | {"calibration": recording.calibration} | dict(recording.made_from),
+        coords={"time_s": ("frame", recording.time_s, {"units": "s"}), **coordinates},
+        attrs=asdict(recording.statistics)
+        | {"calibration": recording.calibration, "sensor": json.dumps(forces.description.plain())}
+        | dict(recording.made_from),
     )
     write_netcdf(data, path)

@@ -7,7 +7,7 @@
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -140,6 +140,7 @@ def _read_netcdf(path: Path) -> Recording:
 
 
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics of MCAP
+SENSOR, WRENCH = "/tripillar/sensor", "/tripillar/wrench"  #: with the forces
 _STATISTICS = "tripillar statistics"  # name of the metadata at the end
 
 
@@ -153,6 +154,14 @@ def _text(description: str) -> dict[str, Any]:
 
 def _list(items: dict[str, Any], description: str) -> dict[str, Any]:
     return {"type": "array", "items": items, "description": description}
+
+
+def _numbers(description: str) -> dict[str, Any]:
+    return _list({"type": "number"}, description)
+
+
+def _object(title: str, **properties: dict[str, Any]) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
 
 
 #: JSON schemas of the topics. Foxglove refuses a schema with arrays of arrays, so units are a list of objects.
@@ -184,30 +193,65 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "properties": {name: _whole(meaning, largest) for name, (largest, meaning) in _COLUMNS.items() if largest}
         | {"counts": _list({"type": "integer"}, _COLUMNS["counts"][1])},
     },
-    FORCES: {
-        "title": "tripillar.Forces",
-        "type": "object",
-        "properties": {
-            "time": {"type": "number", "description": "Unix time of arrival of the scan [s]"},
-            "rows": _whole("units along y", _BYTE),
-            "cols": _whole("units along x", _BYTE),
-            "axes": _list({"type": "string"}, "components of each force"),
-            "units": _list(
-                {
-                    "type": "object",
-                    "properties": {
-                        "row": _whole("of the unit, along y", _BYTE),
-                        "col": _whole("of the unit, along x", _BYTE),
-                        "force_n": _list({"type": "number"}, "one an axis [N], to six decimals"),
-                        "deviation_n": _list(
-                            {"type": "number"}, "what holds 68 % of their errors [N], empty if unknown"
-                        ),
-                    },
+    FORCES: _object(
+        "tripillar.Forces",
+        time={"type": "number", "description": "Unix time of arrival of the scan [s]"},
+        rows=_whole("units along y", _BYTE),
+        cols=_whole("units along x", _BYTE),
+        axes=_list({"type": "string"}, "components of each force"),
+        units=_list(
+            {
+                "type": "object",
+                "properties": {
+                    "row": _whole("of the unit, along y", _BYTE),
+                    "col": _whole("of the unit, along x", _BYTE),
+                    "force_n": _numbers("one an axis [N], to six decimals"),
+                    "deviation_n": _numbers("what holds 68 % of their errors [N], empty if unknown"),
                 },
-                "row by row",
-            ),
-        },
-    },
+            },
+            "row by row",
+        ),
+    ),
+    WRENCH: _object(
+        "tripillar.Wrench",
+        net_force_n=_numbers("along x, y, z [N], z positive in compression; null along axes that the model lacks"),
+        net_force_deviation_n=_numbers("one standard deviation, empty if unknown"),
+        net_moment_nmm=_numbers("of the vectors on the sensor, about the middle of the array on its surface [N mm]"),
+        net_moment_deviation_nmm=_numbers("one standard deviation, empty if unknown"),
+        centre_of_pressure_mm=_numbers("x and y [mm]; empty where hardly anything presses"),
+        centre_of_pressure_deviation_mm=_numbers("one standard deviation, empty if unknown"),
+    ),
+    SENSOR: _object(
+        "tripillar.Sensor",
+        **{name: _text(name.replace("_", " ")) for name in ("frame", "frame_meaning", "sign_meaning", "clock")},
+        rows=_whole("units along y", _BYTE),
+        cols=_whole("units along x", _BYTE),
+        axes=_list({"type": "string"}, "components of each force"),
+        signs=_numbers("times a force, the component of the vector on the sensor"),
+        pillars=_list({"type": "string"}, "of each unit"),
+        units={"type": "object", "properties": {}, "description": "of all numbers"},
+        pad_mm={"type": "number", "description": "side of a pad [mm]"},
+        design_hash=_text("of the model's design, may be empty"),
+        model_hash=_text("of what the model was made of, may be empty"),
+        board={"type": "object", "properties": {}, "description": "serial, firmware, rate, bits, scan mode"},
+        pads=_list(
+            {
+                "type": "object",
+                "properties": {
+                    "row": _whole("of the unit, along y", _BYTE),
+                    "col": _whole("of the unit, along x", _BYTE),
+                    "position_mm": _numbers("of the pad's centre [mm]"),
+                    "normal": _numbers("unit vector out of the sensor"),
+                    "low_n": _numbers("least force in the model's training, one an axis [N]"),
+                    "high_n": _numbers("largest [N]"),
+                    "rest_ohm": _numbers("pillars with nothing on the sensor, as the model expects them [ohm]"),
+                    "dead": _list({"type": "boolean"}, "pillars that the model does not look at"),
+                    "twin_deviation": _numbers("relative, of gain and offset in an identified twin; may be empty"),
+                },
+            },
+            "row by row",
+        ),
+    ),
 }
 
 
@@ -224,6 +268,8 @@ def write_mcap(
     force_n: FloatArray | None = None,
     deviation_n: FloatArray | None = None,
     axes: Sequence[str] = (),
+    net: Mapping[str, FloatArray] | None = None,
+    sensor: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a recording as MCAP, whole or not at all.
 
@@ -240,6 +286,10 @@ def write_mcap(
         hold the rest.
     axes : k names
         The components of the forces.
+    net : mapping, optional
+        Values of the net wrench of each frame, by their names in `SCHEMAS`; NaN is written as null.
+    sensor : mapping, optional
+        Description of the sensor, as `SCHEMAS` has it.
 
     Raises
     ------
@@ -261,7 +311,8 @@ def write_mcap(
         writer = Writer(file, enable_data_crcs=True)
         writer.start(library="tripillar")
         channels: dict[str, int] = {}
-        for topic in (INFO, SCAN) if force_n is None else (INFO, SCAN, FORCES):
+        given = {FORCES: force_n, WRENCH: net, SENSOR: sensor}
+        for topic in (INFO, SCAN, *(topic for topic, content in given.items() if content is not None)):
             schema = SCHEMAS[topic]
             schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
             channels[topic] = writer.register_channel(topic, "json", schema_id)
@@ -272,25 +323,49 @@ def write_mcap(
 
         first_ns = _nanoseconds(times_s[0])  # viewers draw their time axis from the first message on
         add(INFO, first_ns, first_ns, recording.header.plain())
+        if sensor is not None:
+            add(SENSOR, first_ns, first_ns, dict(sensor))
         columns = {name: values.tolist() for name, values in recording.columns().items() if name != "received_s"}
         for k, time_s in enumerate(times_s):
             log_ns, scan = _nanoseconds(time_s), {name: columns[name][k] for name in SCHEMAS[SCAN]["properties"]}
             add(SCAN, log_ns, scan["device_us"] * 1000, scan, scan["sequence"])
             if force_n is not None:
                 deviations = None if deviation_n is None else deviation_n[k]
-                add(FORCES, log_ns, log_ns, {"time": time_s} | _forces(force_n[k], deviations, axes))
+                add(FORCES, log_ns, log_ns, {"time": time_s} | forces_content(force_n[k], deviations, axes))
+            if net is not None:
+                add(WRENCH, log_ns, log_ns, wrench_content({name: values[k] for name, values in net.items()}))
         writer.add_metadata(_STATISTICS, {name: str(value) for name, value in asdict(recording.statistics).items()})
         writer.finish()
 
 
-def _forces(force_n: FloatArray, deviation_n: FloatArray | None, axes: Sequence[str]) -> dict[str, Any]:
+def forces_content(force_n: FloatArray, deviation_n: FloatArray | None, axes: Sequence[str]) -> dict[str, Any]:
+    """Forces (rows, cols, k) [N] of a frame as the message of `FORCES`, but for its time."""
     rows, cols = force_n.shape[:2]
     deviations = np.empty((rows, cols, 0)) if deviation_n is None else deviation_n.round(6)
     units = [
-        {"row": i, "col": j, "force_n": force_n[i, j].round(6).tolist(), "deviation_n": deviations[i, j].tolist()}
-        for i, j in np.ndindex(rows, cols)
+        {"row": i, "col": j, "force_n": force, "deviation_n": deviation}
+        for i, (forces, others) in enumerate(zip(force_n.round(6).tolist(), deviations.tolist(), strict=True))
+        for j, (force, deviation) in enumerate(zip(forces, others, strict=True))
     ]
     return {"rows": rows, "cols": cols, "axes": list(axes), "units": units}
+
+
+def wrench_content(net: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Values of a frame's net wrench as the message of `WRENCH`, to six significant digits.
+
+    Along an axis that the model does not give, null; what there is not, such as a centre of no pressure, empty.
+
+    >>> found = wrench_content({"net_force_n": np.array([np.nan, 1 / 3]), "centre_of_pressure_mm": np.full(2, np.nan)})
+    >>> found["net_force_n"], found["centre_of_pressure_mm"], found["net_moment_nmm"]
+    ([None, 0.333333], [], [])
+    """
+    there = {name: values for name, values in net.items() if not np.isnan(values).all()}
+    return {name: plain_numbers(there[name]) if name in there else [] for name in SCHEMAS[WRENCH]["properties"]}
+
+
+def plain_numbers(values: FloatArray) -> list[float | None]:
+    """A row of numbers for JSON, to six significant digits; None in place of NaN."""
+    return [float(f"{value:.6g}") if value == value else None for value in values.tolist()]
 
 
 def _read_mcap(path: Path) -> Recording:

@@ -32,8 +32,8 @@ def draw(out: Path) -> None:
     found = ForceReader(info, model).forces(counts[k : k + 1])
     assert found.deviation_n is not None, "the joint net knows its uncertainty"
     view = live_view(
-        found.force_n[0], found.deviation_n[0], model.component.axes, float(found.force_n.max()), info.rate_hz,
-        LinkStatistics(ok=k), [],
+        found.force_n[0], found.deviation_n[0], found.wrench, model.component.axes, float(found.force_n.max()),
+        info.rate_hz, LinkStatistics(ok=k), [],
     )  # fmt: skip
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
     console.print(view)

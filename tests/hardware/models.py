@@ -1,12 +1,29 @@
 """A model of known forces, for tests of what comes before and after it."""
 
+from typing import ClassVar
 
-class PillarModel:
-    """Takes resistances (n, rows, cols, 3) to forces by a function; knows no design and no uncertainty."""
+import numpy as np
 
-    design_hash = None
+from decoupler.data.columns import COMPONENTS, Scaling
+
+
+class Unknown:
+    """What a model says of itself that knows no design, no uncertainty and no loads."""
+
+    component = COMPONENTS["all"]
+    design = design_hash = dead = ensemble = load_test = None
     is_identified = knows_uncertainty = False
-    reading_noise, load_test = 0.0, None
+    reading_noise = 0.0
+    made_from: ClassVar = {}
+
+    @property
+    def output_scaling(self):
+        n = self.rows * self.cols * len(self.component.axes)
+        return Scaling(np.zeros(n), np.ones(n))
+
+
+class PillarModel(Unknown):
+    """Takes resistances (n, rows, cols, 3) to forces by a function."""
 
     def __init__(self, forces, rows=6, cols=6, rest_ohm=None):
         self.forces, self.rows, self.cols, self.rest_ohm = forces, rows, cols, rest_ohm

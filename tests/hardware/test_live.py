@@ -17,24 +17,21 @@ from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.hardware.models import Unknown
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
 MAX_FILES = 9  #: of the product that a scan passes from its bytes to its forces
 
 
-class Shares:
+class Shares(Unknown):
     """A model whose force is the share by which each pillar's resistance is off rest."""
 
     rows, cols = 2, 3
 
-    design_hash = None
-    is_identified = knows_uncertainty = False
-    reading_noise, load_test = 0.0, None
-
     def read_by(self, noise):
         wider = Shares(self.knows_rest)
-        wider.half_widths = lambda resistance_ohm: (noise * resistance_ohm, 2 * noise * resistance_ohm)
+        wider.deviations = lambda resistance_ohm, _: (noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6)))
         return wider
 
     def __init__(self, knows_rest=True):
@@ -134,7 +131,7 @@ def test_deviations_are_given_where_the_model_knows_them():
     counts = counts_of([0.0])
     assert ForceReader(INFO, model).forces(counts).deviation_n is None
     model.knows_uncertainty, model.reading_noise = True, 0.1
-    model.half_widths = lambda resistance_ohm: (0.1 * resistance_ohm, 0.2 * resistance_ohm)
+    model.deviations = lambda resistance_ohm, _: (0.1 * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6)))
     reader = ForceReader(INFO, model)
     found = reader.forces(counts)
     assert found.deviation_n == pytest.approx(0.1 * found.resistance_ohm)

@@ -104,6 +104,8 @@ def test_live_gives_the_forces_that_act(house, port):
     assert found.min(axis=0) == pytest.approx(acts.min(axis=0), abs=0.02 * acts.max())
     assert np.array(lines[0]["deviation_n"]).shape == (1, 2, 3)
     assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * (len(lines) - 1)
+    net = np.array([line["net_force_n"] for line in lines])
+    assert net == pytest.approx(found.sum(axis=(1, 2)), rel=1e-5, abs=1e-3)  # both are rounded
 
 
 def test_live_draws_for_people(house, port):
@@ -186,6 +188,12 @@ def test_played_at_a_pace_or_all_at_once_a_recording_gives_the_same(house, drift
         assert forces["deviation_n"].shape == at_once.shape
         assert "gain" in forces.attrs["calibration"]
         assert forces.attrs["design_hash"]
+        assert forces["net_force_n"].values == pytest.approx(at_once.sum(axis=(1, 2)))
+        kept = json.loads(forces.attrs["sensor"])
+    live = house.tripillar("live", drifted, "--model", MODEL, "--json", "--describe", "--seconds", "0.2").stdout
+    described = json.loads(live.splitlines()[0])["sensor"]
+    assert described == kept
+    assert [pad["position_mm"] for pad in described["pads"]] == [[-7.5, 0.0, 0.0], [7.5, 0.0, 0.0]]
 
 
 def has_opened(process, port):

@@ -9,8 +9,11 @@ from rich.console import Console
 
 from hardware.link.frames import Frame
 from hardware.link.reception import LinkStatistics, Scan
+from hardware.readout.wrench import net_wrench, wrench_weights
 from tripillar.terminal import force_view
 from tripillar.terminal.force_view import force_table, live_view
+
+PLACES = np.array([[[5.0, 3.0, 0.0], [15.0, 3.0, 0.0]]])  #: of two pads [mm]
 
 
 def drawn(renderable):
@@ -39,10 +42,11 @@ def test_a_model_of_shear_alone_shows_its_size():
 
 def test_the_view_says_what_is_wrong():
     force_n = np.ones((1, 2, 3))
-    text = drawn(
-        live_view(force_n, force_n, ("x", "y", "z"), 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"])
-    )
-    for said in ("150.0 frames/s", "7 ok", "2 lost", "no frames for 2 s", "ΣFz      2.0 N", "± 1.0 N"):
+    wrench = net_wrench(force_n[None], wrench_weights(PLACES, ("x", "y", "z")))
+    stats = LinkStatistics(ok=7, lost=2)
+    text = drawn(live_view(force_n, force_n, wrench, ("x", "y", "z"), 10.0, 150.0, stats, ["no frames for 2 s"]))
+    pressed = "centre of pressure x 10.0, y 3.0 mm"
+    for said in ("150.0 frames/s", "7 ok", "2 lost", "no frames for 2 s", "ΣFz      2.0 N", "± 1.0 N", pressed):
         assert said in text
 
 
@@ -62,17 +66,18 @@ class Sensor:
         sensor = self
 
         class Found:
-            time_s = scan.time_s
-            force_n = np.full((1, 2, 1), scan.frame.sequence + 1 / 3)
-            saturated = np.zeros((1, 2, 3), bool)
-            chi2, is_explained = 1.23456, True
+            force_n = np.full((1, 1, 2, 1), scan.frame.sequence + 1 / 3)
+            resistance_ohm = np.ones((1, 1, 2, 3))
+            saturated = np.zeros((1, 1, 2, 3), bool)
+            chi2, unexplained = np.array([1.23456]), np.array([False])
+            weights = wrench_weights(PLACES, ("z",))
 
             @property
-            def deviation_n(self):
+            def deviations(self):
                 sensor.calculated += 1
-                return self.force_n / 100 if sensor.knows_uncertainty else None
+                return (self.force_n / 100, np.ones((1, 6, 6))) if sensor.knows_uncertainty else (None, None)
 
-        return Found()
+        return SimpleNamespace(source=Found())
 
 
 @pytest.mark.parametrize("knows_uncertainty", [True, False])
@@ -92,6 +97,13 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert [line["force_n"] for line in lines] == [[[[round(k + 1 / 3, 4)]] * 2] for k in range(RATE_HZ)]
     assert {line["dropped"] for line in lines} == {3}
     assert {(line["chi2"], line["explained"]) for line in lines} == {(1.235, True)}
+    assert [line["net_force_n"][2] for line in lines] == pytest.approx(
+        [2 * k + 2 / 3 for k in range(RATE_HZ)], rel=1e-5
+    )
+    assert all(line["net_force_n"][:2] == [None, None] for line in lines)  # the model knows Fz alone
+    assert [line["centre_of_pressure_mm"] for line in lines[5:]] == [[10.0, 3.0]] * (RATE_HZ - 5)
+    assert lines[0]["centre_of_pressure_mm"] == []  # 0.67 N are no touch
+    assert bool(lines[0]["net_force_deviation_n"]) == knows_uncertainty
     assert sensor.calculated <= 11
     if knows_uncertainty:
         ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]

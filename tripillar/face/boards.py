@@ -154,7 +154,7 @@ def replay(
     -------
     Forces
         ``time_s`` (n,), ``force_n`` and ``deviation_n`` (n, rows, cols, axes) [N]: forces and the half-widths that hold
-        68 % of their errors, which are computed when they are first asked for, ten times as long as the forces.
+        68 % of their errors, and `wrench`, the net load; computed when first asked for, twenty times as long as forces.
 
     Examples
     --------

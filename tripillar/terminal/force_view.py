@@ -4,22 +4,24 @@ import json
 import math
 import time
 from collections import deque
+from collections.abc import Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from geometry.layout import FloatArray
+from geometry.layout import AXES, FloatArray
 from hardware.link.reception import LinkStatistics
 from hardware.readout.forces import LiveSensor
+from hardware.readout.wrench import Wrench
 from hardware.session import scans_within
+from hardware.streams.tactile_frame import LiveFrames, Stream, TactileFrame
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))  #: the colour map "plasma"
 MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
-RENEWED_S = 0.1  #: between two calculations of the deviations
 RATE_OVER = 64  #: scans whose pace is the rate shown
 MIN_FULL_SCALE_N = 10.0  #: that is drawn brightest, so that noise at rest stays dark
 
@@ -52,14 +54,19 @@ def _colour(share: float) -> tuple[int, int, int]:
 def live_view(
     force_n: FloatArray,
     deviation_n: FloatArray | None,
+    wrench: Wrench,
     axes: tuple[str, ...],
     full_scale_n: float,
     rate_hz: float,
     stats: LinkStatistics,
     notes: list[str],
 ) -> RenderableType:
-    """The terminal's picture: the table, sums over the array, the link's counts, and what is wrong, if anything."""
-    sums = "   ".join(f"ΣF{axis} {force_n[..., k].sum():8.1f} N" for k, axis in enumerate(axes))
+    """The terminal's picture: the table, net load, the link's counts, and what is wrong, if anything."""
+    net, net_deviation = wrench.force_n[0], wrench.force_deviation_n
+    sums = "   ".join(
+        f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[0, k]:.1f}'} N"
+        for axis, k in zip(axes, (AXES.index(axis) for axis in axes), strict=True)
+    )
     unsure = "" if deviation_n is None else f"   ± {float(deviation_n.mean()):.1f} N each (68 %)"
     damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
@@ -68,68 +75,92 @@ def live_view(
     )
     number = "Fz" if "z" in axes else "shear"
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
-    lines: list[RenderableType] = [head, force_table(force_n, axes, full_scale_n), Text(sums + unsure), Text(link)]
+    pressed = Text(f"centre of pressure {_centre(wrench)}")
+    lines: list[RenderableType] = [head, force_table(force_n, axes, full_scale_n), Text(sums + unsure)]
+    lines += [pressed, Text(link)]
     return Group(*lines, *(Text(note, style="bold red") for note in notes))
 
 
-def show_forces(sensor: LiveSensor, seconds: float) -> None:
-    """Draw the newest forces ten times a second; scans in between are read, not drawn."""
-    scanner, axes = sensor.scanner, sensor.model.component.axes
+def _centre(wrench: Wrench) -> str:
+    (x, y), deviation = wrench.centre_mm[0], wrench.centre_deviation_mm
+    if math.isnan(x):
+        return "-"
+    if deviation is None:
+        return f"x {x:.1f}, y {y:.1f} mm"
+    return f"x {x:.1f} ± {deviation[0, 0]:.1f}, y {y:.1f} ± {deviation[0, 1]:.1f} mm"
+
+
+def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = ()) -> None:
+    """Draw the newest forces ten times a second; scans in between only go to the streams."""
+    scanner, axes, frames = sensor.scanner, sensor.model.component.axes, LiveFrames(sensor)
+    frame: TactileFrame | None = None
     times: deque[float] = deque(maxlen=RATE_OVER)
     full_scale, shown = MIN_FULL_SCALE_N, 0.0
     with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans_within(scanner, seconds):
             if scan is not None:
                 times.append(scan.received_s)
+                if streams:
+                    frame = _sent(frames.frame(scan), streams)
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
             notes = [scanner.trouble] if scanner.trouble else []
-            latest = scanner.latest()
-            if latest is None:
+            if not streams and (latest := scanner.latest()) is not None:
+                frame = frames.frame(latest)
+            if frame is None:
                 screen.update(Group("waiting for scans", *notes), refresh=True)
                 continue
-            found = sensor.forces(latest)
-            if n_saturated := int(found.saturated.sum()):
+            if n_saturated := int(frame.saturated.sum()):
                 notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
-            if not found.is_explained:
+            if not frame.is_explained:
                 notes.append(
-                    f"χ² {found.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
+                    f"χ² {frame.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
                 )
-            full_scale = max(full_scale, float(abs(found.force_n).max()))
+            full_scale = max(full_scale, float(abs(frame.force_n).max()))
             rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
-            view = live_view(found.force_n, found.deviation_n, axes, full_scale, rate_hz, scanner.stats, notes)
+            view = live_view(
+                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, rate_hz, scanner.stats, notes
+            )
             screen.update(view, refresh=True)
 
 
-def print_lines(sensor: LiveSensor, seconds: float) -> None:
+def _sent(frame: TactileFrame, streams: Sequence[Stream]) -> TactileFrame:
+    for stream in streams:
+        stream.add(frame)
+    return frame
+
+
+def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = (), describes: bool = False) -> None:
     """One JSON object for every scan; one that names the trouble when scans fail to come, and when they do again.
 
-    Deviations, which take ten times as long as forces, are `RENEWED_S` old at most. Ends quietly when the pipe's other
-    end closes.
+    The first one describes the sensor if it is asked for. Deviations are 0.1 s old at most. Ends quietly when the
+    pipe's other end closes.
     """
-    trouble, deviation, renew_s = None, "null", 0.0
+    trouble, deviation, known, frames = None, "null", None, LiveFrames(sensor)
     try:
+        if describes:
+            print(json.dumps({"sensor": sensor.description.plain()}), flush=True)
         for scan in scans_within(sensor.scanner, seconds):
             if sensor.scanner.trouble != trouble:
                 trouble = sensor.scanner.trouble
                 print(json.dumps({"trouble": trouble}), flush=True)
             if scan is None:
                 continue
-            found = sensor.forces(scan)
-            if scan.received_s >= renew_s:
-                renew_s = scan.received_s + RENEWED_S
-                deviation_n = found.deviation_n
-                deviation = json.dumps(None if deviation_n is None else deviation_n.round(4).tolist())
+            frame = _sent(frames.frame(scan), streams)
+            if frame.deviation_n is not known:
+                known = frame.deviation_n
+                deviation = json.dumps(None if known is None else known.round(4).tolist())
             line = {
-                "time_s": found.time_s,
-                "sequence": scan.frame.sequence,
+                "time_s": scan.time_s,
+                "sequence": frame.sequence,
                 "axes": sensor.model.component.axes,
-                "force_n": found.force_n.round(4).tolist(),
-                "chi2": None if found.chi2 is None else float(f"{found.chi2:.4g}"),
-                "explained": found.is_explained,
-                "saturated": int(found.saturated.sum()),
+                "force_n": frame.force_n.round(4).tolist(),
+                "chi2": None if frame.chi2 is None else float(f"{frame.chi2:.4g}"),
+                "explained": frame.is_explained,
+                "saturated": int(frame.saturated.sum()),
                 "dropped": sensor.scanner.dropped,
+                **frame.net(),
             }
             # put in as text, which is as long again as all the rest
             print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hardware.recording import Recorder, read_recording
-from hardware.recording.formats import FORCES, INFO, SCAN, SCHEMAS, write_mcap
+from hardware.recording.formats import FORCES, INFO, SCAN, SCHEMAS, SENSOR, WRENCH, write_mcap
 from tests.hardware.recording.recorded_frames import CALIBRATION, MADE_FROM, arrivals, assert_refused, frames
 from tests.hardware.recording.recorded_frames import INFO as BOARD
 
 reader = pytest.importorskip("mcap.reader")
 
-TYPES = {"integer": int, "number": (int, float), "string": str, "array": list, "object": dict}
+TYPES = {"integer": int, "number": (int, float), "string": str, "array": list, "object": dict, "boolean": bool}
 AXES = ("x", "y", "z")
 
 
@@ -65,9 +65,13 @@ def forces_of(recording):
 
 def test_any_mcap_reader_finds_info_scans_and_forces(recording, path):
     forces = forces_of(recording)
-    write_mcap(recording, path, forces, np.full((40, 2, 3, 3), 0.1), AXES)
+    net = {"net_force_n": forces.sum(axis=(1, 2))}
+    write_mcap(recording, path, forces, np.full((40, 2, 3, 3), 0.1), AXES, net)
     found = messages(path)
-    assert list(found) == [INFO, SCAN, FORCES]
+    assert list(found) == [INFO, SCAN, FORCES, WRENCH]
+    for k, (_, content) in enumerate(found[WRENCH]):
+        assert content["net_force_n"] == pytest.approx(net["net_force_n"][k], rel=1e-5)  # six digits
+        assert content["centre_of_pressure_mm"] == []
     [(message, info)] = found[INFO]
     assert message.log_time / 10**9 == recording.received_s[0]  # a viewer's time axis starts here
     assert (info["rows"], info["serial"], info["scan_mode"]) == (2, 2**32 - 1, "GROUNDED")
@@ -154,7 +158,7 @@ def test_one_that_was_cut_short_is_read_as_far_as_it_goes(recording, path):
     assert len(read_recording(path).counts) in (0, 40)
 
 
-@pytest.mark.parametrize("topic", [INFO, SCAN, FORCES])
+@pytest.mark.parametrize("topic", [INFO, SCAN, FORCES, WRENCH, SENSOR])
 def test_schemas_keep_to_what_viewers_know(topic):
     """Foxglove refuses a topic whose schema has arrays of arrays, and takes whole numbers for 32 bits."""
 

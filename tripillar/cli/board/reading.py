@@ -82,9 +82,12 @@ def live(
     ] = None,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
+    describe: Annotated[
+        bool, typer.Option("--describe", help="With --json, print first a line that describes the sensor.")
+    ] = False,
     json_: LinesOption = False,
 ) -> None:
-    """Show the forces on a sensor as they come: heat map, shear, rate, losses.
+    """Show the forces on a sensor as they come: heat map, shear, net load, rate, losses.
 
     With --json every scan is a line; its deviations are at most 0.1 s old.
     """
@@ -93,12 +96,17 @@ def live(
 
     if rate is not None and Path(port).is_file():
         raise DesignError("a recording has the rate that it was made at: leave --rate out.")
+    if describe and not json_:
+        raise DesignError("--describe prints a line of JSON: add --json, or leave --describe out.")
     require_positive(seconds=seconds, timeout=timeout)
     with live_forces(port, model, calibration, baud=baud, timeout=timeout) as sensor:
         if rate is not None:
             with spelled(rate_hz="--rate"):
                 sensor.scanner.set_rate(rate)
-        (print_lines if json_ else show_forces)(sensor, seconds)
+        if json_:
+            print_lines(sensor, seconds, describes=describe)
+        else:
+            show_forces(sensor, seconds)
 
 
 def bench(
@@ -244,6 +252,7 @@ def replay(
     from decoupler.model.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames
+    from hardware.readout.wrench import net_values
     from hardware.recording.formats import write_mcap
     from hardware.session import hashes_of
     from hardware.session import live as live_forces
@@ -274,7 +283,10 @@ def replay(
         text = recorded.calibration if own is None else own.to_json()
         used = replace(recorded, calibration=text, made_from=hashes)
         if out.suffix == ".mcap":
-            write_mcap(used, out, found.force_n, found.deviation_n, decoupler.component.axes)
+            net = {name: values for name, (values, _) in net_values(found.wrench).items()}
+            write_mcap(
+                used, out, found.force_n, found.deviation_n, decoupler.component.axes, net, found.description.plain()
+            )
         else:
             write_forces(used, found, decoupler.component.axes, out)
     unexplained = int(found.unexplained.sum())

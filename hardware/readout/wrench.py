@@ -1,0 +1,134 @@
+"""Net force, net moment and centre of pressure of an array, with their deviations.
+
+All are in the frame of the touched surface: its origin is the middle of the array on that surface, x runs along the
+columns, y along the rows, z out of the sensor.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geometry.design import SensorDesign
+from geometry.layout import AXES, FloatArray, unit_centres
+
+MIN_NORMAL_N = 1.0  #: smallest net normal force with a centre of pressure
+MIN_DEVIATIONS = 3.0  #: smallest number of its deviations
+SIGNS = (1.0, 1.0, -1.0)  #: of forces along x, y, z as reported: times these they are a vector on the sensor
+NEEDED = ({"x"}, {"y"}, {"z"}, {"z"}, {"z"}, {"x", "y"})  #: components that Fx, Fy, Fz, Mx, My, Mz are made of
+
+
+def pad_positions(design: SensorDesign) -> FloatArray:
+    """Centre of every pad in the frame of the touched surface, (rows, cols, 3) [mm]; z is 0.
+
+    >>> pad_positions(SensorDesign())[0, 5].tolist()
+    [37.5, -37.5, 0.0]
+    """
+    x, y = unit_centres(design).T
+    pads = np.stack([x + design.pad.offset_x_mm, y + design.pad.offset_y_mm, np.zeros_like(x)], axis=1)
+    return pads.reshape(design.array.rows, design.array.cols, 3)
+
+
+def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...]) -> FloatArray:
+    """Weights of the forces in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
+
+    Parameters
+    ----------
+    position_mm : array, shape (rows, cols, 3)
+        Of the pads; NaN leaves the moment unknown.
+    axes : k names
+        Components of each force, as a model gives them.
+
+    Notes
+    -----
+    Columns are Fx, Fy, Fz as reported (Fz positive in compression) [N] and M = Σ r × f [N mm], with f the vector on the
+    sensor, (Fx, Fy, -Fz).
+
+    >>> wrench_weights(np.array([[[10.0, 0.0, 0.0]]]), ("z",)).tolist()
+    [[nan, nan, 1.0, 0.0, 10.0, nan]]
+    """
+    points = position_mm.reshape(-1, 1, 3)
+    force = np.broadcast_to(np.eye(3), (len(points), 3, 3))  # (unit, component, sum)
+    weights = np.concatenate([force, np.cross(points, np.diag(SIGNS))], axis=2)[:, [AXES.index(axis) for axis in axes]]
+    weights[..., [not needed <= set(axes) for needed in NEEDED]] = np.nan
+    return weights.reshape(-1, 6) + 0.0  # no -0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wrench:
+    """Net load on the array in each of n scans; NaN where the model does not give the axes that a value needs.
+
+    Deviations are standard deviations; they hold 68 % of the errors. They are None if the model knows none.
+
+    The centre of pressure is where the normal forces of all pads act together, Σ r Fz / Σ Fz. There is none, NaN, while
+    ΣFz is below `MIN_NORMAL_N` or below `MIN_DEVIATIONS` of its deviations: it would be noise over noise.
+    """
+
+    force_n: FloatArray  #: (n, 3): Fx, Fy, Fz summed over the pads, Fz positive in compression
+    moment_nmm: FloatArray  #: (n, 3): of the vectors on the sensor, about the middle of the array on its surface
+    centre_mm: FloatArray  #: (n, 2): centre of pressure, x and y
+    force_deviation_n: FloatArray | None = None  #: (n, 3)
+    moment_deviation_nmm: FloatArray | None = None  #: (n, 3)
+    centre_deviation_mm: FloatArray | None = None  #: (n, 2)
+
+    @property
+    def vector_n(self) -> FloatArray:
+        """The net force as a vector on the sensor, (n, 3) [N]: z out of the sensor, below 0 in compression."""
+        return self.force_n * SIGNS
+
+    def one(self, k: int) -> "Wrench":
+        """That of scan k, n = 1."""
+        known: dict[str, Any] = {name: each[k : k + 1] for name, each in vars(self).items() if each is not None}
+        return Wrench(**known)
+
+
+def net_wrench(force_n: FloatArray, weights: FloatArray, covariance: FloatArray | None = None) -> Wrench:
+    """Net load of forces (n, rows, cols, k) [N], by `wrench_weights` (rows·cols·k, 6).
+
+    Parameters
+    ----------
+    covariance : array, shape (n, 6, 6) or (1, 6, 6), optional
+        Of the six sums, as `Decoupler.deviations` gives it.
+
+    Examples
+    --------
+    >>> corners = np.array([[[-10.0, -5.0, 0.0], [10.0, -5.0, 0.0]], [[-10.0, 5.0, 0.0], [10.0, 5.0, 0.0]]])
+    >>> pressed = np.array([[[[0.0, 0.0, 3.0], [0.0, 0.0, 1.0]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]])
+    >>> found = net_wrench(pressed, wrench_weights(corners, ("x", "y", "z")))
+    >>> found.force_n[0].tolist(), found.moment_nmm[0].tolist(), found.centre_mm[0].tolist()
+    ([0.0, 0.0, 4.0], [20.0, -20.0, 0.0], [-5.0, -5.0])
+    """
+    sums = force_n.reshape(len(force_n), -1) @ weights
+    variance = None if covariance is None else np.diagonal(covariance, axis1=1, axis2=2) + 0.0 * sums
+    normal = sums[:, 2]
+    known = normal >= MIN_NORMAL_N
+    if variance is not None:
+        known &= normal >= MIN_DEVIATIONS * np.sqrt(variance[:, 2])
+    normal = np.where(known, normal, np.nan)
+    centre = np.stack([sums[:, 4], -sums[:, 3]], axis=1) / normal[:, None]
+    if covariance is None or variance is None:
+        return Wrench(force_n=sums[:, :3], moment_nmm=sums[:, 3:], centre_mm=centre)
+    by_moment = np.array([1.0, -1.0]) * covariance[:, [4, 3], 2]  # covariance of r Fz with Fz
+    centre_variance = variance[:, [4, 3]] - 2.0 * centre * by_moment + centre**2 * variance[:, 2:3]
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    return Wrench(
+        force_n=sums[:, :3],
+        moment_nmm=sums[:, 3:],
+        centre_mm=centre,
+        force_deviation_n=deviation[:, :3],
+        moment_deviation_nmm=deviation[:, 3:],
+        centre_deviation_mm=np.sqrt(np.maximum(centre_variance, 0.0)) / normal[:, None],
+    )
+
+
+def net_values(wrench: Wrench) -> dict[str, tuple[FloatArray, str]]:
+    """The values of a wrench as recordings and streams name them, each with its unit; unknown deviations left out."""
+    named = {
+        "net_force_n": (wrench.force_n, "N"),
+        "net_force_deviation_n": (wrench.force_deviation_n, "N"),
+        "net_moment_nmm": (wrench.moment_nmm, "N mm"),
+        "net_moment_deviation_nmm": (wrench.moment_deviation_nmm, "N mm"),
+        "centre_of_pressure_mm": (wrench.centre_mm, "mm"),
+        "centre_of_pressure_deviation_mm": (wrench.centre_deviation_mm, "mm"),
+    }
+    return {name: (values, unit) for name, (values, unit) in named.items() if values is not None}

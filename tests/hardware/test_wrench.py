@@ -1,0 +1,79 @@
+"""Net wrench and centre of pressure: closed forms, and deviations held to errors of readings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import measured
+from decoupler import NetworkConfig, TrainingConfig, train
+from geometry.design import SensorDesign
+from hardware.readout.wrench import MIN_NORMAL_N, SIGNS, net_wrench, pad_positions, wrench_weights
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+AXES = ("x", "y", "z")
+PLACES = pad_positions(SensorDesign())
+
+
+def test_it_is_the_resultant_of_the_vectors_on_the_pads():
+    """Σ f and Σ r × f, term by term with NumPy's cross product; the moment is M = r_c × f_z e_z of the centre."""
+    force_n = np.random.default_rng(0).normal(10.0, 5.0, (4, 6, 6, 3))
+    found = net_wrench(force_n, wrench_weights(PLACES, AXES))
+    vectors = force_n * SIGNS
+    assert found.vector_n == pytest.approx(vectors.sum(axis=(1, 2)), rel=1e-12)
+    assert found.moment_nmm == pytest.approx(np.cross(PLACES, vectors).sum(axis=(1, 2)), abs=1e-9)
+    at = np.concatenate([found.centre_mm, np.zeros((4, 1))], axis=1)
+    assert np.cross(at, found.vector_n * (0, 0, 1))[:, :2] == pytest.approx(found.moment_nmm[:, :2], abs=1e-9)
+
+
+def test_there_is_no_centre_of_what_hardly_presses():
+    force_n = np.zeros((3, 6, 6, 3))
+    force_n[:, 2, 3, 2] = 0.9 * MIN_NORMAL_N, 1.1 * MIN_NORMAL_N, 5.0
+    weights = wrench_weights(PLACES, AXES)
+    assert np.isnan(net_wrench(force_n, weights).centre_mm[:, 0]).tolist() == [True, False, False]
+    unsure = net_wrench(force_n, weights, np.eye(6)[None] * 4.0)  # ± 2 N: 5 N are less than three deviations
+    assert np.isnan(unsure.centre_mm).all()
+    assert np.isnan(unsure.centre_deviation_mm).all()
+    assert net_wrench(force_n, weights).centre_mm[2] == pytest.approx(PLACES[2, 3, :2])
+
+
+def test_what_a_model_of_one_axis_cannot_tell_is_missing():
+    found = net_wrench(np.ones((1, 6, 6, 1)), wrench_weights(PLACES, ("z",)))
+    assert np.isnan(found.force_n[0]).tolist() == [True, True, False]
+    assert np.isnan(found.moment_nmm[0]).tolist() == [False, False, True]
+    assert found.centre_mm == pytest.approx(np.zeros((1, 2)), abs=1e-12)
+
+
+def test_the_centres_deviation_is_that_of_drawn_errors():
+    """Errors drawn from a covariance of the six sums move the centre as far as is said, to first order: 3 %."""
+    random = np.random.default_rng(1)
+    covariance = np.cov(random.normal(size=(6, 20))) * np.outer(scale := [1, 1, 1, 20, 20, 20], scale)
+    force_n = np.zeros((1, 6, 6, 3))
+    force_n[0, 1:3, 4, 2] = 40.0, 60.0
+    weights = wrench_weights(PLACES, AXES)
+    found = net_wrench(force_n, weights, covariance[None])
+    sums = force_n.reshape(1, -1) @ weights + random.multivariate_normal(np.zeros(6), covariance, 20_000)
+    drawn = np.stack([sums[:, 4], -sums[:, 3]], axis=1) / sums[:, 2:3]
+    assert found.centre_deviation_mm[0] == pytest.approx(drawn.std(axis=0), rel=0.03)
+
+
+def test_deviations_hold_the_errors_of_net_forces():
+    """Of the six sums of new samples 68 % lie within; as if forces erred alone, far fewer of the sums of Fz would."""
+
+    def samples(n, seed):
+        found = labelled(sensor(2, 3), "xyz", n_samples=n, seed=seed)
+        noisy = measured(found.resistance_ohm, 1e-3, None, np.random.default_rng(seed))
+        return replace(found, resistance_ohm=noisy, noise=1e-3)
+
+    network = NetworkConfig(hidden=4, feature="inverse")
+    model = train(samples(400, 0), "all", network, TrainingConfig(), response=response(sensor(2, 3)))
+    new = samples(500, 1)
+    weights = wrench_weights(pad_positions(model.design), AXES)
+    half_n, covariance = model.deviations(new.resistance_ohm, weights)
+    assert np.array_equal(half_n, model.half_widths(new.resistance_ohm)[0])
+    error = (model.forces(new.resistance_ohm) - new.force_n).reshape(500, -1) @ weights
+    stated = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    within = (np.abs(error) <= stated).mean(axis=0)
+    assert within == pytest.approx(0.68, abs=0.1)
+    alone = np.sqrt((half_n.reshape(500, -1) ** 2) @ weights**2)
+    assert ((np.abs(error) <= alone).mean(axis=0)[:3] < 0.5).all()
