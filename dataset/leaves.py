@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
-from geometry.storage.files import digest, replacing
+from geometry.storage.files import digest, reported
 from geometry.storage.zarr_folder import (
     Variable,
     chunk_name,
@@ -50,10 +50,14 @@ def packed(arrays: Mapping[str, np.ndarray], samples: int, dtype: str) -> Leaf:
 
 
 def write_leaf(folder: Path, number: int, leaf: Leaf) -> None:
-    """Write the files of a leaf, each whole or not at all."""
+    """Write the files of a leaf, each whole or not at all, by way of a file beside the folder."""
+    temporary = folder.with_name("chunk.new")
     for name, content in leaf.content.items():
-        with replacing(folder / chunk_name(name, number, len(KNOWN[name][0]))) as temporary:
+        path = folder / chunk_name(name, number, len(KNOWN[name][0]))
+        with reported(folder, temporary):
+            path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_bytes(content)
+            temporary.replace(path)
 
 
 def write_leaves_header(

@@ -140,7 +140,7 @@ class Samples:
         return xr.Dataset(
             {name: (dims, getattr(self, name), notes) for name, (dims, notes) in held.items()},
             coords={dim: COORDINATES[dim] for dim in COORDINATES if any(dim in dims for dims, _ in held.values())},
-            attrs={**self._stated_design(), "content_hash": self.content_hash, **self._sensor_and_origin()},
+            attrs={**self.attributes(), "content_hash": self.content_hash},
         )
 
     def write(self, path: Path, dtype: str = "float64") -> None:
@@ -156,17 +156,21 @@ class Samples:
         path = Path(path)
         require_dtype(dtype, path)
         if is_zarr(path):
-            held = (name for name in (*ARRAYS, *SOLVED) if getattr(self, name) is not None)
-            attributes = {**self._stated_design(), **self._sensor_and_origin()}
-            write_leaves(path, {name: getattr(self, name) for name in held}, attributes, dtype)
+            write_leaves(path, self.arrays(), self.attributes(), dtype)
         else:
             write_netcdf(self.to_xarray(), path)
 
-    def _stated_design(self) -> dict[str, Any]:
-        return {} if self.design is None else {"design": design_to_toml(self.design)}
+    def arrays(self) -> dict[str, FloatArray]:
+        """Variables that are held, by name."""
+        held = {name: getattr(self, name) for name in (*ARRAYS, *SOLVED)}
+        return {name: values for name, values in held.items() if values is not None}
+
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
+        design = {} if self.design is None else {"design": design_to_toml(self.design)}
+        return design | self._sensor_and_origin()
 
     def _sensor_and_origin(self) -> dict[str, Any]:
-        """`made_from`, corrected where it says other than `noise`, `bits` and `dead`."""
         rows, cols = self.force_n.shape[1:3]
         stated, attributes = stated_imperfections(self.made_from, rows, cols), dict(self.made_from)
         if self.noise != stated.noise:

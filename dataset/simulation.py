@@ -5,20 +5,23 @@ number alone, not on how many are made with it, and a dataset can be extended wi
 """
 
 import json
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, cast
 
 import numpy as np
+import psutil
 from threadpoolctl import threadpool_limits
 
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import conducted_lengths, pillar_lengths, pillar_resistances, pillar_strains
-from dataset.samples import SampleError, Samples, require_samples
+from dataset.samples import LABELS, SampleError, Samples, require_samples, require_variables
+from dataset.variables import ARRAYS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
@@ -27,7 +30,8 @@ from geometry.storage.files import digest
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
-MAX_SAMPLES = 10_000_000  #: they fill 52 GB with 36 units each
+MAX_SAMPLES = 1_000_000_000  #: of 36 units: 700 GB of forces and resistances in float32, compressed
+IN_WORK = 1.2  #: memory that samples take while they are made and written, of their numbers alone
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
 
@@ -67,6 +71,7 @@ def simulate(
     settings: DatasetSettings,
     progress: Callable[[int], None] = lambda samples: None,
     readout: Readout | None = None,
+    only: Sequence[str] | None = None,
 ) -> Samples:
     """Simulate labelled samples.
 
@@ -80,6 +85,8 @@ def simulate(
         Called with the number of samples each block adds.
     readout : Readout, optional
         Electronics that resistances pass through, such as a crossbar with its crosstalk.
+    only : sequence of str, optional
+        Variables to keep beside forces and resistances, which saves memory; default: all.
 
     Raises
     ------
@@ -87,41 +94,52 @@ def simulate(
         If a sample's strain passes the cap in `MAX_ROUNDS` draws on end.
     DesignError
         As `Imperfections.apply` does.
+    SampleError
+        If a name of `only` is no variable.
     """
-    require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_type("settings", settings, DatasetSettings, "say the protocol and the number of samples")
+    whole = range(settings.samples)
+    return simulate_part(response, settings, whole, progress, readout, only, threads=os.cpu_count() or 1)
+
+
+def simulate_part(
+    response: ArrayResponse,
+    settings: DatasetSettings,
+    numbers: range,
+    progress: Callable[[int], None] = lambda samples: None,
+    readout: Readout | None = None,
+    only: Sequence[str] | None = None,
+    threads: int = 1,
+) -> Samples:
+    """Those samples of `simulate` that have these numbers, of which the first is a multiple of `BLOCK`."""
+    require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_conducted(response)
-    design, n = response.design, settings.samples
+    require_variables(only or ())
+    design, n = response.design, len(numbers)
     rows, cols = design.array.rows, design.array.cols
     arrays = {
-        "traction_mpa": np.empty((n, design.n_units, 3)),
-        "displacement_mm": np.empty((n, design.n_units, 2, 3)),
-        "length_mm": np.empty((n, design.n_units, 3)),
-        "resistance_ohm": np.empty((n, design.n_units, 3)),
+        name: np.empty((n, *shape))
+        for name, shape in shapes(design, response.conducted is not None).items()
+        if kept_in(name, only)
     }
-    if response.conducted is not None:
-        arrays["effective_length_mm"] = np.empty((n, design.n_units, 3))
-    starts = range(0, n, BLOCK)
 
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
         kept = min(BLOCK, n - start)
-        block, redrawn = _block(response, settings, start // BLOCK, readout)
-        for name, values in block.items():
-            arrays[name][start : start + kept] = values[:kept]
+        block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout)
+        for name, values in arrays.items():
+            values[start : start + kept] = block[name][:kept].reshape(kept, *values.shape[1:])
         return kept, int(redrawn[:kept].sum())
 
     redrawn = 0
     # a block's matrix product is too small for two BLAS threads to share; two blocks side by side are not
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for kept, again in pool.map(fill, starts):
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(threads) as pool:
+        for kept, again in pool.map(fill, range(0, n, BLOCK)):
             redrawn += again
             progress(kept)
-    by_unit = {name: values.reshape(n, rows, cols, *values.shape[2:]) for name, values in arrays.items()}
     return Samples(
         design=design,
-        **by_unit,
-        force_n=forces(by_unit["traction_mpa"], design),
+        **arrays,
         noise=settings.noise,
         bits=settings.bits,
         dead=settings.dead_mask(rows, cols),
@@ -130,6 +148,30 @@ def simulate(
             "recipe": dataset_cache_key(response, settings, readout),
         },
     )
+
+
+def shapes(design: SensorDesign, is_conducted: bool) -> dict[str, tuple[int, ...]]:
+    """Shape of each variable of one sample, of a response that holds conduction or not."""
+    rows, cols = design.array.rows, design.array.cols
+    names = ARRAYS if is_conducted else VARIABLES
+    return {name: (rows, cols, 2, 3) if name == "displacement_mm" else (rows, cols, 3) for name in names}
+
+
+def require_memory(design: SensorDesign, samples: int, only: Sequence[str] | None = None) -> None:
+    """Refuse more samples than memory holds, of all variables or those of `simulate`'s `only`."""
+    held = shapes(design, design.electrics.is_conduction).items()
+    needed = IN_WORK * samples * 8 * sum(math.prod(shape) for name, shape in held if kept_in(name, only))
+    free = psutil.virtual_memory().available
+    if needed > free:
+        raise DesignError(
+            f"{samples} samples take {needed / 1e9:.0f} GB of memory on their way to a NetCDF file, {free / 1e9:.0f} "
+            "GB are free: end the file's name in .zarr, or keep less of them by --only."
+        )
+
+
+def kept_in(name: str, only: Sequence[str] | None) -> bool:
+    """Whether `simulate` keeps a variable."""
+    return only is None or name in (*LABELS, *only)
 
 
 def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, readout: Readout | None) -> dict[str, Any]:
@@ -196,11 +238,11 @@ def measured_resistances(
 
 
 def read_resistances(
-    exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None
+    exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None, first: int = 0
 ) -> FloatArray:
-    """The same of exact resistances (n, rows, cols, 3) [Ω]."""
+    """The same of exact resistances (n, rows, cols, 3) [Ω] of the samples from number `first` on."""
     blocks = [
-        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, start // BLOCK), readout)
+        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, (first + start) // BLOCK), readout)
         for start in range(0, len(exact_ohm), BLOCK)
     ]
     return np.concatenate(blocks)
@@ -263,6 +305,7 @@ def _block(
     resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
     block = effective | {
         "traction_mpa": traction,
+        "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
         "resistance_ohm": resistance.reshape(length.shape),

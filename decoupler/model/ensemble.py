@@ -36,11 +36,14 @@ class Ensemble:
         relative = self.resistance + np.einsum("nmpi,npi->nmp", moved + self.rest_mm, by_vector)
         return relative * resistance_ohm[:, None] + self.offset_ohm
 
-    def drawn(self, force_n: FloatArray, slopes: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        """Resistances (n, P) [Ω] that sensors of the ensemble have in turn; arguments as of `differences`."""
+    def drawn(self, force_n: FloatArray, slopes: FloatArray, resistance_ohm: FloatArray, first: int = 0) -> FloatArray:
+        """Resistances (n, P) [Ω] that sensors of the ensemble have in turn, the sample of number `first` first.
+
+        Other arguments as of `differences`.
+        """
         found = resistance_ohm.copy()
-        for sensor in range(min(len(self), len(force_n))):
-            mine = slice(sensor, None, len(self))
+        for sensor in range(len(self)):
+            mine = slice((sensor - first) % len(self), None, len(self))
             one = Ensemble(**{name: values[sensor : sensor + 1] for name, values in vars(self).items()})
             found[mine] += one.differences(force_n[mine], slopes[mine], resistance_ohm[mine])[:, 0]
         return found

@@ -1,6 +1,7 @@
 """Samples drawn from a twin: each from another sensor of its posterior, so that whoever learns from them knows how
 little is known."""
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import PROTOCOLS
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate
+from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
 from decoupler.data.columns import MIN_CALIBRATED_OHM, force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
@@ -25,6 +26,7 @@ def simulate_twin(
     settings: DatasetSettings,
     progress: Callable[[int], None] = lambda samples: None,
     readout: Readout | None = None,
+    numbers: range | None = None,
 ) -> Samples:
     """Simulate labelled samples of a sensor that is known as far as its pairs tell.
 
@@ -35,6 +37,8 @@ def simulate_twin(
         Of the twin's design: the loads of a protocol are drawn by it, under the cap.
     settings, progress, readout
         As of `dataset.simulate`; gains and offsets are the twin's.
+    numbers : range, optional
+        Numbers of the samples to make, the first a multiple of `dataset.simulation.BLOCK`; default: all.
 
     Returns
     -------
@@ -59,20 +63,21 @@ def simulate_twin(
             f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
         )
     exact = replace(settings, **{name: value for name, value in vars(Imperfections()).items()})
-    samples = simulate(response, exact, progress)
+    numbers = numbers or range(settings.samples)
+    samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     effective_n = decoder.inverse.forward.effective(force_columns(samples.force_n, decoder.component))
     forward = decoder.inverse.forward.linear
     shown = forward.resistances(effective_n)
     if decoder.calibration is not None:
         shown = decoder.calibration.shown(shown)
-    drawn = decoder.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
+    drawn = decoder.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., pillars] = np.maximum(drawn, MIN_CALIBRATED_OHM).reshape(*exact_ohm.shape[:3], -1)
     design = twin.design
     return replace(
         samples,
-        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout),
+        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, numbers.start),
         displacement_mm=None,
         length_mm=None,
         noise=settings.noise,

@@ -12,12 +12,12 @@ from geometry.design import Array, Electrics, Pad, SensorDesign
 from tripillar.pipeline.manufactured import PAIRS_SEED, READ, SETTINGS, SPECIMEN, TEST_SEED, as_made
 from tripillar.sweep.finite_samples import (
     GroupJob,
-    failed_group_row,
     group_row,
     groups_folder,
     kept_groups,
     make_groups,
 )
+from tripillar.sweep.tasks import failed_task_row
 from tripillar.sweep.workers import open_workers
 
 PROTOCOLS = ("contact", "three-axis")
@@ -59,7 +59,7 @@ def finite(response: ArrayResponse, settings: DatasetSettings) -> Samples:
     missing = [number for number in numbers if number not in groups]
     if missing:
         log = groups_folder(job) / "workers.log"
-        with open_workers(min(os.cpu_count() or 1, len(missing)), None, log, group_row, failed_group_row) as workers:
+        with open_workers(min(os.cpu_count() or 1, len(missing)), None, log, group_row, failed_task_row) as workers:
             groups |= make_groups(job, workers, missing, lambda group: None)
     return samples_of(response, settings, [groups[number] for number in numbers])
 

@@ -102,8 +102,8 @@ response --out dir -> dir is a folder: give the name of a file in it.
 dataset -> Missing option '--protocol'. Choose from: independent-fz, independent-fx
 dataset --protocol magic --samples 5 -o x.nc -> --protocol magic must be one of independent-fz,
 dataset --protocol contact --samples 1.5 -o x.nc -> --samples 1.5 must be a whole number
-dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be from 1 to 10000000
-dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 10000000
+dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be from 1 to 1000000000
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1000000000
 dataset --protocol contact --samples 5 -o small.toml --design small.toml -> small.toml is read by this command
 dataset --protocol contact --samples 5 -o x.nc --seed -1 -> seed=-1 must be from 0
 dataset --protocol contact --samples 5 -o x.nc --cap 0 -> the paper uses 0.2 and 0.3
@@ -111,6 +111,16 @@ dataset --protocol contact --samples 5 -o x.nc --cap 2 -> cap=2 must be
 dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> offset_ohm=-3 must be
 dataset --protocol contact --samples 5 -o x.nc --specimen=-1 -> specimen=-1 must be
 dataset --protocol contact --samples 5 -o dir -> dir is a folder: give the name of a file in it.
+dataset --protocol contact --samples 5 -o dir.zarr -> dir.zarr is a folder that holds something else
+dataset --protocol contact --samples 5 -o file.zarr -> file.zarr is a file: give the name of a folder to be made
+dataset --protocol contact --samples 5 -o x.nc --dtype float32 -> --dtype float32 belongs to zarr directories
+dataset --protocol contact --samples 5 -o x.zarr --dtype half -> --dtype half must be one of float64, float32
+dataset --protocol contact --samples 5 -o x.zarr --only force,ohm -> no variable 'ohm'; there are traction, force,
+dataset --protocol contact --samples 5 -o x.zarr --only length -> holds force and resistance at least: name them, too
+dataset --protocol contact --samples 5 -o x.nc --workers 2 -> belong to --strain finite and to directories
+dataset --protocol contact --samples 5 -o x.zarr --workers 0 -> --workers 0 must be at least 1
+dataset --protocol contact --samples 5 -o x.zarr --workers 2 --scheduler tcp://localhost:1 -> give one of them
+dataset --protocol contact --samples 1000000000 -o x.nc -> end the file's name in .zarr, or keep less of them by --only
 dataset --protocol contact --samples 5 -o x.nc --noise 5 -> noise=5 must be from 0 to 0.1
 dataset --protocol contact --samples 5 -o x.nc --bits 40 -> bits=40 must be from 4 to 24
 dataset --protocol contact --samples 5 -o x.nc --gain-spread 1 -> 0.2 is ± 20 %
@@ -265,6 +275,9 @@ def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("refusals"))
     folder = house.folder
     (folder / "dir").mkdir()
+    (folder / "dir.zarr").mkdir()
+    (folder / "dir.zarr/notes.txt").write_text("mine")
+    (folder / "file.zarr").write_text("no folder")
     for name, text in FILES.items():
         (folder / name).write_text(text, encoding="utf-8")
     a_dataset(folder / "data.nc")

@@ -19,6 +19,7 @@ from tripillar.terminal.console import (
     chosen,
     chosen_twin,
     output_file,
+    output_samples,
     progress_bars,
     require_other,
     say,
@@ -74,7 +75,10 @@ def dataset(
         ),
     ],
     samples: Annotated[int, typer.Option(help="Number of samples to make.")],
-    out: Annotated[Path, typer.Option("--out", "-o", callback=output_file, help="NetCDF file to write.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", callback=output_samples, help="NetCDF file to write, or zarr directory (.zarr)."),
+    ],
     seed: Annotated[int, typer.Option(help="Seed of the random loads and noise.")] = 0,
     cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
@@ -110,21 +114,41 @@ def dataset(
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Worker processes of --strain finite; default: one a core.")
+        int | None, typer.Option(help="Worker processes of --strain finite and of .zarr; default: one a core.")
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler for --strain finite, such as tcp://host:8786.")
+        str | None, typer.Option(help="Address of a Dask scheduler to use in their place, such as tcp://host:8786.")
     ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Variables to keep, such as resistance,force; default: all."),
+    ] = None,
+    dtype: Annotated[
+        Literal["float64", "float32"], typer.Option(help="Type of the numbers; float32 in .zarr alone.")
+    ] = "float64",
     design: DesignOption = None,
     json_: JsonOption = False,
     verbosity: VerbosityOption = None,
 ) -> None:
     """Simulate labelled samples: forces on the pads, and the resistances they give."""
     require_other(out, design)
-    from dataset import DatasetSettings, simulate
+    from dataset import DatasetSettings
     from dataset.imperfections import place_of
+    from dataset.samples import require_dtype
+    from dataset.simulation import require_memory
+    from geometry.storage.zarr_folder import is_zarr
+    from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
+    from tripillar.sweep.leaves import LeafJob, make_directory
 
+    names = None if only is None else _variables(only)
+    with spelled(dtype="--dtype"):
+        require_dtype(dtype, out)
+    require_counts(workers=workers)
+    if scheduler is not None:
+        require_packages("distributed")
+        if workers is not None:
+            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
     settings = DatasetSettings(
         protocol=protocol,
         samples=samples,
@@ -161,29 +185,35 @@ def dataset(
         )
         readout = CrossbarReadout(crossbar=wired, corrected=correct)
     finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
-    if not finite and (workers is not None or scheduler is not None):
-        raise DesignError("--workers and --scheduler belong to --strain finite: linear samples take milliseconds.")
+    if not (finite or is_zarr(out)) and (workers is not None or scheduler is not None):
+        raise DesignError("--workers and --scheduler belong to --strain finite and to directories, --out data.zarr.")
+    if not (finite or is_zarr(out)):
+        require_memory(sensor, samples, names)
     if finite and twin is not None:
         raise DesignError(f"{design} is a twin, identified by linear rubber: leave --strain finite out.")
     with progress_bars(verbosity) as bars:
         if finite:
             data = _finite_samples(sensor, settings, readout, workers, scheduler, bars)
+            (data if names is None else data.only(*names)).write(out, dtype)
+            story = data.made_from | {"kept": 0}
         else:
             _, solved = respond(with_model(sensor, "linear"), bars)
             advance = bars.begin("dataset", total=samples)
-            solved = replace(solved, design=sensor)
-            if twin is None:
-                data = simulate(solved, settings, lambda n: advance(n, ""), readout)
-            else:
-                from decoupler.twin.twin_samples import simulate_twin
-
-                with spelled(gain_spread="--gain-spread", offset_ohm="--offset", protocol="--protocol"):
-                    data = simulate_twin(twin, solved, settings, lambda n: advance(n, ""), readout)
-    data.write(out)
-    story = data.made_from
+            job = LeafJob(
+                response=replace(solved, design=sensor), settings=settings, readout=readout, twin=twin, only=names,
+                dtype=dtype,
+            )  # fmt: skip
+            with spelled(gain_spread="--gain-spread", offset_ohm="--offset", protocol="--protocol"):
+                if is_zarr(out):
+                    story = asdict(make_directory(job, out, workers, scheduler, lambda n: advance(n, "")))
+                else:
+                    data = job.whole(lambda n: advance(n, ""))
+                    data.write(out)
+                    story = data.made_from
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
     line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
+    line += f"; {story['kept']} samples are of earlier runs" if story.get("kept") else ""
     if finite:
         errors = data.error_estimate
         assert errors is not None
@@ -193,6 +223,20 @@ def dataset(
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
     answer(json_, result, line, out)
+
+
+def _variables(only: str) -> tuple[str, ...]:
+    """Variables of --only beside forces and resistances, which a data set cannot do without."""
+    from dataset.variables import ARRAYS
+
+    known = {name.rpartition("_")[0]: name for name in ARRAYS}
+    asked = [name.strip() for name in only.split(",")]
+    unknown = [name for name in asked if name not in known]
+    if unknown:
+        raise DesignError(f"--only {only}: no variable '{unknown[0]}'; there are {', '.join(known)}.")
+    if not {"force", "resistance"} <= set(asked):
+        raise DesignError(f"--only {only}: a data set holds force and resistance at least: name them, too.")
+    return tuple(name for short, name in known.items() if short in asked)
 
 
 def _finite_samples(
@@ -205,24 +249,12 @@ def _finite_samples(
 ) -> "Samples":
     """Samples at finite strain by workers, those of earlier runs taken up again."""
     from dataset.finite_strain import n_groups, require_finite, samples_of
-    from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
-    from tripillar.sweep.finite_samples import (
-        GroupJob,
-        failed_group_row,
-        group_row,
-        groups_folder,
-        kept_groups,
-        make_groups,
-    )  # fmt: skip
+    from tripillar.sweep.finite_samples import GroupJob, group_row, groups_folder, kept_groups, make_groups
+    from tripillar.sweep.tasks import failed_task_row
     from tripillar.sweep.workers import open_workers
 
     require_finite(sensor)
-    require_counts(workers=workers)
-    if scheduler is not None:
-        require_packages("distributed")
-        if workers is not None:
-            raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
     _, solved = respond(with_model(sensor, "linear"), bars)
     job = GroupJob(response=replace(solved, design=sensor), settings=settings)
     found = kept_groups(job)
@@ -234,7 +266,7 @@ def _finite_samples(
         count = None if scheduler is not None else min(workers or os.cpu_count() or 1, len(missing))
         with (
             last_words(words),
-            open_workers(count, scheduler, folder / "workers.log", group_row, failed_group_row) as hands,
+            open_workers(count, scheduler, folder / "workers.log", group_row, failed_task_row) as hands,
         ):
             advance = bars.begin("dataset", total=total)
             advance(len(found), "workers begin")

@@ -14,6 +14,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import read_design, states_twin
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import require_file, require_folder
+from geometry.storage.zarr_folder import is_zarr, require_zarr_place
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -118,6 +119,15 @@ def wrote(files: Iterable[Path]) -> None:
 def output_file(path: Path | None) -> Path | None:
     """Callback of an option that names a file to write: refused before anything is computed if it cannot be."""
     if path is not None:
+        require_file(path)
+    return path
+
+
+def output_samples(path: Path) -> Path:
+    """The same of a data set: a file, or a zarr directory."""
+    if is_zarr(path):
+        require_zarr_place(path, "resistance_ohm")
+    else:
         require_file(path)
     return path
 

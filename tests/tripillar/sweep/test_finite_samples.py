@@ -13,13 +13,12 @@ from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
 from tripillar.sweep.finite_samples import (
     GroupJob,
-    GroupRow,
-    failed_group_row,
     group_row,
     groups_folder,
     kept_groups,
     make_groups,
 )
+from tripillar.sweep.tasks import TaskRow, ThisProcess, failed_task_row
 from tripillar.sweep.workers import open_workers
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=1, pitch_mm=20.0), pad=Pad(kind="stiff"))
@@ -52,11 +51,11 @@ class Here:
     def give(self, task, job):
         self.given.append(task.number)
         if task.number in self.lost:
-            self._done.put(failed_group_row(task, RuntimeError("its worker ended by SIGKILL"), ", the last of 20"))
+            self._done.put(failed_task_row(task, RuntimeError("its worker ended by SIGKILL"), ", the last of 20"))
         elif task.number in self.refused:
-            self._done.put(GroupRow(cache_key="", number=task.number, reason="raise the cap", refused=True))
+            self._done.put(TaskRow(cache_key="", number=task.number, reason="raise the cap", refused=True))
         else:
-            self._done.put(GroupRow(cache_key="", number=task.number, plain=blank(task.number).as_plain()))
+            self._done.put(TaskRow(cache_key="", number=task.number, made=blank(task.number).as_plain()))
 
     def row(self, wait_s):
         return self._done.get()
@@ -96,15 +95,8 @@ def test_what_no_worker_can_do_ends_at_once(job):
 
 
 def test_a_process_makes_to_the_last_bit_what_this_one_does(job, tmp_path):
-    with open_workers(1, None, tmp_path / "log", group_row, failed_group_row) as workers:
+    with open_workers(1, None, tmp_path / "log", group_row, failed_task_row) as workers:
         made = make_groups(job, workers, [1], lambda group: None)
-    here = make_groups(job, AtOnce(), [1], lambda group: None)
+    here = make_groups(job, ThisProcess(group_row), [1], lambda group: None)
     for name, values in vars(here[1]).items():
         assert np.array_equal(getattr(made[1], name), values)
-
-
-class AtOnce(Here):
-    """This process as a worker."""
-
-    def give(self, task, job):
-        self._done.put(group_row(task, job))

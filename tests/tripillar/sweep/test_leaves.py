@@ -1,0 +1,170 @@
+"""Data sets made leaf by leaf: the same bits by any worker, through any kill, of any number wanted."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic, sleep
+
+import numpy as np
+import psutil
+import pytest
+
+from dataset import DatasetSettings, read_samples, simulate
+from dataset.leaves import LEAF
+from dataset.simulation import BLOCK
+from geometry import Array, DesignError, SensorDesign
+from geometry.errors import NotWrittenError
+from tests.dataset.conftest import made_up_response
+from tripillar.sweep.leaves import LeafJob, kept_leaves, make_directory, unfinished
+
+ROOT = Path(__file__).parents[3]
+RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
+#: of a process that is killed: makes so many samples into a folder
+KILLED = """
+import sys
+from pathlib import Path
+from tests.tripillar.sweep.test_leaves import job
+from tripillar.sweep.leaves import make_directory
+if __name__ == "__main__":
+    make_directory(job(int(sys.argv[1])), Path(sys.argv[2]), count=2)
+"""
+
+
+def job(samples, **changed):
+    settings = DatasetSettings(protocol="three-axis", samples=samples, seed=7, noise=1e-3, cap=0.25)
+    return LeafJob(response=RESPONSE, settings=settings, **changed)
+
+
+def records(out):
+    return sorted((unfinished(out) / "leaves").glob("*.json"))
+
+
+def wait_for(n, out, process, last_s=60.0):
+    """Until so many leaves are recorded, while the process is at work."""
+    until = monotonic() + last_s
+    while len(records(out)) < n:
+        assert process.poll() is None, process.stderr.read()
+        assert monotonic() < until
+        sleep(0.002)
+
+
+def begun(tmp_path, samples, out):
+    script = tmp_path / "killed.py"
+    script.write_text(KILLED)
+    return subprocess.Popen(
+        [sys.executable, script, str(samples), out],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, cwd=tmp_path,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="ends processes by SIGKILL")
+def test_killed_twice_and_taken_up_again_it_is_to_the_last_bit_the_same(tmp_path):
+    """Its workers in the middle of their leaves, then the whole run; the next one wants more samples."""
+    out, samples = tmp_path / "data.zarr", 30 * LEAF - 100
+    with begun(tmp_path, 25 * LEAF - 50, out) as first:
+        wait_for(2, out, first)
+        for each in psutil.Process(first.pid).children(recursive=True):
+            if not each.children() and "resource_tracker" not in " ".join(each.cmdline()):
+                each.kill()
+        wait_for(6, out, first)
+        first.kill()
+    assert not out.exists()
+    kept = len(kept_leaves(unfinished(out), job(samples)))
+    assert 6 <= kept < 25
+    told = []
+    made = make_directory(job(samples), out, count=1, progress=told.append)
+    assert told[0] == made.kept == kept * LEAF
+    assert sum(told) == samples
+    expected = simulate(RESPONSE, job(samples).settings)
+    stored = read_samples(out)
+    for block, whole in zip(stored.blocks(), expected.blocks(), strict=True):
+        for name, values in whole.arrays().items():
+            assert np.array_equal(getattr(block, name), values)
+    assert stored.made_from["redrawn"] == made.redrawn == expected.made_from["redrawn"] > 0
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith("data")] == ["data.zarr"]
+    assert {path.name for path in (out / "force_n").iterdir()} == {
+        ".zarray", ".zattrs", *(f"{number}.0.0.0" for number in range(30))
+    }  # fmt: skip
+
+
+def test_less_is_kept_on_request_and_is_the_same(tmp_path):
+    """float32 of forces and resistances alone, of fewer samples than a leaf, and of more."""
+    made = [
+        make_directory(job(n, only=(), dtype="float32"), tmp_path / f"{n}.zarr", count=1) for n in (BLOCK + 1, LEAF + 1)
+    ]
+    few, more = (read_samples(tmp_path / f"{n}.zarr") for n in (BLOCK + 1, LEAF + 1))
+    assert (few.dtype, few[:].length_mm, few.noise, few.design) == (np.float32, None, 1e-3, RESPONSE.design)
+    assert np.array_equal(few[:].resistance_ohm, more[: BLOCK + 1].resistance_ohm)
+    exact = simulate(RESPONSE, job(BLOCK + 1).settings, only=())
+    assert exact.length_mm is None
+    assert np.array_equal(few[:].force_n, exact.force_n.astype(np.float32))
+    assert made[0].recipe != made[1].recipe
+    assert few.made_from["recipe"] == made[0].recipe
+
+
+def test_what_is_there_is_not_made_again_unless_it_is_damaged(tmp_path, caplog):
+    out = tmp_path / "data.zarr"
+    assert make_directory(job(LEAF + 9), out, count=1).kept == 0
+    assert make_directory(job(LEAF + 9), out, count=1).kept == LEAF + 9
+    chunk = out / "length_mm/1.0.0.0"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    assert make_directory(job(LEAF + 9), out, count=1).kept == 0
+    assert "is damaged" in caplog.text
+    assert len(read_samples(out)[:]) == LEAF + 9
+
+
+class Stopped(Exception):
+    """In the middle of the work."""
+
+
+def stopping_after(n):
+    told = []
+
+    def progress(samples):
+        told.append(samples)
+        if len(told) > n:
+            raise Stopped
+
+    return progress
+
+
+def test_a_damaged_part_is_made_anew_and_another_data_set_refused(tmp_path):
+    out = tmp_path / "data.zarr"
+    with pytest.raises(Stopped):
+        make_directory(job(3 * LEAF), out, count=1, progress=stopping_after(2))
+    chunk = unfinished(out) / "data.zarr/force_n/0.0.0.0"
+    chunk.write_bytes(b"\0" * chunk.stat().st_size)  # as a crash of the machine may leave it
+    assert sorted(kept_leaves(unfinished(out), job(3 * LEAF))) == [1]
+    with pytest.raises(DesignError, match=r"data\.zarr\.unfinished holds an unfinished data set of other settings"):
+        make_directory(job(3 * LEAF, dtype="float32"), out, count=1)
+    assert make_directory(job(3 * LEAF), out, count=1).kept == LEAF
+    assert np.array_equal(read_samples(out)[:].force_n, simulate(RESPONSE, job(3 * LEAF).settings).force_n)
+
+
+def test_one_process_at_a_time_writes_it(tmp_path):
+    out = tmp_path / "data.zarr"
+
+    def another(samples):
+        with pytest.raises(DesignError, match="used by another process"):
+            make_directory(job(LEAF), out, count=1)
+
+    make_directory(job(LEAF), out, count=1, progress=another)
+    assert len(read_samples(out)) == LEAF
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the device of a full disk")
+def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
+    out = tmp_path / "data.zarr"
+    real = Path.write_bytes
+
+    def full(path, content):
+        if path.name == "chunk.new" and len(records(out)) == 1:
+            return real(Path("/dev/full"), content)
+        return real(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(NotWrittenError, match=r"disk is full.* are kept: give the same command again"):
+        make_directory(job(2 * LEAF), out, count=1)
+    monkeypatch.undo()
+    assert make_directory(job(2 * LEAF), out, count=1).kept == LEAF

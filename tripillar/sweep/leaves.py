@@ -1,0 +1,251 @@
+"""Data sets of any size: leaves made by workers, each kept as it comes, put in place as a zarr directory when all are.
+
+Until then they are in a folder beside it, so that a killed run is taken up again and nothing is copied in the end.
+"""
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from dataset.leaves import LEAF, Leaf, n_leaves, packed, write_leaf, write_leaves_header
+from dataset.measurement import Readout
+from dataset.samples import Samples
+from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
+from dataset.stored import is_current
+from decoupler.twin.twin_file import TwinFile
+from decoupler.twin.twin_samples import simulate_twin
+from fem.array.response import ArrayResponse
+from geometry.errors import DesignError, NotWrittenError, TriPillarError
+from geometry.storage.files import digest, write_text
+from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from geometry.storage.unfinished import kept_folder
+from geometry.storage.zarr_folder import chunk_name, put
+from tripillar.sweep.tasks import Task, TaskRow, ThisProcess, failed_task_row, made_rows
+from tripillar.sweep.workers import Workers, open_workers
+from tripillar.terminal.interrupts import last_words
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeafJob:
+    """All that the leaves of one data set need."""
+
+    response: ArrayResponse
+    settings: DatasetSettings
+    readout: Readout | None = None
+    twin: TwinFile | None = None  #: samples are drawn from it
+    only: tuple[str, ...] | None = None  #: variables beside forces and resistances; None keeps all
+    dtype: str = "float64"  #: of the numbers in the files
+
+    @property
+    def cache_key(self) -> str:
+        """Hash of all that leaves depend on: not the number of samples, of which the last leaf alone knows."""
+        of_one = dataset_cache_key(self.response, replace(self.settings, samples=1), self.readout)
+        more = [] if self.twin is None else [self.twin.decoder_hash]
+        return digest("leaves", LEAF, of_one, None if self.only is None else sorted(self.only), self.dtype, *more)
+
+    def size(self, number: int) -> int:
+        """Number of samples of a leaf."""
+        return min(LEAF, self.settings.samples - number * LEAF)
+
+    def whole(self, progress: Callable[[int], None]) -> Samples:
+        """All samples, in memory."""
+        if self.twin is None:
+            return simulate(self.response, self.settings, progress, self.readout, self.only)
+        samples = simulate_twin(self.twin, self.response, self.settings, progress, self.readout)
+        return samples if self.only is None else samples.only(*self.only)
+
+    def part(self, first: int, size: int) -> Samples:
+        """So many samples from a multiple of `BLOCK` on."""
+        numbers = range(first, first + size)
+        if self.twin is None:
+            return simulate_part(self.response, self.settings, numbers, readout=self.readout, only=self.only)
+        samples = simulate_twin(self.twin, self.response, self.settings, readout=self.readout, numbers=numbers)
+        return samples if self.only is None else samples.only(*self.only)
+
+
+def leaf_row(task: Task, job: LeafJob) -> TaskRow:
+    """Make a leaf, in a worker."""
+    try:
+        # products of a twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
+        whole = LEAF if job.twin is not None else job.size(task.number)
+        samples = job.part(task.number * LEAF, whole)
+    except TriPillarError as error:
+        return TaskRow(cache_key=task.cache_key, number=task.number, reason=str(error), refused=True)
+    arrays = {name: values[: job.size(task.number)] for name, values in samples.arrays().items()}
+    leaf = packed(arrays, job.settings.samples, job.dtype)
+    return TaskRow(cache_key=task.cache_key, number=task.number, made=(leaf, samples.made_from["redrawn"]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """A finished data set."""
+
+    recipe: str
+    redrawn: int
+    kept: int  #: samples of earlier runs
+
+
+def make_directory(
+    job: LeafJob,
+    out: Path,
+    count: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Made:
+    """Make a data set of any size; a run that was stopped or killed is taken up again.
+
+    Parameters
+    ----------
+    job : LeafJob
+    out : Path
+        Zarr directory. It appears when all samples are there; what is there is replaced then.
+    count, scheduler
+        As of `open_workers`. With one process, or one leaf, this one makes them itself.
+    progress : function
+        Called with the number of samples that were added, those of earlier runs first.
+
+    Raises
+    ------
+    LoadError
+        If samples cannot be made.
+    DesignError
+        If the unfinished folder is of other settings or used by another process, workers were lost with some leaves,
+        or the scheduler is lost. What was made is kept.
+    NotWrittenError
+        If the disk is full or the place may not be written to. What was made is kept.
+    """
+    first = job.part(0, 1)  # refuses what no worker could make
+    recipe = digest("zarr", first.made_from["recipe"], job.only, job.dtype)
+    folder = unfinished(out)
+    if is_current(out, recipe):
+        progress(job.settings.samples)
+        shutil.rmtree(folder, ignore_errors=True)
+        return Made(recipe=recipe, redrawn=_redrawn(out), kept=job.settings.samples)
+    go_on = f"the samples in {folder} are kept: give the same command again to go on."
+    with kept_folder(folder), last_words(f"stopped; {go_on}"):
+        _require_same(folder, job)
+        try:
+            found = kept_leaves(folder, job)
+            missing = [number for number in range(n_leaves(job.settings.samples)) if number not in found]
+            kept = sum(job.size(number) for number in found)
+            progress(kept)
+            count = None if scheduler is not None else min(count or os.cpu_count() or 1, len(missing))
+            if count == 1:
+                found |= make_leaves(job, ThisProcess(leaf_row), missing, folder, progress)
+            elif missing:
+                with open_workers(count, scheduler, folder / "workers.log", leaf_row, failed_task_row) as workers:
+                    found |= make_leaves(job, workers, missing, folder, progress)
+            redrawn = sum(record["redrawn"] for record in found.values())
+            _finish(folder, job, found, first.attributes() | {"redrawn": redrawn, "recipe": recipe})
+            put(folder / "data.zarr", Path(os.path.realpath(out)))
+        except NotWrittenError as error:
+            raise NotWrittenError(f"{error} {go_on[0].upper()}{go_on[1:]}") from None
+    shutil.rmtree(folder, ignore_errors=True)
+    return Made(recipe=recipe, redrawn=redrawn, kept=kept)
+
+
+def unfinished(out: Path) -> Path:
+    """Folder of a data set's leaves until all are there."""
+    target = Path(os.path.realpath(out))
+    return target.with_name(f"{target.name}.unfinished")
+
+
+def kept_leaves(folder: Path, job: LeafJob) -> dict[int, dict[str, Any]]:
+    """Records of the leaves of earlier runs by number; damaged ones are said and made anew."""
+    found = {}
+    for number in range(n_leaves(job.settings.samples)):
+        path = _record_path(folder, number)
+        try:
+            record = opened_json(path.read_text(encoding="utf-8"))
+            if record["samples"] != [job.size(number), min(LEAF, job.settings.samples)]:
+                continue  # the last leaf of another number of samples
+            for name, stated in record["files"].items():
+                if _hash((folder / "data.zarr" / _chunk(name, number)).read_bytes()) != stated:
+                    raise ValueError
+            found[number] = record
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            say_made_anew(path)
+    return found
+
+
+def make_leaves(
+    job: LeafJob, workers: Workers, missing: list[int], folder: Path, progress: Callable[[int], None]
+) -> dict[int, dict[str, Any]]:
+    """Have leaves made by workers opened with `leaf_row`; each is written, and then recorded, as it comes.
+
+    Errors as of `make_directory`.
+    """
+    made = {}
+    for row in made_rows(missing, job, workers, "parts of the data set"):
+        leaf: Leaf
+        leaf, redrawn = row.made
+        write_leaf(folder / "data.zarr", row.number, leaf)
+        made[row.number] = {
+            "samples": [job.size(row.number), min(LEAF, job.settings.samples)],
+            "redrawn": redrawn,
+            "files": {name: _hash(content) for name, content in leaf.content.items()},
+            "hashes": leaf.hashes,
+        }
+        write_text(sealed_json(made[row.number]) + "\n", _record_path(folder, row.number))
+        progress(job.size(row.number))
+    return made
+
+
+def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], attributes: Mapping[str, Any]) -> None:
+    """Add the headers, last of all, and remove what is of a longer data set."""
+    tree, header = folder / "data.zarr", folder / "header"
+    numbers = range(n_leaves(job.settings.samples))
+    names = records[0]["hashes"]
+    for name in names:
+        wanted = {Path(_chunk(name, number)).name for number in numbers}
+        for path in (tree / name).iterdir():
+            if path.name not in wanted:
+                path.unlink()
+    shutil.rmtree(header, ignore_errors=True)
+    hashes = {name: [records[number]["hashes"][name] for number in numbers] for name in names}
+    of_one = shapes(job.response.design, job.response.conducted is not None)
+    whole = {name: (job.settings.samples, *of_one[name]) for name in names}
+    write_leaves_header(header, whole, hashes, attributes, job.dtype)
+    for path in sorted(header.rglob("*")):
+        target = tree / path.relative_to(header)
+        if path.is_dir():
+            target.mkdir(exist_ok=True)
+        else:
+            path.replace(target)
+
+
+def _require_same(folder: Path, job: LeafJob) -> None:
+    """Refuse a folder of other settings; state those of a new one."""
+    path = folder / "job.json"
+    stated = None
+    with suppress(OSError, ValueError):
+        stated = opened_json(path.read_text(encoding="utf-8"))["cache_key"]
+    if stated is None:
+        write_text(sealed_json({"cache_key": job.cache_key}) + "\n", path)
+    elif stated != job.cache_key:
+        raise DesignError(
+            f"{folder} holds an unfinished data set of other settings: give those again to finish it, or remove it."
+        )
+
+
+def _redrawn(out: Path) -> int:
+    from dataset import read_samples
+
+    return int(read_samples(out).made_from["redrawn"])
+
+
+def _record_path(folder: Path, number: int) -> Path:
+    return folder / "leaves" / f"{number:07d}.json"
+
+
+def _chunk(name: str, number: int) -> str:
+    return chunk_name(name, number, 5 if name == "displacement_mm" else 4)
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
