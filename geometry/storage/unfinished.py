@@ -51,7 +51,7 @@ def kept_folder(folder: Path) -> Iterator[None]:
         If another process uses it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as file:
+    with (folder / "lock").open("wb") as file:
         try:
             if sys.platform == "win32":
                 import msvcrt
