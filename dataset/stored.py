@@ -103,6 +103,13 @@ class StoredSamples:
             hashes = dict(zip(LABELS, map(list, zip(*leaves, strict=True)), strict=True))
         return leaves_hash(hashes)
 
+    @property
+    def is_finite(self) -> NDArray[np.bool_]:
+        """Which samples were solved at finite strain, (n,)."""
+        if "strain_model" not in self._data:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(self._data["strain_model"].to_numpy() > 0)
+
     def blocks(self, size: int = LEAF) -> Iterator[Samples]:
         """All samples in order, so many at a time; a multiple of `LEAF` reads each leaf once."""
         return (self[start : start + size] for start in range(0, len(self), size))

@@ -1,6 +1,8 @@
 """A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +11,8 @@ from dataset import Samples
 from dataset.measurement import measured
 from dataset.protocols import LIGHT_N
 from decoupler.data.columns import force_columns, readable_columns
-from decoupler.evaluation.metrics import ForceErrors, component_errors
+from decoupler.data.enough import ENOUGH, AnySamples, drawn
+from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
@@ -53,26 +56,26 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
-def assess(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> dict[str, Assessment]:
+def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
-    `response` is that of the sensor; without it there are no limits, and nothing is known of light touches.
+    `response` is that of the sensor; without it there are no limits, and nothing is known of light touches. Errors are
+    those on all samples; limits and coverage, of more than `ENOUGH`, those on a random draw.
 
     Raises
     ------
     SampleError
         As `Decoupler.forces` does.
     """
-    component = decoupler.component
-    resistance_ohm, dead = data.resistance_ohm, decoupler.dead
-    predicted = decoupler.forces(resistance_ohm)
-    errors = component_errors(predicted, data, component)
-    baselines = {}
+    component, dead = decoupler.component, decoupler.dead
+    baselines: dict[str, Callable[[FloatArray], FloatArray]] = {}
     if data.design is not None and dead is None:
-        baselines[HOOKE] = hooke_forces(resistance_ohm, data.design, component)
+        baselines[HOOKE] = partial(hooke_forces, design=data.design, component=component)
     if decoupler.least_squares is not None:
-        baselines[LINEAR] = decoupler.least_squares.forces(resistance_ohm)
-    compared = {name: component_errors(forces, data, component) for name, forces in baselines.items()}
+        baselines[LINEAR] = decoupler.least_squares.forces
+    errors = evaluate(decoupler, data)
+    compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
+    data = drawn(data)
     limits = _limits(decoupler, data, response)
     light = None
     if response is not None:
@@ -82,8 +85,9 @@ def assess(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None"
         light = light_touches(decoupler, own, data.noise, data.bits)
     covered = None
     if decoupler.uncertainty is not None:
+        predicted = decoupler.forces(data.resistance_ohm)
         missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
-        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.half_widths(resistance_ohm)]
+        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.half_widths(data.resistance_ohm)]
     found = {}
     for axis, name in enumerate(component.forces):
         limit = limits[axis] if limits is not None else None

@@ -3,13 +3,16 @@
 `pca_floor` gives the least errors that a plain network of a given width can reach, however it is trained.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
+from dataset.stored import StoredSamples
 from decoupler.data.columns import Component, Scaling, force_columns
+from decoupler.data.enough import ENOUGH, AnySamples
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray
@@ -39,29 +42,63 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     >>> force_errors(np.array([99.0, 202.0]), np.array([100.0, 200.0])).rel_err
     0.01
     """
-    if predicted_n.shape != actual_n.shape or not actual_n.size:
-        raise SampleError(
-            f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
+    found = ErrorSums()
+    found.add(predicted_n, actual_n)
+    return found.errors()
+
+
+class ErrorSums:
+    """Errors of one force component that are added up, block by block; see `force_errors`."""
+
+    def __init__(self) -> None:
+        self.n, self.squares, self.ratios = 0, 0.0, 0.0
+        self.smallest, self.largest = np.inf, 0.0
+
+    def add(self, predicted_n: FloatArray, actual_n: FloatArray) -> None:
+        """Count predicted forces against the actual ones; both of the same shape."""
+        if predicted_n.shape != actual_n.shape or not actual_n.size:
+            raise SampleError(
+                f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
+            )
+        error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
+        self.n += error.size
+        self.squares += float(np.sum(error**2))
+        self.smallest = min(self.smallest, float(size.min()))
+        self.largest = max(self.largest, float(size.max()))
+        if self.smallest > BOUNDED_AWAY * self.largest:
+            self.ratios += float(np.sum(error / size))
+
+    def errors(self) -> ForceErrors:
+        """Errors over all that was added."""
+        rmse_n = float(np.sqrt(self.squares / self.n))
+        bounded = self.smallest > BOUNDED_AWAY * self.largest
+        return ForceErrors(
+            rel_err=self.ratios / self.n if bounded else None,
+            rmse_n=rmse_n,
+            full_scale_pct=100.0 * rmse_n / self.largest if self.largest > 0 else None,
         )
-    error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
-    full_scale = size.max()
-    rmse_n = float(np.sqrt(np.mean(error**2)))
-    bounded = size.min() > BOUNDED_AWAY * full_scale
-    return ForceErrors(
-        rel_err=float(np.mean(error / size)) if bounded else None,
-        rmse_n=rmse_n,
-        full_scale_pct=100.0 * rmse_n / float(full_scale) if full_scale > 0 else None,
-    )
 
 
 def component_errors(predicted_n: FloatArray, data: Samples, component: Component) -> dict[str, ForceErrors]:
     """Errors of every force of a component; `predicted_n` has shape (n_samples, rows, cols, n_axes)."""
-    actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
-    return {name: force_errors(predicted_n[..., axis], actual[..., axis]) for axis, name in enumerate(component.forces)}
+    return errors_over([data], lambda _: predicted_n, component)
 
 
-def evaluate(decoupler: Decoupler, data: Samples) -> dict[str, ForceErrors]:
-    """Errors of a model on data, of every force it gives.
+def errors_over(
+    blocks: Iterable[Samples], forces: Callable[[FloatArray], FloatArray], component: Component
+) -> dict[str, ForceErrors]:
+    """Errors over blocks of samples of what gives forces (n, rows, cols, n_axes) [N] for resistances [Ω]."""
+    sums = {name: ErrorSums() for name in component.forces}
+    for data in blocks:
+        predicted_n = forces(data.resistance_ohm)
+        actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
+        for axis, name in enumerate(component.forces):
+            sums[name].add(predicted_n[..., axis], actual[..., axis])
+    return {name: found.errors() for name, found in sums.items()}
+
+
+def evaluate(decoupler: Decoupler, data: AnySamples) -> dict[str, ForceErrors]:
+    """Errors of a model on data, of every force it gives; of more than `ENOUGH` samples block by block.
 
     Raises
     ------
@@ -69,8 +106,9 @@ def evaluate(decoupler: Decoupler, data: Samples) -> dict[str, ForceErrors]:
         If an argument is of another type, or the data are of another array.
     """
     require_type("decoupler", decoupler, Decoupler, "train one, or read a model file")
-    require_samples("data", data)
-    return component_errors(decoupler.forces(data.resistance_ohm), data, decoupler.component)
+    if not isinstance(data, StoredSamples):
+        require_samples("data", data)
+    return errors_over(data.blocks(ENOUGH), decoupler.forces, decoupler.component)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dataset import Samples
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
+from decoupler.data.enough import AnySamples
 from decoupler.inverse.effective_forces import N_FEATURES, OWN, EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
@@ -83,7 +83,7 @@ _MEND = "give a file made by 'tripillar train'"
 
 
 def model_cache_key(
-    data: Samples,
+    data: AnySamples,
     component: str,
     network: NetworkConfig,
     training: TrainingConfig,
@@ -158,7 +158,7 @@ def read_model(path: Path) -> Decoupler:
     return decoupler
 
 
-def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, dataset: Path) -> None:
+def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dataset: Path) -> None:
     """Refuse data of another sensor than the model's; `model` and `dataset` are the names for the message.
 
     Raises
@@ -167,7 +167,7 @@ def require_same_sensor(decoupler: Decoupler, data: Samples, model: Path, datase
         If the array's size differs, or, where both sides state their design, any value of it; of a twin any that it
         does not find out.
     """
-    rows, cols = data.resistance_ohm.shape[1:3]
+    rows, cols = data.shape
     differences = [
         f"{name}: model {ours}, data {theirs}"
         for name, ours, theirs in (("rows", decoupler.rows, rows), ("cols", decoupler.cols, cols))

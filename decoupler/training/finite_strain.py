@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component
@@ -106,10 +107,15 @@ def as_at_finite_strain(
     rows, cols = data.force_n.shape[1:3]
     moved = ForwardModel.of(replace(response, conducted=None), component).influence
     learned = at_finite_strain(forward, (rows, cols), columns_ohm[finite], force_n[finite], moved)
-    if learned.correction is not None and not finite.all():
+    return learned, with_actual_forces(learned, finite, force_n)
+
+
+def with_actual_forces(forward: ForwardModel, finite: NDArray[np.bool_], force_n: FloatArray) -> FloatArray:
+    """Forces (n, n_forces) [N], those of linear samples replaced by what causes their resistances at finite strain."""
+    if forward.correction is not None and not finite.all():
         force_n = force_n.copy()
-        force_n[~finite] = learned.correction.actual(force_n[~finite])
-    return learned, force_n
+        force_n[~finite] = forward.correction.actual(force_n[~finite])
+    return force_n
 
 
 class _Fit(NamedTuple):

@@ -1,6 +1,6 @@
 """From labelled data to a trained `Decoupler`. Loads torch."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
@@ -22,6 +22,7 @@ from decoupler.data.columns import (
     pillar_columns,
     readable_columns,
 )
+from decoupler.data.enough import ENOUGH, AnySamples, drawn
 from decoupler.data.repeats import distinct, load_numbers
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.sample_checks import explaining, without_stuck
@@ -32,12 +33,13 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
-from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
+from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
 from decoupler.training.finite_strain import as_at_finite_strain
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
+from decoupler.training.output_layer import Sums, sums_of, sums_over
 from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
@@ -53,19 +55,20 @@ def _silent(iteration: int, mse: float) -> None:
 
 
 def train(
-    data: Samples,
+    data: AnySamples,
     component: str | None = None,
     network: NetworkConfig | None = None,
     training: TrainingConfig | None = None,
     progress: Progress = _silent,
     response: "ArrayResponse | None" = None,
+    counted: Callable[[int], None] = lambda samples: None,
 ) -> Decoupler:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
     Parameters
     ----------
-    data : Samples
-        At least two samples that differ; one that is given twice counts once.
+    data : Samples or StoredSamples
+        At least two samples that differ; one that is given twice counts once among `ENOUGH`.
     component : str, optional
         fz, fx, fy or all; default: the forces that act.
     network : NetworkConfig, optional
@@ -75,6 +78,8 @@ def train(
         Called as progress(iteration, mse) once an iteration.
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
+    counted : callable
+        Called with the number of samples of each block that the output layer is fitted to, of more than `ENOUGH`.
 
     Returns
     -------
@@ -97,9 +102,13 @@ def train(
     With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
     must not move rest, which data under load do not hold: light samples are added.
+
+    Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
+    to all of them by least squares, block by block.
     """
+    given, data = data, drawn(data, 0 if training is None else training.seed)
     parts, network, training = suited_training(data, component, network, training, response)
-    given, data = data, distinct(data, parts)
+    data = distinct(data, parts)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
     data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
@@ -138,11 +147,20 @@ def train(
         else:
             train_all = train_lm if training.trainer == "lm" else train_momentum
             point, outcome = train_all(samples, hidden, output, training, progress)
-    output_weights = point.output.numpy().copy()
+    output_weights, matrix = point.output.numpy().copy(), None
+    trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
+    if len(given) > ENOUGH:
+        sums = sums_over(trained, given, known, counted)
+        if n_light:
+            light = sums_of(trained, columns_ohm[-n_light:], force_n[-n_light:], known)
+            sums = sums.plus(light, len(given) / len(data))
+        ridge = _ridge_over(sums, network, known, readings)
+        output_weights, mse = sums.solved(ridge)
+        matrix, outcome = sums.matrix, replace(outcome, mse=mse)
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
-    trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light)
+    trained = replace(trained, output_weights=output_weights)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light, matrix)
     if forward is not None and forward.correction is not None:  # errors on its own samples say too little
         unseen_n2 = np.tile(forward.correction.misfit_n**2, len(uncertainty.misfit_n2) // 3)
         uncertainty = replace(uncertainty, misfit_n2=np.maximum(uncertainty.misfit_n2, unseen_n2))
@@ -153,11 +171,19 @@ def train(
             **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
             "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
-            "n_samples": len(data.force_n),
+            "n_samples": len(given) if len(given) > ENOUGH else len(data),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
     )
+
+
+def _ridge_over(sums: Sums, network: NetworkConfig, known: bool, readings: float) -> float:
+    """λ on the output weights by sums over all samples."""
+    if not known:
+        return _ridge(network, int(sums.n))
+    linear = slice(network.hidden, None)
+    return ridge_by_sums(sums.matrix[linear, linear], sums.right[linear], sums.squares, sums.n, readings)
 
 
 def _ridge(network: NetworkConfig, n_samples: int) -> float:

@@ -304,7 +304,8 @@ def train(
     from decoupler.model.model_file import write_model
     from tripillar.face import learning as face
 
-    samples = joined([in_memory(read_samples(path, labels_only=True)) for path in data])
+    several = [read_samples(path, labels_only=True) for path in data]
+    samples = several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
     with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
         model = face.train(
             samples, component, net=net, hidden=hidden, trainer=trainer, feature=feature, seed=seed, design=stated,
@@ -340,13 +341,13 @@ def evaluate(
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
     stand beside.
     """
-    from dataset import in_memory, read_samples
+    from dataset import read_samples
     from decoupler.evaluation.assessment import as_plain
     from decoupler.model.model_file import read_model
     from tripillar.cli.tables import assessment_table
     from tripillar.face import learning as face
 
-    decoupler, samples = read_model(model), in_memory(read_samples(data, labels_only=True))
+    decoupler, samples = read_model(model), read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
         assessed = face.evaluate(decoupler, samples, limits=limits, caller=caller(data, bars, model))
     answer(json_, as_plain(assessed), lambda: [assessment_table(assessed)])
@@ -370,7 +371,7 @@ def crossval(
 ) -> None:
     """Cross-validate: test every sample once, by a network that never saw it."""
     stated = None if design is None else chosen(design)
-    from dataset import in_memory, read_samples
+    from dataset import read_samples
     from decoupler.evaluation.crossval import summary
     from decoupler.model.settings import TrainingConfig
     from tripillar.cli.tables import crossval_table
@@ -378,7 +379,7 @@ def crossval(
 
     with spelled(goal_mse="--goal"):
         training = TrainingConfig(trainer=trainer, goal_mse=goal, seed=seed)
-    samples = in_memory(read_samples(data, labels_only=True))
+    samples = read_samples(data, labels_only=True)
     with progress_bars(verbosity) as bars:
         network, tested = folds_of(
             samples, component, folds, training, net, hidden, feature, stated, None, force, caller(data, bars)

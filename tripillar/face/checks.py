@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from dataset import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
 from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
@@ -77,7 +78,7 @@ def mention_another_sensor(data: Samples, component: Component, forward: Forward
         )
 
 
-def warn_of_test(decoupler: Decoupler, data: Samples, response: ArrayResponse | None, caller: Caller) -> None:
+def warn_of_test(decoupler: Decoupler, data: AnySamples, response: ArrayResponse | None, caller: Caller) -> None:
     """Say why errors on these samples may mislead: training samples, a forced model, doubtful data."""
     story, component = decoupler.made_from, decoupler.component
     identified_on = "identified_on" in story and Pairs.of(data[: story["pairs"]]).content_hash
@@ -88,7 +89,8 @@ def warn_of_test(decoupler: Decoupler, data: Samples, response: ArrayResponse | 
         caller.say(f"warning: {caller.model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
     own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
-    doubted = doubt(data, component, own)
+    few = drawn(data)
+    doubted = doubt(few, component, own)
     if doubted is not None:
         caller.say(f"warning: {caller.samples}: {doubted}")
-    mention(data, component, judge, caller)
+    mention(few, component, judge, caller)

@@ -10,6 +10,7 @@ from tripillar.face.bodies import response as response_of
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
+    from decoupler.data.enough import AnySamples
     from decoupler.evaluation.assessment import Assessment
     from decoupler.evaluation.crossval import Fold
     from decoupler.evaluation.metrics import ForceErrors
@@ -84,7 +85,7 @@ def simulate(
 
 
 def train(
-    samples: "Samples",
+    samples: "AnySamples",
     component: Component | None = None,
     *,
     net: "Net" = "skip",
@@ -102,8 +103,9 @@ def train(
 
     Parameters
     ----------
-    samples : Samples
-        Simulated or measured; leave those for tests out.
+    samples : Samples or StoredSamples
+        Simulated or measured; leave those for tests out. Of more than 20,000 a random draw trains the hidden layer, and
+        the output layer is fitted to all of them.
     component : str, optional
         Forces that the network tells: fz, fx, fy or all; default: those that act.
     net : str
@@ -160,17 +162,27 @@ def train(
     from tripillar.face.checks import Caller
 
     training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
-    parts, network, solved, forced = _checked(samples, component, net, hidden, feature, design, response, force, caller)
+    few = _enough(samples, seed, caller, "train the hidden layer, all are for the output layer")
+    parts, network, solved, forced = _checked(few, component, net, hidden, feature, design, response, force, caller)
     from decoupler import train  # loads torch: only once the samples are found right
 
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
-    model = train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
+    passed = caller.bars.begin("output layer", total=len(samples)) if len(samples) > len(few) else None
+    model = train(
+        samples,
+        parts,
+        network,
+        training,
+        lambda _, mse: advance(1, f"mse {mse:.2e}"),
+        solved,
+        (lambda n: passed(n, "")) if passed else (lambda n: None),
+    )
     return replace(model, made_from=model.made_from | forced)
 
 
 def evaluate(
     model: "Decoupler",
-    samples: "Samples",
+    samples: "AnySamples",
     *,
     limits: bool = True,
     response: "ArrayResponse | None" = None,
@@ -181,7 +193,7 @@ def evaluate(
     Parameters
     ----------
     model : Decoupler
-    samples : Samples
+    samples : Samples or StoredSamples
     limits : bool
         False leaves the limits out, for which the response is needed.
     response : ArrayResponse, optional
@@ -226,7 +238,7 @@ def evaluate(
 
 
 def crossval(
-    samples: "Samples",
+    samples: "AnySamples",
     component: Component | None = None,
     folds: int = 10,
     *,
@@ -246,7 +258,8 @@ def crossval(
 
     Parameters
     ----------
-    samples : Samples
+    samples : Samples or StoredSamples
+        Of more than 20,000 a random draw is split.
     folds : int
         Number of parts, each tested once.
     component, net, hidden, trainer, feature, seed, design, response, force, **settings
@@ -279,7 +292,7 @@ def crossval(
 
 
 def folds_of(
-    samples: "Samples",
+    samples: "AnySamples",
     component: Component | None,
     folds: int,
     training: "TrainingConfig",
@@ -293,12 +306,24 @@ def folds_of(
 ) -> "tuple[NetworkConfig, list[Fold]]":
     """The network of a cross-validation, with the inputs that were chosen, and the result of each fold."""
     from decoupler import cross_validate
+    from decoupler.data.enough import ENOUGH
     from decoupler.evaluation.crossval import split_folds
 
-    split_folds(len(samples), folds, training.seed)  # refuses too many before anything takes time
+    split_folds(min(len(samples), ENOUGH), folds, training.seed)  # refuses too many before anything takes time
+    samples = _enough(samples, training.seed, caller, "are split")
     parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, response, force, caller)
     advance = caller.bars.begin(f"{folds} folds", total=folds)
     return network, cross_validate(samples, parts, network, training, folds, solved, lambda _: advance(1, ""))
+
+
+def _enough(samples: "AnySamples", seed: int, caller: "Caller", purpose: str) -> "Samples":
+    """The samples, or a draw of those that are too many; says so."""
+    from decoupler.data.enough import drawn
+
+    few = drawn(samples, seed)
+    if len(few) < len(samples):
+        caller.say(f"{caller.samples}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+    return few
 
 
 def _checked(
@@ -348,12 +373,12 @@ def _checked(
     return named, replace(network, feature=chosen), solved, forced
 
 
-def _fits(design: SensorDesign, samples: "Samples") -> bool:
-    return samples.force_n.shape[1:3] == (design.array.rows, design.array.cols)
+def _fits(design: SensorDesign, samples: "AnySamples") -> bool:
+    return samples.shape == (design.array.rows, design.array.cols)
 
 
 def _response(
-    samples: "Samples", design: SensorDesign | None, given: "ArrayResponse | None", caller: "Caller"
+    samples: "AnySamples", design: SensorDesign | None, given: "ArrayResponse | None", caller: "Caller"
 ) -> "ArrayResponse | None":
     """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
     from fem.array.response import ArrayResponse
