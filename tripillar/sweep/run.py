@@ -1,7 +1,10 @@
 """The work of a sweep: rows of earlier runs are read, other designs are judged by workers and kept at once."""
 
 import logging
+from collections import defaultdict
 from collections.abc import Callable, Sequence
+from heapq import heappop, heappush
+from itertools import chain
 from pathlib import Path
 from time import monotonic
 
@@ -40,20 +43,33 @@ def judge_all(
     OSError
         If a file cannot be written, here or by a worker.
     """
-    waiting = {sample.cache_key: sample for sample in samples}
-    stages = {sample.cache_key: shared_stages(sample, judging) for sample in samples}
+    waiting = list(range(len(samples)))  #: a heap of numbers of samples
+    held_up: defaultdict[str, list[int]] = defaultdict(list)  #: numbers of samples, by the stage that they wait for
+    stages: dict[int, set[str]] = {}  #: by number of sample, of those looked at
     made: set[str] = set()
     making: dict[str, set[str]] = {}  #: stages of the designs in work, by cache_key
     rows: dict[str, Row] = {}
     while waiting or making:
         count = workers.count
-        for cache_key in list(waiting):
-            own = stages[cache_key] - made
-            if len(making) < count and own.isdisjoint(set().union(*making.values())):
-                making[cache_key] = own
-                workers.give(waiting.pop(cache_key), judging)
+        in_work = set().union(*making.values())
+        while waiting and len(making) < count:
+            number = heappop(waiting)
+            sample = samples[number]
+            if number not in stages:
+                stages[number] = shared_stages(sample, judging)
+            own = stages[number] - made
+            if not own.isdisjoint(in_work):
+                held_up[min(own & in_work)].append(number)
+                continue
+            del stages[number]
+            making[sample.cache_key] = own
+            in_work |= own
+            workers.give(sample, judging)
         row = next_row(workers)
-        made |= making.pop(row.cache_key)
+        done = making.pop(row.cache_key)
+        made |= done
+        for number in chain.from_iterable(held_up.pop(stage, ()) for stage in done):
+            heappush(waiting, number)
         write_row(row, folder)
         rows[row.cache_key] = row
         progress(row)

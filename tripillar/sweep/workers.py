@@ -295,32 +295,48 @@ def _end_with_parent() -> None:
 
 
 class ClusterWorkers:
-    """The workers of a client's scheduler; see `Workers`. Dask gives a lost worker's design to another, thrice."""
+    """The workers of a client's scheduler; see `Workers`.
+
+    Dask gives a lost worker's design to another, thrice, and then gives it up. It does not tell who ended the workers:
+    such a design is given anew until it has ended `KILLS` of them.
+    """
 
     def __init__(self, client: "Client", judge: Judge, failed: Failed) -> None:
         self._client, self._judge, self._failed = client, judge, failed
         self._ended: SimpleQueue[Future] = SimpleQueue()
-        self._flying: dict[Future, Sample] = {}
+        self._flying: dict[Future, tuple[Sample, Judging, int]] = {}  #: and how often Dask has given it up
 
     @property
     def count(self) -> int:
         return max(1, sum(self._client.nthreads().values()))
 
     def give(self, sample: Sample, judging: Judging) -> None:
+        self._submit(sample, judging)
+
+    def _submit(self, sample: Sample, judging: Judging, given_up: int = 0) -> None:
         future = self._client.submit(self._judge, sample, judging, pure=False)
-        self._flying[future] = sample
+        self._flying[future] = sample, judging, given_up
         future.add_done_callback(self._ended.put)
 
     def row(self, wait_s: float) -> Row | None:
         """See `Workers`; `DesignError` if the scheduler is lost, `OSError` if a worker's disk is full or the like."""
-        try:
-            future = self._ended.get(timeout=wait_s)
-        except Empty:
-            return None
-        sample = self._flying.pop(future)
-        if future.cancelled():
-            raise DesignError("the scheduler is gone; rows that came are kept: give the same command again to go on.")
-        error = future.exception()
+        from distributed.scheduler import KilledWorker
+
+        until = monotonic() + wait_s
+        while True:
+            try:
+                future = self._ended.get(timeout=max(0.0, until - monotonic()))
+            except Empty:
+                return None
+            sample, judging, given_up = self._flying.pop(future)
+            if future.cancelled():
+                raise DesignError(
+                    "the scheduler is gone; rows that came are kept: give the same command again to go on."
+                )
+            error = future.exception()
+            if not isinstance(error, KilledWorker) or (given_up + 1) * TRIES >= KILLS:
+                break
+            self._submit(sample, judging, given_up + 1)
         if isinstance(error, OSError):
             raise error
         row: Row = future.result() if error is None else self._failed(sample, error, "")

@@ -6,18 +6,21 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from distributed.scheduler import KilledWorker
 
 from fem import ResponseSettings, solve_response
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
-from tripillar.sweep.judge import metrics_of, row_of
+from tripillar.sweep.judge import failed_row, metrics_of, row_of
 from tripillar.sweep.rows import Row, read_row, to_xarray, write_parquet, write_row
 from tripillar.sweep.run import judge_all, kept_rows, shared_stages
 from tripillar.sweep.sampling import Sample, row_key, samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.workers import open_workers
+from tripillar.sweep.workers import KILLS, TRIES, ClusterWorkers, open_workers
 
 ROOT = Path(__file__).parents[3]
 SMALL = {"array": {"rows": 1, "cols": 2}}
@@ -119,14 +122,63 @@ def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
     assert {name: larger.metrics[name] for name in anew} == pytest.approx(anew, rel=1e-9)
 
 
+class Shuffled:
+    """Eight workers that end their designs in any order, and watch that no two of them make the same stage."""
+
+    count = 8
+
+    def __init__(self, stages):
+        self.stages, self.made, self.given, self.order = stages, set(), [], np.random.default_rng(1)
+        self.in_work = {}
+
+    def give(self, sample, judging):
+        own = self.stages(sample, judging) - self.made
+        assert own.isdisjoint(set().union(*self.in_work.values()))
+        self.given.append(sample.cache_key)
+        self.in_work[sample.cache_key] = own
+
+    def row(self, wait_s):
+        cache_key = list(self.in_work)[self.order.integers(len(self.in_work))]
+        self.made |= self.in_work.pop(cache_key)
+        return Row(cache_key=cache_key, values={}, design="x")
+
+    def state(self):
+        return ""
+
+
+def test_thousands_of_designs_are_each_looked_at_once_and_no_stage_is_made_twice(tmp_path, monkeypatch):
+    """Stages in threes, shared by up to 50 designs; all work of the sweep itself grows as their number."""
+    looked_at = []
+
+    def stages(one, judging):
+        number = int(one.cache_key)
+        return {f"mesh {number // 50}", f"cell {number // 10}", f"response {number % 700}"}
+
+    def counted(one, judging):
+        looked_at.append(one.cache_key)
+        return stages(one, judging)
+
+    monkeypatch.setattr("tripillar.sweep.run.shared_stages", counted)
+    monkeypatch.setattr("tripillar.sweep.run.write_row", lambda row, folder: None)
+    samples = [Sample(cache_key=str(number), values={}, design=None) for number in range(3000)]
+    workers = Shuffled(stages)
+    rows = judge_all(samples, SWEEP.judging, workers, tmp_path)
+    assert sorted(workers.given, key=int) == sorted(looked_at, key=int) == [sample.cache_key for sample in samples]
+    assert set(rows) == set(looked_at)
+
+
 def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
-    """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right."""
+    """A real scheduler, real workers on loopback: the killed one's designs go to the other, and all rows are right.
+
+    Dask gives a design up with the first worker that it loses.
+    """
     monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 60)
     samples = samples_of(SWEEP)
     file = tmp_path / "scheduler.json"
     environment = os.environ | {
         "PYTHONPATH": str(ROOT),
         "OMP_NUM_THREADS": "1",
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
         "TRIPILLAR_CACHE": str(tmp_path / "there"),
     }
     dask = [sys.executable, "-W", "ignore", "-m", "dask"]
@@ -165,6 +217,28 @@ def test_two_workers_of_a_scheduler_and_one_is_killed(tmp_path, monkeypatch):
         (texts, metrics), (expected, anew) = known(rows[one.cache_key]), known(row_of(one, SWEEP.judging))
         assert texts == expected
         assert metrics == pytest.approx(anew, rel=1e-6)  # sums in another order, through condition numbers of up to 1e4
+
+
+class LostFuture:
+    """A design whose workers all died."""
+
+    def __init__(self):
+        self.cancelled = lambda: False
+        self.exception = lambda: KilledWorker("row_of-1", SimpleNamespace(address="tcp://127.0.0.1:1"), 3)
+
+    def add_done_callback(self, put):
+        put(self)
+
+
+def test_a_design_that_ends_every_worker_of_a_scheduler_fails_in_the_end():
+    """Dask gives it up after four workers each time."""
+    submitted = []
+    client = SimpleNamespace(submit=lambda *_, pure: submitted.append(LostFuture()) or submitted[-1])
+    workers = ClusterWorkers(client, row_of, failed_row)
+    workers.give(samples_of(SWEEP)[0], SWEEP.judging)
+    row = workers.row(1.0)
+    assert len(submitted) * TRIES == KILLS
+    assert row.reason.startswith("KilledWorker: ")
 
 
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path, monkeypatch):
