@@ -33,6 +33,7 @@ picture: $(READY)  ## draw the pictures of the README and of docs/ again
 	$(BIN)/python -m studies.pictures.drawings docs
 	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
 	$(BIN)/python -m studies.pictures.page docs/page.png
+	$(BIN)/python -m studies.pictures.gallery docs
 
 paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
 	$(BIN)/python -m studies.paper --out $(OUT)/paper

@@ -30,7 +30,7 @@ QUALITIES = (90, 75, 60, 45)  #: of WebP, the first that is small enough
 def sections(page: str) -> dict[str, list[str]]:
     """Commands of each picture of the gallery, by its name.
 
-    >>> sections("## One\\n\\n![it](gallery/one.webp)\\n\\n    tripillar view --save one.png\\n")
+    >>> sections("# All\\n\\n## One\\n\\n![it](gallery/one.webp)\\n\\n    tripillar view --save one.png\\n")
     {'one': ['tripillar view --save one.png']}
     """
     found = {}

@@ -5,6 +5,7 @@ import tomllib
 
 import yaml
 
+from studies.pictures.gallery import sections
 from tests.docs.terminal import ROOT
 
 
@@ -30,6 +31,20 @@ def test_the_contribution_guide_names_what_is_there():
     assert not [path for path in paths if not (ROOT / path).exists()]
     targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), re.MULTILINE))
     assert set(re.findall(r"\bmake ([a-z-]+)", guide)) <= targets
+
+
+def test_the_gallery_has_ten_small_pictures_each_with_its_command():
+    page = read("docs/gallery.md")
+    shown = [re.findall(r"!\[.+\]\((.+)\)", section) for section in page.split("\n## ")[1:]]
+    typed = [re.findall(r"^    (tripillar|python -m) ", section, re.MULTILINE) for section in page.split("\n## ")[1:]]
+    assert len(shown) == 10
+    assert all(len(pictures) == 1 and commands for pictures, commands in zip(shown, typed, strict=True))
+    paths = [ROOT / "docs" / picture for (picture,) in shown]
+    assert all(path.stat().st_size <= 150_000 for path in paths)
+    assert set((ROOT / "docs" / "gallery").iterdir()) <= set(paths)
+    assert {f"gallery/{name}.webp" for name in sections(page)} == {
+        one for (one,) in shown if one.startswith("gallery/")
+    }
 
 
 def test_forges_run_the_one_script_and_the_other_systems():
