@@ -118,7 +118,10 @@ class StoredSamples:
         """Some of the samples in memory, chosen as in an array; of a single number, that one."""
         if isinstance(which, int | np.integer) and not -len(self) <= which < len(self):
             raise IndexError(f"no sample {which}: there are {len(self)}.")
-        numbers = np.arange(len(self))[[which] if isinstance(which, int | np.integer) else which]
+        if isinstance(which, slice):
+            numbers = np.arange(*which.indices(len(self)))
+        else:
+            numbers = np.arange(len(self))[[which] if isinstance(which, int | np.integer) else which]
         data = {str(name): values for name, values in self._data.data_vars.items()}
         arrays: dict[str, Any] = {name: np.empty((len(numbers), *values.shape[1:])) for name, values in data.items()}
         order = np.argsort(numbers, kind="stable")

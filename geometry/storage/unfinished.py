@@ -51,7 +51,13 @@ def kept_folder(folder: Path) -> Iterator[None]:
         If another process uses it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("wb") as file:
+    try:
+        file = (folder / "lock").open("wb")
+    except OSError:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
+    with file:
         try:
             if sys.platform == "win32":
                 import msvcrt

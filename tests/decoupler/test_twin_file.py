@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, simulate
+from dataset.simulation import BLOCK
 from decoupler.data.pairs import Pairs
 from decoupler.model.model_file import require_same_sensor, write_model
 from decoupler.twin import identify, read_twin, simulate_twin, write_twin
@@ -81,6 +82,10 @@ def test_samples_of_a_twin_show_what_is_unknown(folder, truth):
     assert np.sqrt(np.mean(off**2)) < 3 * np.sqrt(np.mean(apart**2) + 0.001**2)
     more = simulate_twin(twin, layer_response(twin.design), replace(settings, samples=400))
     assert np.array_equal(more.resistance_ohm[:300], samples.resistance_ohm)
+    many = replace(settings, samples=BLOCK + 40)
+    part = simulate_twin(twin, layer_response(twin.design), many, numbers=range(BLOCK, BLOCK + 40))
+    whole = simulate_twin(twin, layer_response(twin.design), many)
+    assert part.resistance_ohm == pytest.approx(whole.resistance_ohm[BLOCK:], rel=1e-6)  # draws are in single precision
     with pytest.raises(DesignError, match=r"gain_spread=0\.1: a twin has its own"):
         simulate_twin(twin, layer_response(twin.design), replace(settings, gain_spread=0.1))
 

@@ -46,6 +46,7 @@ COMMANDS = {
     "field.vtu": ["solve", "scene.toml", "--vtu"],
     "response.nc": ["response", *DESIGN, "--method", "layer", "--out"],
     "data.nc": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "40", "--out"],
+    "data.zarr": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "400", "--out"],
     "model.safetensors": [
         "train", "--data", "data.nc", "--component", "fz", "--feature", "root", "--iterations", "1", "--out"
     ],

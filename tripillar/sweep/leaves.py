@@ -21,7 +21,7 @@ from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError, NotWrittenError, TriPillarError
-from geometry.storage.files import digest, write_text
+from geometry.storage.files import digest, reported, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
 from geometry.storage.unfinished import kept_folder
 from geometry.storage.zarr_folder import chunk_name, put
@@ -127,9 +127,9 @@ def make_directory(
         shutil.rmtree(folder, ignore_errors=True)
         return Made(recipe=recipe, redrawn=_redrawn(out), kept=job.settings.samples)
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
-    with kept_folder(folder), last_words(f"stopped; {go_on}"):
-        _require_same(folder, job)
+    with reported(out, folder / "any"), kept_folder(folder), last_words(f"stopped; {go_on}"):
         try:
+            _require_same(folder, job)
             found = kept_leaves(folder, job)
             missing = [number for number in range(n_leaves(job.settings.samples)) if number not in found]
             kept = sum(job.size(number) for number in found)
@@ -143,8 +143,12 @@ def make_directory(
             redrawn = sum(record["redrawn"] for record in found.values())
             _finish(folder, job, found, first.attributes() | {"redrawn": redrawn, "recipe": recipe})
             put(folder / "data.zarr", Path(os.path.realpath(out)))
-        except NotWrittenError as error:
-            raise NotWrittenError(f"{error} {go_on[0].upper()}{go_on[1:]}") from None
+        except Exception as error:
+            if not _is_begun(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+            elif isinstance(error, NotWrittenError):
+                raise NotWrittenError(f"{error} {go_on[0].upper()}{go_on[1:]}") from None
+            raise
     shutil.rmtree(folder, ignore_errors=True)
     return Made(recipe=recipe, redrawn=redrawn, kept=kept)
 
@@ -225,12 +229,17 @@ def _require_same(folder: Path, job: LeafJob) -> None:
     stated = None
     with suppress(OSError, ValueError):
         stated = opened_json(path.read_text(encoding="utf-8"))["cache_key"]
-    if stated is None:
+    if stated is None or not _is_begun(folder):
         write_text(sealed_json({"cache_key": job.cache_key}) + "\n", path)
     elif stated != job.cache_key:
         raise DesignError(
             f"{folder} holds an unfinished data set of other settings: give those again to finish it, or remove it."
         )
+
+
+def _is_begun(folder: Path) -> bool:
+    """Whether something is kept."""
+    return any((folder / "leaves").glob("*.json"))
 
 
 def _redrawn(out: Path) -> int:

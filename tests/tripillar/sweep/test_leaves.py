@@ -12,10 +12,14 @@ import pytest
 
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.leaves import LEAF
-from dataset.simulation import BLOCK
+from dataset.simulation import BLOCK, LoadError
 from geometry import Array, DesignError, SensorDesign
 from geometry.errors import NotWrittenError
 from tests.dataset.conftest import made_up_response
+from tests.decoupler.synthetic_sensor import sensor
+from tests.house import House
+from tests.tripillar.made_files import a_model
+from tripillar.pipeline import run as pipeline
 from tripillar.sweep.leaves import LeafJob, kept_leaves, make_directory, unfinished
 
 ROOT = Path(__file__).parents[3]
@@ -168,3 +172,41 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
         make_directory(job(2 * LEAF), out, count=1)
     monkeypatch.undo()
     assert make_directory(job(2 * LEAF), out, count=1).kept == LEAF
+
+
+@pytest.mark.filterwarnings("ignore")  # of dask's own
+def test_workers_of_a_scheduler_make_the_same(tmp_path):
+    from distributed import LocalCluster
+
+    here = make_directory(job(2 * LEAF + 1, only=()), tmp_path / "here.zarr", count=1)
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        made = make_directory(job(2 * LEAF + 1, only=()), tmp_path / "there.zarr", None, cluster.scheduler_address)
+    assert made == here
+    one, other = (read_samples(tmp_path / f"{name}.zarr").content_hash for name in ("here", "there"))
+    assert one == other
+
+
+def test_nothing_is_left_of_what_cannot_begin(tmp_path, monkeypatch):
+    monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 1)
+    with pytest.raises(DesignError, match="no scheduler at"):
+        make_directory(job(9), tmp_path / "data.zarr", None, "tcp://127.0.0.1:9")
+    small = LeafJob(response=RESPONSE, settings=DatasetSettings(protocol="three-axis", samples=9, cap=0.01))
+    with pytest.raises(LoadError, match=r"beyond cap=0\.01"):
+        make_directory(small, tmp_path / "data.zarr", count=1)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_model_reads_a_directory_as_it_reads_a_file(tmp_path, monkeypatch):
+    """From the command line: the same errors, and samples of both kinds."""
+    house, known = House(tmp_path), made_up_response(sensor(1, 2))
+    monkeypatch.setattr(pipeline, "array_response", lambda *_: (known, tmp_path / "none", False))
+    a_model(tmp_path / "model")
+    for name in ("a.nc", "a.zarr"):
+        made = house.result(
+            "dataset", "--design", "small.toml", "--protocol", "three-axis", "--samples", "90", "--noise", "0.001",
+            "--only", "resistance,force", "--out", name, "--quiet",
+        )  # fmt: skip
+        assert made["samples"] == 90
+    asked = ["evaluate", "--model", "model", "--no-limits", "--quiet", "--data"]
+    assert house.result(*asked, "a.zarr") == house.result(*asked, "a.nc")
+    assert read_samples(tmp_path / "a.nc").length_mm is None
