@@ -25,7 +25,7 @@ ROOMS = {
     "fem": ["scene", "linear", "discretization", "conduction", "finite", "array", "methods", "fields", "pictures"],
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
     "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
-    "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "face", "cli"],
+    "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "simulators", "face", "cli"],
     "studies": ["pictures", "bench", "edge_cases", "paper", "robustness"],
 }
 

@@ -134,6 +134,7 @@ class VirtualSensor:
             raise ArgumentError(f"bits={bits}: the crossbar has a converter of its own, say its bits there.")
         self.environments, self.dead_probability = environments, dead_probability
         self._like = torch.zeros((), dtype=dtype, device=device)
+        self.dtype, self.device = self._like.dtype, self._like.device  #: of all tensors
         self._generator = torch.Generator(device=self._like.device).manual_seed(seed)
         decoder = twin.read_decoder() if twin is not None else None
         if model is None:
@@ -177,19 +178,23 @@ class VirtualSensor:
         y, x = (torch.arange(n, dtype=self._like.dtype, device=self._like.device) - (n - 1) / 2 for n in self.shape)
         return x * pitch_mm + pad.offset_x_mm, y * pitch_mm + pad.offset_y_mm
 
-    def reset(self, which: Tensor | None = None) -> None:
+    def reset(self, which: Tensor | None = None, seed: int | None = None) -> None:
         """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.
 
         Parameters
         ----------
         which : tensor, optional
             Numbers of environments, or a mask (e,); default: all.
+        seed : int, optional
+            Starts all that is drawn from here on anew, noise included; default: go on.
 
         Raises
         ------
         DesignError
             If an offset outweighs a resistance.
         """
+        if seed is not None:
+            self._generator.manual_seed(seed)
         everywhere = torch.arange(self.environments, device=self._like.device)
         chosen = everywhere if which is None else everywhere[which]
         shape, settings = (len(chosen), *self.shape, 3), self._imperfections

@@ -1,0 +1,52 @@
+"""The example's press: decoded forces are MuJoCo's, in real time and in pictures."""
+
+import re
+import runpy
+import sys
+
+import numpy as np
+import pytest
+
+from fem.array.closed_forms import layer_response
+from tests.docs.terminal import ROOT
+
+pytest.importorskip("mujoco")
+
+EXAMPLE = ROOT / "examples" / "mujoco_press.py"
+
+
+@pytest.fixture
+def example(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "")  # the example may set it; not for the tests after this one
+    return runpy.run_path(str(EXAMPLE))
+
+
+def test_pressed_and_dragged_forces_are_decoded(example):
+    """Two seconds of noise, 12 bits and crosstalk: 3 % of MuJoCo's normal force, the bar, over 150 scans."""
+    response = layer_response(example["FINGERTIP"])
+    scans = [scan for *_, scan in example["press"](response, example["trained"](response, 400), seconds=2.5)]
+    found = example["errors"](scans, response.design)
+    assert max(scan.applied_n[2] for scan in scans) > 10
+    assert scans[-1].applied_n[0] > 2
+    assert found["normal_share"] < 0.03
+    assert found["shear_n"] < 0.1
+    assert found["centre_mm"] < 0.5
+    assert np.array([scan.net_n for scan in scans if not scan.applied_n[2]]).std(axis=0) == pytest.approx(0, abs=0.5)
+
+
+@pytest.mark.long
+def test_the_example_runs_to_its_end_with_a_picture_and_a_film(example, shared_cache, monkeypatch, tmp_path, capsys):
+    example["main"](tmp_path / "press.png", tmp_path / "press.mp4")
+    said = capsys.readouterr().out
+    assert float(re.search(r"([\d.]+)% of MuJoCo's", said)[1]) < 3
+    assert float(re.search(r"([\d.]+) a second", said)[1]) > 100
+    assert (tmp_path / "press.png").stat().st_size > 50_000
+    assert b"moov" in (tmp_path / "press.mp4").read_bytes()
+
+
+def test_a_missing_package_is_named_before_anything_begins(example, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "imageio", None)
+    monkeypatch.setitem(example["main"].__globals__, "find_spec", lambda name: None if name == "imageio" else True)
+    with pytest.raises(SystemExit, match=r"imageio not installed: pip install .*tripillar\[film\]"):
+        example["main"](film=tmp_path / "press.mp4")
+    assert not list(tmp_path.iterdir())

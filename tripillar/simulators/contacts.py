@@ -1,0 +1,125 @@
+"""Contact forces of MuJoCo on a sensor's slab, in the sensor's frame, mm and N. Loads mujoco."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geometry.errors import ArgumentError
+from geometry.layout import FloatArray
+from tripillar.simulators.extra import needing
+
+with needing():
+    import mujoco
+
+MIN_COSINE = np.sqrt(0.5)  #: of the angle between a contact's normal and z; flatter ones are at the slab's sides
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceContacts:
+    """Contacts on a sensor's top at one moment."""
+
+    points_mm: FloatArray  #: (k, 3): places in the sensor's frame
+    force_n: FloatArray  #: (k, 3): on the sensor along x and y, and Fz positive in compression
+    left_out: int  #: contacts at the slab's sides and underside, which the array does not feel
+
+    @property
+    def net_n(self) -> FloatArray:
+        """Sum of the forces, (3,) [N]."""
+        return self.force_n.sum(axis=0)
+
+    @property
+    def centre_mm(self) -> FloatArray:
+        """Centre of pressure, (2,): x and y [mm]; NaN where nothing presses."""
+        with np.errstate(invalid="ignore"):
+            return self.force_n[:, 2] @ self.points_mm[:, :2] / self.force_n[:, 2].sum()
+
+
+class ContactReader:
+    """Contacts of a MuJoCo simulation on one sensor.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    site : str
+        The sensor's frame: a site in the middle of the array, x along its columns, y along its rows, z out of its top.
+    geom, body : str
+        The slab, one of the two: a geom, or all geoms of a body.
+    mm_per_length : float
+        Millimetres in the model's unit of length, 1000 for metres; forces are taken as newtons.
+
+    Raises
+    ------
+    ArgumentError
+        If the model has no such site, geom or body, or both or none of the latter are given.
+
+    Notes
+    -----
+    `mujoco.mj_contactForce` gives the force of geom1 on geom2, along the contact's normal and two tangents, whichever
+    cone the model has. Torques at contacts (condim 4 and 6) have no pads to go to and are left out. A contact counts
+    as being on the top if its normal is within 45° of the site's z.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        *,
+        site: str,
+        geom: str | None = None,
+        body: str | None = None,
+        mm_per_length: float = 1000.0,
+    ) -> None:
+        if (geom is None) == (body is None):
+            raise ArgumentError("give the slab as geom or as body, one of the two.")
+        if not mm_per_length > 0:
+            raise ArgumentError(f"mm_per_length={mm_per_length!r} must be above 0; 1000 for a model in metres.")
+        self.model, self.mm_per_length = model, float(mm_per_length)
+        self._site = _number(model, "site", site)
+        if geom is not None:
+            self._is_slab = np.arange(model.ngeom) == _number(model, "geom", geom)
+        else:
+            self._is_slab = model.geom_bodyid == _number(model, "body", body)
+
+    def read(self, data: Any) -> SurfaceContacts:
+        """Contacts of a `mujoco.MjData`; after ``mj_step`` those of the state that the step began with."""
+        geoms = data.contact.geom
+        is_slab = self._is_slab[geoms] & (geoms >= 0)  # −1: a deformable body, which is no slab
+        touching = np.flatnonzero(is_slab[:, 0] != is_slab[:, 1])
+        axes = data.site_xmat[self._site].reshape(3, 3)  # columns: the sensor's axes in the world
+        force, torque_too = np.zeros((len(touching), 3)), np.zeros(6)
+        for k, number in enumerate(touching):
+            mujoco.mj_contactForce(self.model, data, number, torque_too)
+            force[k] = torque_too[:3] @ data.contact.frame[number].reshape(3, 3) @ axes
+        onto = np.where(is_slab[touching, 1], 1.0, -1.0)[:, None]  # geom1 pushes geom2 along the normal
+        normal_z = (onto * data.contact.frame[touching, :3]) @ axes[:, 2]
+        on_top = normal_z <= -MIN_COSINE
+        points = (data.contact.pos[touching] - data.site_xpos[self._site]) @ axes * self.mm_per_length
+        force_n = onto * force * (1.0, 1.0, -1.0)
+        return SurfaceContacts(
+            points_mm=points[on_top], force_n=force_n[on_top], left_out=int(len(on_top) - on_top.sum())
+        )
+
+
+def stacked(contacts: Sequence[SurfaceContacts]) -> tuple[FloatArray, FloatArray]:
+    """Contacts of e environments as `VirtualSensor.touch` takes them: points [mm] and forces [N], both (e, k, 3).
+
+    Environments with fewer than k contacts, and at least one each, have points in the middle without force.
+    """
+    most = max([1, *(len(one.points_mm) for one in contacts)])
+    points, forces = np.zeros((len(contacts), most, 3)), np.zeros((len(contacts), most, 3))
+    for k, one in enumerate(contacts):
+        points[k, : len(one.points_mm)] = one.points_mm
+        forces[k, : len(one.force_n)] = one.force_n
+    return points, forces
+
+
+def _number(model: Any, kind: str, name: str | None) -> int:
+    """Number of the site, geom or body of a name."""
+    kinds = {"site": mujoco.mjtObj.mjOBJ_SITE, "geom": mujoco.mjtObj.mjOBJ_GEOM, "body": mujoco.mjtObj.mjOBJ_BODY}
+    number = mujoco.mj_name2id(model, kinds[kind], str(name))
+    if number < 0:
+        names = [mujoco.mj_id2name(model, kinds[kind], k) for k in range(getattr(model, f"n{kind}"))]
+        known = ", ".join(filter(None, names)) or "none with a name"
+        raise ArgumentError(f"the model has no {kind} '{name}'; it has {known}.")
+    return number
