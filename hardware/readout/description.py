@@ -10,7 +10,7 @@ from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.link.frames import Info
 from hardware.readout.wrench import SIGNS, pad_positions
-from hardware.recording.formats import plain_numbers
+from hardware.recording.topics import plain_numbers
 
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler

@@ -12,7 +12,7 @@ from hardware.link.reception import DeviceClock, Scan
 from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench, net_values, net_wrench
 from hardware.recording import Recording
-from hardware.recording.formats import wrench_content
+from hardware.recording.topics import wrench_content
 
 RENEWED_S = 0.1  #: between two calculations of the deviations, which take twenty times as long as the forces
 MAX_HELD_NS = 1_000_000_000  #: step back of the clock that stamps wait for; after a longer one they follow it

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from mcap.reader import make_reader
 
 from dataset.imperfections import Imperfections
 from decoupler.data.load_table import read_pairs
@@ -108,6 +109,26 @@ def test_live_gives_the_forces_that_act(house, port):
     assert net == pytest.approx(found.sum(axis=(1, 2)), rel=1e-5, abs=1e-3)  # both are rounded
 
 
+@pytest.mark.skipif(not (find_spec("foxglove") and find_spec("rerun")), reason="they are extras")
+def test_live_shows_every_scan_to_viewers_and_says_who_can_see_it(house, port):
+    streams = "--foxglove-at", "127.0.0.1:0", "--mcap", "shown.mcap", "--rrd", "shown.rrd"
+    done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "0.3", *streams)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"Foxglove: open ws://127\.0\.0\.1:[1-9]\d+; this machine alone\n", done.stderr)
+    n = len(done.stdout.splitlines())
+    with (house.folder / "shown.mcap").open("rb") as file:
+        found = make_reader(file).get_summary().statistics.channel_message_counts
+    assert sorted(found.values()) == [1, n, n, n, n]
+    assert (house.folder / "shown.rrd").stat().st_size > 1000
+    for words, said in (
+        (("--mcap", "shown.mcap"), "shown.mcap: the file exists"),
+        (("--rrd", "shown.html"), "must be a file that ends in .rrd"),
+        (("--rerun-at", "nowhere:x"), "'nowhere:x' is no address: give HOST:PORT"),
+        (("--describe",), "add --json"),
+    ):
+        assert said in house.refusal("live", port, "--model", MODEL, *words)
+
+
 def test_live_draws_for_people(house, port):
     done = house.tripillar("live", port, "--model", MODEL, *WHOLE_SECOND)
     assert done.returncode == 0, done.stderr
@@ -136,6 +157,12 @@ def test_record_and_replay(house, port):
         assert converted["frames"] == len(both.sequence)
         again = house.result("replay", f"press{suffix}", "--model", MODEL, "--out", f"forces{suffix}")
         assert again["frames"] == len(both.sequence)
+    assert "add --out FILE.mcap" in house.refusal("replay", name, "--model", MODEL, "--ros2", "--out", "forces.nc")
+    if find_spec("mcap_ros2"):
+        house.result("replay", name, "--model", MODEL, "--ros2", "--out", "ros2.mcap")
+        with (house.folder / "ros2.mcap").open("rb") as file:
+            counts = make_reader(file).get_summary().statistics.channel_message_counts
+        assert sorted(counts.values()) == [1, len(both.sequence)]
 
 
 def test_a_damaged_recording_says_where(house, port):

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -16,10 +17,10 @@ from hardware.link.reception import LinkStatistics
 from hardware.readout.forces import LiveSensor
 from hardware.readout.wrench import Wrench
 from hardware.session import scans_within
+from hardware.streams.scene import colours
 from hardware.streams.tactile_frame import LiveFrames, Stream, TactileFrame
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
-HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))  #: the colour map "plasma"
 MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
 RATE_OVER = 64  #: scans whose pace is the rate shown
@@ -39,16 +40,9 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
     shear = math.hypot(fx, fy)
     arrow = ARROWS[round(math.atan2(fy, fx) / (math.pi / 4)) % 8] if shear > MIN_SHEAR * full_scale_n else " "
     number = fz if "z" in force else shear
-    red, green, blue = _colour(abs(number) / full_scale_n)
+    red, green, blue = colours(np.array([abs(number) / full_scale_n]))[0].tolist()
     ink = "rgb(0,0,0)" if red + green + blue > 380 else "rgb(255,255,255)"
     return Text(f" {number:6.1f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
-
-
-def _colour(share: float) -> tuple[int, int, int]:
-    place = min(max(share, 0.0), 1.0) * (len(HOT) - 1)
-    k = min(int(place), len(HOT) - 2)
-    red, green, blue = (round(a + (place - k) * (b - a)) for a, b in zip(HOT[k], HOT[k + 1], strict=True))
-    return red, green, blue
 
 
 def live_view(

@@ -22,6 +22,15 @@ from tripillar.cli.board.options import (
     TimeoutOption,
     require_positive,
 )
+from tripillar.cli.board.streaming import (
+    AskedStreams,
+    FoxgloveAtOption,
+    FoxgloveOption,
+    McapOption,
+    RerunAtOption,
+    RerunOption,
+    RrdOption,
+)
 from tripillar.terminal.console import (
     JsonOption,
     VerbosityOption,
@@ -82,6 +91,12 @@ def live(
     ] = None,
     baud: BaudOption = BAUD,
     timeout: TimeoutOption = TIMEOUT_S,
+    foxglove: FoxgloveOption = False,
+    foxglove_at: FoxgloveAtOption = None,
+    mcap: McapOption = None,
+    rerun: RerunOption = False,
+    rerun_at: RerunAtOption = None,
+    rrd: RrdOption = None,
     describe: Annotated[
         bool, typer.Option("--describe", help="With --json, print first a line that describes the sensor.")
     ] = False,
@@ -89,9 +104,11 @@ def live(
 ) -> None:
     """Show the forces on a sensor as they come: heat map, shear, net load, rate, losses.
 
-    With --json every scan is a line; its deviations are at most 0.1 s old.
+    With --json every scan is a line; its deviations are at most 0.1 s old. --foxglove and --rerun show every scan to
+    these viewers as well.
     """
     from hardware.session import live as live_forces
+    from hardware.streams.addresses import LOOPBACK
     from tripillar.terminal.force_view import print_lines, show_forces
 
     if rate is not None and Path(port).is_file():
@@ -99,14 +116,22 @@ def live(
     if describe and not json_:
         raise DesignError("--describe prints a line of JSON: add --json, or leave --describe out.")
     require_positive(seconds=seconds, timeout=timeout)
+    asked = AskedStreams(
+        foxglove=foxglove_at or (LOOPBACK if foxglove else None),
+        mcap=mcap,
+        rerun=rerun_at or (LOOPBACK if rerun else None),
+        rrd=rrd,
+    )
+    asked.require()
     with live_forces(port, model, calibration, baud=baud, timeout=timeout) as sensor:
         if rate is not None:
             with spelled(rate_hz="--rate"):
                 sensor.scanner.set_rate(rate)
-        if json_:
-            print_lines(sensor, seconds, describes=describe)
-        else:
-            show_forces(sensor, seconds)
+        with asked.opened(sensor.description) as streams:
+            if json_:
+                print_lines(sensor, seconds, streams, describe)
+            else:
+                show_forces(sensor, seconds, streams)
 
 
 def bench(
@@ -245,6 +270,9 @@ def replay(
             help="File for the forces of every frame: .nc, or .mcap with the counts beside.",
         ),
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Write messages of ROS 2 into the .mcap of --out, in place of JSON.")
+    ] = False,
     crosstalk: Annotated[bool, typer.Option(help="Correct the crossbar's crosstalk.")] = True,
     json_: JsonOption = False,
 ) -> None:
@@ -256,8 +284,11 @@ def replay(
     from hardware.recording.formats import write_mcap
     from hardware.session import hashes_of
     from hardware.session import live as live_forces
+    from hardware.streams.ros2_file import write_ros2
 
     require_suffix("--out", out, ".nc", ".mcap")
+    if ros2 and (out is None or out.suffix != ".mcap"):
+        raise DesignError("--ros2 says what is in an MCAP file: add --out FILE.mcap, or leave --ros2 out.")
     require_other(out, recording, model, calibration)
     decoupler = read_model(model)
     if speed is not None:
@@ -282,7 +313,9 @@ def replay(
     if out is not None:
         text = recorded.calibration if own is None else own.to_json()
         used = replace(recorded, calibration=text, made_from=hashes)
-        if out.suffix == ".mcap":
+        if ros2:
+            write_ros2(used, found, out)
+        elif out.suffix == ".mcap":
             net = {name: values for name, (values, _) in net_values(found.wrench).items()}
             write_mcap(
                 used, out, found.force_n, found.deviation_n, decoupler.component.axes, net, found.description.plain()

@@ -1,0 +1,198 @@
+"""Frames for Foxglove: a WebSocket server, and an MCAP file by the same calls. Needs the package ``foxglove-sdk``."""
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from geometry.layout import FloatArray
+from hardware.readout.description import FRAME, SensorDescription
+from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
+from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
+from hardware.streams.scene import LONGEST, MIN_ARROW, PAD_HEIGHT, Painter
+from hardware.streams.tactile_frame import TactileFrame
+
+if TYPE_CHECKING:
+    from foxglove.messages import SceneUpdate
+
+SCENE = "/tripillar/scene"  #: foxglove.SceneUpdate in Protobuf; the other topics are JSON, as in recordings
+PORT = 8765  #: where Foxglove looks for a server
+NET_COLOUR, ARROW_COLOUR = (1.0, 1.0, 1.0), (0.1, 0.8, 0.3)
+THICK = 0.08  #: diameter of an arrow's shaft over a pad's side
+
+
+class FoxgloveStream:
+    """Sends frames to all who are connected, and into a file, as long as the with block lasts.
+
+    A topic that nobody listens to is not made. The description is sent at the beginning, and again to whoever
+    subscribes to it later.
+
+    Parameters
+    ----------
+    sensor : SensorDescription
+    host : str, optional
+        Address of this machine to listen on; None: there is no server.
+    port : int
+        To listen on; 0: one that is free.
+    mcap : Path, optional
+        File to write; it must not exist.
+
+    Raises
+    ------
+    MissingPackageError
+        If the package is not installed.
+    DesignError
+        If nobody knows where the pads are.
+    StreamError
+        On entering: if the port cannot be had, or the file exists or cannot be made.
+    """
+
+    def __init__(
+        self, sensor: SensorDescription, host: str | None = LOOPBACK, port: int = PORT, mcap: Path | None = None
+    ) -> None:
+        try:
+            import foxglove  # noqa: F401
+        except ImportError as error:
+            raise MissingPackageError("Foxglove", "foxglove", error) from None
+        self._painter = Painter(sensor)
+        self._host, self.port, self._mcap = host, port, mcap
+        self._open = ExitStack()
+        self._asked = True  # somebody is to be told what the sensor is
+
+    def __enter__(self) -> Self:
+        from foxglove import Channel, Context, open_mcap, start_server
+        from foxglove.channels import SceneUpdateChannel
+        from foxglove.websocket import ServerListener
+
+        require_new(self._mcap)
+        stream, context = self, Context()
+
+        class Listener(ServerListener):
+            def on_subscribe(self, client: Any, channel: Any) -> None:
+                stream._asked |= channel.topic == SENSOR
+
+        with ExitStack() as opened:
+            try:
+                if self._host is not None:
+                    server = start_server(
+                        name="TriPillar", host=self._host, port=self.port, context=context, server_listener=Listener()
+                    )
+                    opened.callback(server.stop)
+                    self.port = server.port
+                if self._mcap is not None:
+                    opened.callback(open_mcap(self._mcap, context=context).close)
+            except (OSError, RuntimeError) as error:
+                raise StreamError(f"{self._host}:{self.port}: {error}: give another address or file.") from None
+            self._context = context  # its channels end with it
+            self._scene = SceneUpdateChannel(SCENE, context=context)
+            self._channels = {
+                topic: Channel(topic, schema=SCHEMAS[topic], context=context)
+                for topic in (SENSOR, FORCES, WRENCH, RESISTANCES)
+            }
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._scene.close()
+        for channel in self._channels.values():
+            channel.close()
+        self._open.close()
+
+    def add(self, frame: TactileFrame) -> None:
+        """Send a frame."""
+        axes = self._painter.sensor.axes
+        if self._asked:
+            self._asked = False
+            self._log(SENSOR, self._painter.sensor.plain(), frame)
+        time_s = {"time": frame.stamp_ns * 1e-9}
+        for topic, content in (
+            (FORCES, lambda: time_s | forces_content(frame.force_n, frame.deviation_n, axes)),
+            (WRENCH, frame.net),
+            (RESISTANCES, lambda: resistances_content(frame.resistance_ohm, frame.saturated)),
+        ):
+            if self._channels[topic].has_sinks():
+                self._log(topic, content(), frame)
+        if self._scene.has_sinks():
+            self._scene.log(self._update(frame), log_time=frame.stamp_ns)
+
+    def _log(self, topic: str, content: dict[str, Any], frame: TactileFrame) -> None:
+        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        self._channels[topic].log(data, log_time=frame.stamp_ns)
+
+    def _update(self, frame: TactileFrame) -> "SceneUpdate":
+        from foxglove.messages import (
+            Color,
+            CubePrimitive,
+            Pose,
+            Quaternion,
+            SceneEntity,
+            SceneUpdate,
+            Timestamp,
+            Vector3,
+        )
+
+        painter, scene = self._painter, self._painter.scene(frame)
+        stamp = Timestamp(*divmod(frame.stamp_ns, 1_000_000_000))
+        side, height = painter.pad_m, PAD_HEIGHT * painter.pad_m
+        upright, size = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0), Vector3(x=side, y=side, z=height)
+        cubes = [
+            CubePrimitive(
+                pose=Pose(position=Vector3(x=x, y=y, z=-height / 2), orientation=upright),
+                size=size,
+                color=Color(r=red / 255, g=green / 255, b=blue / 255, a=1.0),
+            )
+            for (x, y, _), (red, green, blue) in zip(painter.places_m.tolist(), scene.pad_colours.tolist(), strict=True)
+        ]
+        drawn = np.linalg.norm(scene.arrows_m, axis=1) > MIN_ARROW * LONGEST * side
+        arrows = _arrows(painter.places_m[drawn], scene.arrows_m[drawn], THICK * side, ARROW_COLOUR)
+        if scene.net_tip_m is not None and scene.net_arrow_m is not None:
+            arrows += _arrows(scene.net_tip_m[None], scene.net_arrow_m[None], 2.0 * THICK * side, NET_COLOUR)
+        return SceneUpdate(
+            entities=[SceneEntity(timestamp=stamp, frame_id=FRAME, id="array", cubes=cubes, arrows=arrows)]
+        )
+
+
+def _arrows(tips_m: FloatArray, arrows_m: FloatArray, thick_m: float, colour: tuple[float, ...]) -> list[Any]:
+    """Arrows (n, 3) that end at points (n, 3); Foxglove's begin at their pose and point along its x axis."""
+    from foxglove.messages import ArrowPrimitive, Color, Pose, Vector3
+
+    found, paint = [], Color(r=colour[0], g=colour[1], b=colour[2], a=1.0)
+    lengths = np.linalg.norm(arrows_m, axis=1)
+    tails = (tips_m - arrows_m).tolist()
+    for tail, length, turn in zip(tails, lengths.tolist(), turns_from_x(arrows_m).tolist(), strict=True):
+        head = min(2.0 * thick_m, length)
+        found.append(
+            ArrowPrimitive(
+                pose=Pose(position=Vector3(x=tail[0], y=tail[1], z=tail[2]), orientation=_quaternion(turn)),
+                shaft_length=length - head,
+                shaft_diameter=thick_m,
+                head_length=head,
+                head_diameter=2.0 * thick_m,
+                color=paint,
+            )
+        )
+    return found
+
+
+def _quaternion(turn: list[float]) -> Any:
+    from foxglove.messages import Quaternion
+
+    return Quaternion(x=turn[0], y=turn[1], z=turn[2], w=turn[3])
+
+
+def turns_from_x(vectors: FloatArray) -> FloatArray:
+    """Unit quaternions x, y, z, w that turn the x axis onto vectors, (n, 3) -> (n, 4).
+
+    >>> turns_from_x(np.array([[2.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])).tolist()
+    [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
+    """
+    length = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    x, y, z = (vectors / length).T
+    found = np.stack([np.zeros_like(x), -z, y, 1.0 + x], axis=1)  # half way between the x axis and the vector
+    found[1.0 + x < 1e-9] = [0.0, 0.0, 1.0, 0.0]  # straight back
+    return found / np.linalg.norm(found, axis=1, keepdims=True) + 0.0

@@ -1,0 +1,156 @@
+"""Frames for Rerun: a gRPC server that viewers connect to, and an .rrd file. Needs the package ``rerun-sdk``."""
+
+import json
+import os
+import socket
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from geometry.layout import AXES, PILLARS, FloatArray
+from hardware.readout.description import SensorDescription
+from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
+from hardware.streams.scene import PAD_HEIGHT, Painter
+from hardware.streams.tactile_frame import TactileFrame
+
+PORT = 9876  #: where a viewer looks for a server
+TIMELINE = "board"  #: the frames' stamps
+KEPT = "256MiB"  #: of the newest frames, for viewers that connect later
+FLUSH_S = 0.02  #: longest time that a frame waits to be sent
+
+
+class RerunStream:
+    """Sends frames to all who are connected, and into a file, as long as the with block lasts.
+
+    Entities are ``sensor`` (description, pads in colours, forces and net force as arrows), ``net`` and ``force_n`` and
+    ``resistance_ohm`` (numbers over time).
+
+    Parameters
+    ----------
+    sensor : SensorDescription
+    host : str, optional
+        Address of this machine to listen on; None: there is no server.
+    port : int
+        To listen on.
+    rrd : Path, optional
+        File to write; it must not exist.
+
+    Raises
+    ------
+    MissingPackageError
+        If the package is not installed.
+    DesignError
+        If nobody knows where the pads are.
+    StreamError
+        On entering: if the port is taken, or the file exists or cannot be made.
+    """
+
+    def __init__(
+        self, sensor: SensorDescription, host: str | None = LOOPBACK, port: int = PORT, rrd: Path | None = None
+    ) -> None:
+        try:
+            import rerun
+        except ImportError as error:
+            raise MissingPackageError("Rerun", "rerun", error) from None
+        self._rerun: Any = rerun
+        self._painter = Painter(sensor)
+        self._host, self._port, self._rrd = host, port, rrd
+
+    def __enter__(self) -> Self:
+        require_new(self._rrd)
+        rr, sinks = self._rerun, []
+        if self._host is not None:
+            require_free(self._host, self._port)
+            sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
+        if self._rrd is not None:
+            sinks.append(rr.FileSink(self._rrd))
+        self._recording = rr.RecordingStream("tripillar", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
+        self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
+        self._state_sensor()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._recording.flush()
+        self._recording.disconnect()
+
+    def add(self, frame: TactileFrame) -> None:
+        """Send a frame."""
+        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(frame)
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(frame.stamp_ns, "ns"))
+        log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))
+        log("sensor/forces", rr.Arrows3D(vectors=scene.arrows_m, origins=self._painter.places_m - scene.arrows_m))
+        if scene.net_arrow_m is None or scene.net_tip_m is None:
+            log("sensor/net", rr.Clear(recursive=False))
+        else:
+            log("sensor/net", rr.Arrows3D(vectors=[scene.net_arrow_m], origins=[scene.net_tip_m - scene.net_arrow_m]))
+        wrench = frame.wrench
+        for name, values in self._plots(frame.force_n, frame.resistance_ohm):
+            log(name, rr.Scalars(values))
+        log("net/force_n", rr.Scalars(wrench.force_n[0]))
+        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm[0]))
+        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm[0]))
+
+    def _plots(self, force_n: FloatArray, resistance_ohm: FloatArray) -> list[tuple[str, FloatArray]]:
+        """Names of entities, and the values of all units, row by row."""
+        found = [(f"force_n/{axis}", force_n[..., k].reshape(-1)) for k, axis in enumerate(self._painter.sensor.axes)]
+        return found + [
+            (f"resistance_ohm/{pillar}", resistance_ohm[..., k].reshape(-1)) for k, pillar in enumerate(PILLARS)
+        ]
+
+    def _state_sensor(self) -> None:
+        """Log what does not change."""
+        rr, painter = self._rerun, self._painter
+        sensor, side = painter.sensor, painter.pad_m
+        height = PAD_HEIGHT * side
+        units = [f"row {i}, col {j}" for i, j in np.ndindex(sensor.rows, sensor.cols)]
+        shape = (sensor.rows, sensor.cols)
+        named = {
+            **{name: units for name, _ in self._plots(np.zeros((*shape, 3)), np.zeros((*shape, 3)))},
+            "net/force_n": [f"F{axis}" for axis in AXES],
+            "net/moment_nmm": [f"M{axis}" for axis in AXES],
+            "net/centre_of_pressure_mm": list(AXES[:2]),
+        }
+        static = {
+            "sensor": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
+            "sensor/description": rr.TextDocument(json.dumps(sensor.plain(), indent=1)),
+            "sensor/pads": rr.Boxes3D(
+                centers=painter.places_m - [0.0, 0.0, height / 2],
+                half_sizes=np.tile([side / 2, side / 2, height / 2], (len(units), 1)),
+                fill_mode="solid",
+            ),
+            **{name: rr.SeriesLines(names=lines) for name, lines in named.items()},
+        }
+        for name, content in static.items():
+            self._recording.log(name, content, static=True)
+
+    def _blueprint(self) -> Any:
+        """The array beside plots of the net force, the centre of pressure and the resistances."""
+        import rerun.blueprint as rrb
+
+        plots = [
+            rrb.TimeSeriesView(origin=origin, name=name)
+            for origin, name in (
+                ("net/force_n", "Net force [N]"),
+                ("net/centre_of_pressure_mm", "Centre of pressure [mm]"),
+                ("resistance_ohm", "Resistances [Ω]"),
+            )
+        ]
+        return rrb.Blueprint(rrb.Horizontal(rrb.Spatial3DView(origin="sensor", name="Forces"), rrb.Vertical(*plots)))
+
+
+def require_free(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened on; `StreamError` says why."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            if os.name == "posix":  # else the connections of a stream that has just ended count as taken
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise StreamError(
+            f"{host}:{port}: {error.strerror}: give another address; does another stream or a viewer listen there?"
+        ) from None

@@ -1,0 +1,78 @@
+"""Open the streams that `live` is asked for, and say who can reach them."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tripillar.terminal.console import require_suffix, say
+
+if TYPE_CHECKING:
+    from hardware.readout.description import SensorDescription
+    from hardware.streams.tactile_frame import Stream
+
+FoxgloveOption = Annotated[
+    bool, typer.Option("--foxglove", help="Serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone.")
+]
+FoxgloveAtOption = Annotated[
+    str | None,
+    typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
+]
+McapOption = Annotated[
+    Path | None, typer.Option("--mcap", help="File (.mcap) to write as well: what Foxglove is shown.")
+]
+RerunOption = Annotated[
+    bool, typer.Option("--rerun", help="Serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone.")
+]
+RerunAtOption = Annotated[
+    str | None,
+    typer.Option("--rerun-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
+]
+RrdOption = Annotated[Path | None, typer.Option("--rrd", help="File (.rrd) to write as well: what Rerun is shown.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AskedStreams:
+    """Streams as options ask for them; an address is None where there is no server."""
+
+    foxglove: str | None
+    mcap: Path | None
+    rerun: str | None
+    rrd: Path | None
+
+    def require(self) -> None:
+        """Refuse files of other kinds and addresses that are none, before a board is opened."""
+        from hardware.streams.addresses import host_and_port, require_new
+
+        require_suffix("--mcap", self.mcap, ".mcap")
+        require_suffix("--rrd", self.rrd, ".rrd")
+        for path in (self.mcap, self.rrd):
+            require_new(path)
+        for address in (self.foxglove, self.rerun):
+            if address:
+                host_and_port(address, 0)
+
+    @contextmanager
+    def opened(self, sensor: "SensorDescription") -> Iterator[list["Stream"]]:
+        """The streams, as long as the with block lasts; says on stderr where they are."""
+        from hardware.streams import foxglove_stream, rerun_stream
+        from hardware.streams.addresses import LOOPBACK, host_and_port, reachable
+
+        with ExitStack() as stack:
+            streams: list[Stream] = []
+            if self.foxglove is not None or self.mcap is not None:
+                host, port = host_and_port(self.foxglove or LOOPBACK, foxglove_stream.PORT)
+                served = foxglove_stream.FoxgloveStream(sensor, host if self.foxglove else None, port, self.mcap)
+                streams.append(stack.enter_context(served))
+                if self.foxglove:
+                    say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
+            if self.rerun is not None or self.rrd is not None:
+                host, port = host_and_port(self.rerun or LOOPBACK, rerun_stream.PORT)
+                shown = rerun_stream.RerunStream(sensor, host if self.rerun else None, port, self.rrd)
+                streams.append(stack.enter_context(shown))
+                if self.rerun:
+                    say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
+            yield streams
