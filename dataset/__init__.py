@@ -20,7 +20,7 @@ from dataset.stored import StoredSamples, in_memory, read_samples
 
 if TYPE_CHECKING:
     from dataset.simulation import DatasetSettings, measured_again, simulate
-    from dataset.torch_samples import TorchSamples
+    from dataset.torch_samples import TorchBatches, TorchSamples
 
 __all__ = [
     "OPEN_OHM",
@@ -30,6 +30,7 @@ __all__ = [
     "SampleError",
     "Samples",
     "StoredSamples",
+    "TorchBatches",
     "TorchSamples",
     "counts_from_resistance",
     "in_memory",
@@ -45,6 +46,7 @@ __all__ = [
 
 _LAZY = {
     "DatasetSettings": "dataset.simulation",
+    "TorchBatches": "dataset.torch_samples",
     "TorchSamples": "dataset.torch_samples",
     "measured_again": "dataset.simulation",
     "simulate": "dataset.simulation",

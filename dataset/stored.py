@@ -99,7 +99,7 @@ class StoredSamples:
         """Hash of forces and resistances, of those of their leaves; computed from all where none is stated."""
         hashes = self._hashes
         if not set(LABELS) <= hashes.keys():
-            leaves = ([digest(self._leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
+            leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
             hashes = dict(zip(LABELS, map(list, zip(*leaves, strict=True)), strict=True))
         return leaves_hash(hashes)
 
@@ -127,7 +127,7 @@ class StoredSamples:
         order = np.argsort(numbers, kind="stable")
         leaves, starts = np.unique(numbers[order] // LEAF, return_index=True)
         for leaf, places in zip(leaves, np.split(order, starts[1:]), strict=False):
-            read = self._leaf(int(leaf))
+            read = self.leaf(int(leaf))
             for name, values in arrays.items():
                 values[places] = read[name][numbers[places] - leaf * LEAF]
         return Samples(
@@ -139,8 +139,8 @@ class StoredSamples:
             made_from={name: value for name, value in self.made_from.items() if name not in WHOLE_FILE},
         )
 
-    def _leaf(self, number: int) -> dict[str, np.ndarray]:
-        """Variables of a leaf, as stored and checked; the last one is kept."""
+    def leaf(self, number: int) -> dict[str, np.ndarray]:
+        """Variables (up to `LEAF`, ...) of a leaf in the type they are stored in, checked; the last read is kept."""
         if self._last is None or self._last[0] != number:
             start = number * LEAF
             try:

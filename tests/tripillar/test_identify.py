@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset import Samples
+from dataset import DatasetSettings, Samples, simulate
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads
+from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.model_file import read_model
 from fem.array.sensitivities import ResponseSensitivities
@@ -15,6 +16,8 @@ from geometry.design_file import design_to_toml
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
 from tripillar.cli import identifying
+from tripillar.face.checks import Caller
+from tripillar.face.identifying import MAX_PAIRS, few_pairs
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -124,3 +127,15 @@ def test_a_pillar_that_has_come_to_be_stuck_counts_as_dead(house):
     model = read_model(house.folder / "own.safetensors")
     assert np.argwhere(model.dead).tolist() == [[1, 2, 0]]
     assert model.is_identified
+
+
+def test_of_very_many_samples_a_draw_identifies_unless_more_are_asked_for():
+    said = []
+    many = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=MAX_PAIRS + 50)).labels()
+    caller = Caller(say=said.append)
+    few = few_pairs(many, caller)
+    assert len(few) == MAX_PAIRS
+    assert said == ["samples: 1,000 of 1,050 pairs, drawn at random, identify the sensor"]
+    assert few_pairs(many, caller, asked=1050) is many
+    assert few_pairs(Pairs.of(many[:5]), caller).force_n.shape == many[:5].force_n.shape
+    assert len(said) == 1

@@ -11,7 +11,7 @@ from geometry.design_file import read_tolerances
 from geometry.errors import DesignError, FileFormatError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol, caller
-from tripillar.face.identifying import checked_pairs, usual_loads, with_derivatives
+from tripillar.face.identifying import checked_pairs, few_pairs, usual_loads, with_derivatives
 from tripillar.terminal.console import (
     JsonOption,
     VerbosityOption,
@@ -23,7 +23,7 @@ from tripillar.terminal.console import (
 )
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
+    from decoupler.data.enough import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.inverse.effective_forces import EffectiveForces
     from fem.array.response import ArrayResponse
@@ -52,7 +52,10 @@ def identify(
             help="Design file (TOML); default: the one that a data set states, or none; the paper's with a table.",
         ),
     ] = None,
-    pairs: Annotated[int | None, typer.Option(help="Number of pairs to use, from the first on; default: all.")] = None,
+    pairs: Annotated[
+        int | None,
+        typer.Option(help="Number of pairs to use, from the first on; default: all, of more than 1000 a draw."),
+    ] = None,
     usual: Annotated[
         Protocol | None, typer.Option(help="Loads that it will meet; default: of a data set its own, else contact.")
     ] = None,
@@ -119,7 +122,8 @@ def identify(
     usual_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
     forced: dict[str, str] = {}
     if read is not None:
-        measured, forced = checked_pairs(read, response, force, caller(data or Path(str(port)), bars))
+        asked_by = caller(data or Path(str(port)), bars)
+        measured, forced = checked_pairs(few_pairs(read, asked_by, pairs), response, force, asked_by)
     result: dict[str, Any] = {}
     lines = []
     known = None
@@ -174,13 +178,13 @@ def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
     return read_samples(data, labels_only=True).design
 
 
-def _read(data: Path, sensor: "SensorDesign | None") -> "Samples | Pairs":
-    from dataset import in_memory, read_samples
+def _read(data: Path, sensor: "SensorDesign | None") -> "AnySamples | Pairs":
+    from dataset import read_samples
     from decoupler.data.load_table import read_pairs
 
     if sensor is None or data.suffix in DATASETS:
-        samples = in_memory(read_samples(data, labels_only=True))
-        if sensor is not None and samples.force_n.shape[1:3] != (sensor.array.rows, sensor.array.cols):
+        samples = read_samples(data, labels_only=True)
+        if sensor is not None and samples.shape != (sensor.array.rows, sensor.array.cols):
             raise DesignError(f"{data} is of another array than the design: give this array's design.")
         return samples
     return read_pairs(data, sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)

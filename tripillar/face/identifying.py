@@ -8,6 +8,7 @@ from geometry.errors import DesignError, FileFormatError, require_type
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
+    from decoupler.data.enough import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.twin.identification import Twin
     from fem.array.response import ArrayResponse
@@ -17,8 +18,11 @@ if TYPE_CHECKING:
     from tripillar.terminal.progress import Bars
 
 
+MAX_PAIRS = 1000  #: that are taken unless more are asked for: 4000 take thrice as long and identify no better
+
+
 def identify(
-    pairs: "Samples | Pairs",
+    pairs: "AnySamples | Pairs",
     design: SensorDesign | None = None,
     *,
     usual: str | None = None,
@@ -29,8 +33,9 @@ def identify(
 
     Parameters
     ----------
-    pairs : Samples or Pairs
-        Measured on the sensor. `decoupler.data.pairs.Pairs` also say how well forces are known.
+    pairs : Samples, StoredSamples or Pairs
+        Measured on the sensor; of more than 1000 samples a random draw is taken. `decoupler.data.pairs.Pairs` also say
+        how well forces are known.
     design : SensorDesign, optional
         What was meant; default: the one that the samples state. Without one the pairs alone decide.
     usual : str, optional
@@ -77,13 +82,15 @@ def identify(
     ['own.safetensors', 'own.toml']
     """
     from dataset.samples import Samples
+    from dataset.stored import StoredSamples
     from decoupler.data.pairs import Pairs
     from decoupler.twin.identification import identify
     from tripillar.face.checks import Caller
 
     caller = caller or Caller()
-    if not isinstance(pairs, Samples):
+    if not isinstance(pairs, Samples | StoredSamples):
         require_type("pairs", pairs, Pairs, "give samples, or decoupler.data.pairs.Pairs")
+    pairs = few_pairs(pairs, caller)
     sensor = design or (pairs.design if isinstance(pairs, Samples) else None)
     rows, cols = pairs.force_n.shape[1:3]
     if sensor is not None and (sensor.array.rows, sensor.array.cols) != (rows, cols):
@@ -95,6 +102,19 @@ def identify(
     loads_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
     twin = identify(checked, response, sensitivities, loads_n=loads_n)
     return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
+
+
+def few_pairs(pairs: "AnySamples | Pairs", caller: "Caller", asked: int | None = None) -> "Samples | Pairs":
+    """The pairs, or of more than `MAX_PAIRS` samples so many drawn at random, unless more are `asked` for; says so."""
+    from decoupler.data.enough import drawn
+    from decoupler.data.pairs import Pairs
+
+    if isinstance(pairs, Pairs):
+        return pairs
+    most = max(asked or 0, MAX_PAIRS)
+    if len(pairs) > most:
+        caller.say(f"{caller.samples}: {most:,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
+    return drawn(pairs, 0, most)
 
 
 def checked_pairs(
