@@ -14,6 +14,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+if find_spec("mujoco") is None:
+    sys.exit("mujoco is not installed: pip install 'tripillar[simulators]'.")
 if sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # lets MuJoCo draw without a display; before its import
 

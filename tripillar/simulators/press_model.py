@@ -162,9 +162,15 @@ def renderer(model: Any, wide: int, high: int) -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of GLFW, about the display that it lacks
+            if mujoco.gl_context.GLContext.__module__ == "mujoco.glfw":
+                import glfw
+
+                if not glfw.init():  # going on without would end the process
+                    raise RuntimeError("no display")
             return mujoco.Renderer(model, high, wide)
-    except (mujoco.FatalError, ImportError, AttributeError, RuntimeError) as error:
+    except Exception as error:  # each library of OpenGL has errors of its own
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise DrawingError(
-            f"MuJoCo cannot draw here ({str(error).splitlines()[0]}): without a display set MUJOCO_GL=egl, or osmesa, "
+            f"MuJoCo cannot draw here ({reason}): without a display set MUJOCO_GL=egl, or osmesa, "
             "before Python starts, and install that library."
         ) from None

@@ -1,5 +1,8 @@
 """Contacts of MuJoCo on a slab are what statics says, in the sensor's own frame."""
 
+import runpy
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from geometry.errors import ArgumentError
 mujoco = pytest.importorskip("mujoco")
 
 from tripillar.simulators.contacts import ContactReader, stacked  # noqa: E402 (needs mujoco)
+from tripillar.simulators.extra import MissingSimulatorError  # noqa: E402
 
 GRAVITY, KG = 9.81, 1.3
 SOLVED = 1e-6  #: relative: MuJoCo's tolerance of 1e-8, and what is left of the box's settling
@@ -99,3 +103,9 @@ def test_names_that_the_model_lacks_are_refused():
         ContactReader(model, site="frame")
     with pytest.raises(ArgumentError, match="above 0"):
         ContactReader(model, site="frame", body="slab", mm_per_length=0.0)
+
+
+def test_a_missing_simulator_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingSimulatorError, match=r"mujoco.*pip install 'tripillar\[simulators\]'"):
+        runpy.run_path(sys.modules[ContactReader.__module__].__file__)
