@@ -12,7 +12,7 @@ from geometry.layout import FloatArray
 from hardware.readout.description import FRAME, SensorDescription
 from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
 from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
-from hardware.streams.scene import LONGEST, MIN_ARROW, PAD_HEIGHT, Painter
+from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 SCENE = "/tripillar/scene"  #: foxglove.SceneUpdate in Protobuf; the other topics are JSON, as in recordings
 PORT = 8765  #: where Foxglove looks for a server
-NET_COLOUR, ARROW_COLOUR = (1.0, 1.0, 1.0), (0.1, 0.8, 0.3)
-THICK = 0.08  #: diameter of an arrow's shaft over a pad's side
 
 
 class FoxgloveStream:
@@ -157,11 +155,12 @@ class FoxgloveStream:
         )
 
 
-def _arrows(tips_m: FloatArray, arrows_m: FloatArray, thick_m: float, colour: tuple[float, ...]) -> list[Any]:
+def _arrows(tips_m: FloatArray, arrows_m: FloatArray, thick_m: float, colour: tuple[int, int, int]) -> list[Any]:
     """Arrows (n, 3) that end at points (n, 3); Foxglove's begin at their pose and point along its x axis."""
     from foxglove.messages import ArrowPrimitive, Color, Pose, Vector3
 
-    found, paint = [], Color(r=colour[0], g=colour[1], b=colour[2], a=1.0)
+    red, green, blue = (each / 255 for each in colour)
+    found, paint = [], Color(r=red, g=green, b=blue, a=1.0)
     lengths = np.linalg.norm(arrows_m, axis=1)
     tails = (tips_m - arrows_m).tolist()
     for tail, length, turn in zip(tails, lengths.tolist(), turns_from_x(arrows_m).tolist(), strict=True):

@@ -12,7 +12,7 @@ import numpy as np
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
 from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
-from hardware.streams.scene import PAD_HEIGHT, Painter
+from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
 PORT = 9876  #: where a viewer looks for a server
@@ -122,6 +122,8 @@ class RerunStream:
                 half_sizes=np.tile([side / 2, side / 2, height / 2], (len(units), 1)),
                 fill_mode="solid",
             ),
+            "sensor/forces": rr.Arrows3D.from_fields(colors=ARROW_COLOUR, radii=THICK * side / 2),
+            "sensor/net": rr.Arrows3D.from_fields(colors=NET_COLOUR, radii=THICK * side),
             **{name: rr.SeriesLines(names=lines) for name, lines in named.items()},
         }
         for name, content in static.items():
@@ -139,7 +141,8 @@ class RerunStream:
                 ("resistance_ohm", "Resistances [Ω]"),
             )
         ]
-        return rrb.Blueprint(rrb.Horizontal(rrb.Spatial3DView(origin="sensor", name="Forces"), rrb.Vertical(*plots)))
+        array = rrb.Spatial3DView(origin="sensor", name="Forces")
+        return rrb.Blueprint(rrb.Horizontal(array, rrb.Vertical(*plots)), collapse_panels=True)
 
 
 def require_free(host: str, port: int) -> None:

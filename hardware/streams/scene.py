@@ -1,5 +1,6 @@
 """The picture that viewers draw of a frame: pads in colours, forces as arrows, in metres, on the touched surface."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 3
 PAD_HEIGHT = 0.1  #: of a drawn pad, over its side
 LONGEST = 3.0  #: arrow of the largest force in the model's training, over a pad's side
 MIN_ARROW = 0.02  #: of the longest: shorter ones are not drawn
+THICK = 0.08  #: diameter of an arrow's shaft, over a pad's side; that of the net force is twice as thick
+ARROW_COLOUR, NET_COLOUR = (26, 204, 77), (255, 255, 255)
 
 
 def colours(shares: FloatArray) -> NDArray[np.uint8]:
@@ -33,7 +36,7 @@ class Scene:
 
     pad_colours: NDArray[np.uint8]  #: (n, 3): by Fz, or by shear where the model gives no Fz
     arrows_m: FloatArray  #: (n, 3): forces on the sensor; their tips are at the pads' centres
-    net_arrow_m: FloatArray | None  #: (3,): net force, drawn as long for all pads' largest forces as an arrow for one's
+    net_arrow_m: FloatArray | None  #: (3,): net force; a newton is 1/√n of one on a pad
     net_tip_m: FloatArray | None  #: (3,): centre of pressure; None, as the arrow, where there is none
 
 
@@ -63,7 +66,7 @@ class Painter:
         per_newton_m = LONGEST * self.pad_m / self.full_scale_n
         net_arrow_m = net_tip_m = None
         if not np.isnan(frame.wrench.centre_mm).any():
-            net_arrow_m = np.nan_to_num(frame.wrench.vector_n[0]) * per_newton_m / len(vectors)
+            net_arrow_m = np.nan_to_num(frame.wrench.vector_n[0]) * per_newton_m / math.sqrt(len(vectors))
             net_tip_m = np.append(1e-3 * frame.wrench.centre_mm[0], 0.0)
         return Scene(
             pad_colours=colours(np.abs(shown) / self.full_scale_n),

@@ -141,7 +141,7 @@ def test_arrows_are_the_forces_on_the_pads(received):
         assert np.array(ends[:-1]) == pytest.approx(pads_m, abs=1e-9)
         assert np.array(forces[:-1]) == pytest.approx(frame.force_n.reshape(-1, 3) * SIGNS, abs=1e-6)
         assert ends[-1] == pytest.approx([*1e-3 * frame.wrench.centre_mm[0], 0.0], abs=1e-9)
-        assert 6 * forces[-1] == pytest.approx(frame.wrench.vector_n[0], abs=1e-6)
+        assert 6**0.5 * forces[-1] == pytest.approx(frame.wrench.vector_n[0], abs=1e-6)
 
 
 def test_the_file_holds_what_the_stream_would(board, tmp_path):
