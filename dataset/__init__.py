@@ -5,8 +5,8 @@ lengths and resistances of many samples, in memory, as a NetCDF file or a zarr d
 `protocols.py` draws the loads, `resistance.py` turns displacements into resistances, `imperfections.py` and
 `measurement.py` say what a real sensor makes of them, `simulation.py` does all of it for many samples, `samples.py`
 holds them, `variables.py` says how files name them, `leaves.py` writes and `stored.py` reads what memory does not hold,
-and `torch_samples.py` gives samples to torch. Names that need the finite elements or torch are loaded when they are
-asked for.
+`torch_samples.py` gives samples to torch, `table.py` and `card.py` to other programs. Names that need the finite
+elements or torch are loaded when they are asked for.
 """
 
 from importlib import import_module

@@ -12,8 +12,9 @@ import typer
 from tripillar.cli.board.fitting import calibrate, tare
 from tripillar.cli.board.reading import bench, convert, info, live, ports, record, replay
 from tripillar.cli.board.simulating import simulate
+from tripillar.cli.exporting import export
 from tripillar.cli.identifying import identify
-from tripillar.cli.learning import crossval, dataset, evaluate, export, train
+from tripillar.cli.learning import crossval, dataset, evaluate, train
 from tripillar.cli.solving import cad, design, mesh, response, solve
 from tripillar.cli.studying import doctor, optimize, run, sweep
 from tripillar.cli.viewing import SeveralPressures, view

@@ -1,4 +1,4 @@
-"""The commands that make data, and train, test and export networks."""
+"""The commands that make data, and train and test networks."""
 
 import os
 from dataclasses import asdict, replace
@@ -385,28 +385,6 @@ def crossval(
             samples, component, folds, training, net, hidden, feature, stated, None, force, caller(data, bars)
         )
     answer(json_, {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
-
-
-def export(
-    model: Annotated[Path, typer.Option(help="Model file.")],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", callback=output_file, help="File to write: .onnx, or .h for a header in C.")
-    ],
-    precision: Annotated[
-        Literal["float", "double"] | None,
-        typer.Option(help="Precision of the numbers; default: double in .onnx, float in .h."),
-    ] = None,
-    json_: JsonOption = False,
-) -> None:
-    """Write a model for other programs: ONNX, or C for a microcontroller."""
-    require_other(out, model)
-    from decoupler.export import export_model
-    from decoupler.model.model_file import read_model
-
-    exported = export_model(read_model(model), out, precision)
-    checked = f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
-    said = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
-    answer(json_, {"file": str(out), **asdict(exported)}, said, out)
 
 
 def caller(data: Path, bars: "Bars", model: Path | str = "model") -> "Caller":

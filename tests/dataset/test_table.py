@@ -1,0 +1,120 @@
+"""Tables for other programs and the card: read back by pyarrow, pandas, numpy and a YAML parser."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from dataset import DatasetSettings, read_samples, simulate
+from dataset.card import card_text, size_category
+from dataset.table import MissingParquetError, columns_of, write_table
+from geometry.design_file import design_from_toml
+from geometry.errors import DesignError, FileFormatError
+from tests.house import House
+
+pa = pytest.importorskip("pyarrow")
+
+
+@pytest.fixture(scope="module")
+def data(response):
+    return simulate(response, DatasetSettings(protocol="three-axis", samples=40, seed=3, noise=1e-3, bits=12))
+
+
+@pytest.fixture(scope="module")
+def stored(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("table") / "data.zarr"
+    data.labels().write(path, dtype="float32")
+    return read_samples(path)
+
+
+def test_parquet_gives_back_every_number_and_what_it_means(data, stored, tmp_path):
+    """A column a number: of each kind one is looked up by its name, and all by their dictionary."""
+    for samples, dtype in ((data, "double"), (stored, "float")):
+        counts = []
+        write_table(samples, tmp_path / "a.parquet", counts.append)
+        table = pa.parquet.read_table(tmp_path / "a.parquet")
+        assert sum(counts) == len(table) == len(samples)
+        assert {str(field.type) for field in table.schema} == {dtype}
+        whole = samples[:]
+        assert np.array_equal(table["force_1_2_z_n"], whole.force_n[:, 1, 2, 2])
+        assert np.array_equal(table["resistance_0_1_x_ohm"], whole.resistance_ohm[:, 0, 1, 1])
+        told = json.loads(table.schema.metadata[b"tripillar"])
+        assert told["content_hash"] == samples.content_hash
+        assert design_from_toml(told["design"], "it") == data.design
+        assert told["columns"].keys() == set(table.column_names)
+        for name, column in told["columns"].items():
+            place = (slice(None), *(int(at) for at in _numbers(column["place"])))
+            assert np.array_equal(table[name], getattr(whole, column["variable"])[place])
+            assert table.schema.field(name).metadata[b"units"].decode() == column["units"]
+    assert "displacement_0_0_u2_y_mm" in {column.name for column in columns_of(data)}
+    assert pa.parquet.read_table(tmp_path / "a.parquet").to_pandas()["force_0_0_z_n"].gt(0).all()
+
+
+def _numbers(place):
+    labels = {"axis": "xyz", "pillar": "zxy", "electrode": ["U1", "U2"]}
+    return [labels[dim].index(at) if dim in labels else at for dim, at in place.items()]
+
+
+def test_csv_gives_back_every_bit(data, stored, tmp_path):
+    for samples, dtype in ((data, np.float64), (stored, np.float32)):
+        write_table(samples, tmp_path / "a.csv")
+        lines = (tmp_path / "a.csv").read_text().splitlines()
+        assert lines[0].split(",") == [column.name for column in columns_of(samples)]
+        numbers = np.loadtxt(lines[1:], delimiter=",").astype(dtype)
+        at = lines[0].split(",").index("force_0_0_x_n")
+        assert np.array_equal(numbers[:, at : at + 18], samples[:].force_n.reshape(40, 18).astype(dtype))
+
+
+def test_other_forms_and_a_missing_package_are_refused_and_leave_nothing(data, tmp_path, monkeypatch):
+    with pytest.raises(FileFormatError, match=r"end the name in \.parquet or \.csv"):
+        write_table(data, tmp_path / "a.xlsx")
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(MissingParquetError, match=r"pip install 'tripillar\[parquet\]'"):
+        write_table(data, tmp_path / "a.parquet")
+    assert not list(tmp_path.iterdir())
+
+
+def test_card_says_what_how_and_under_which_licence(data, stored):
+    _, head, body = card_text(stored, stored.path, "cc-by-4.0").split("---\n", 2)
+    told = yaml.safe_load(head)
+    assert (told["license"], told["size_categories"]) == ("cc-by-4.0", ["n<1K"])
+    assert told["configs"] == [{"config_name": "default", "data_files": "data.parquet"}]
+    assert told["dataset_info"]["features"] == [
+        {"name": column.name, "dtype": "float32"} for column in columns_of(stored)
+    ]
+    for words in (stored.content_hash, data.made_from["recipe"], "40 samples", "| `force_n` |", "pitch_mm = 15.0"):
+        assert words in body
+    assert "    tripillar dataset --protocol three-axis --samples 40 --seed 3 --noise 0.001 --bits 12 " in body
+    assert "--only force,resistance --dtype float32 --design sensor.toml --out data.zarr" in body
+    with pytest.raises(DesignError, match="must be an identifier such as cc-by"):
+        card_text(stored, stored.path, "my own\nlicense: other")
+
+
+def test_size_categories_are_half_open():
+    assert [size_category(n) for n in (999, 1000, 9999, 10_000, 10**7)] == [
+        "n<1K", "1K<n<10K", "1K<n<10K", "10K<n<100K", "10M<n<100M",
+    ]  # fmt: skip
+
+
+def test_the_command_writes_beside_the_data_and_refuses_what_does_not_go_together(data, stored, tmp_path):
+    house = House(tmp_path)
+    data.write(tmp_path / "data.nc")
+    told = house.result("export", "data.nc", "--to", "parquet", "-q")
+    assert told == {"file": "data.parquet", "samples": 40, "columns": len(columns_of(data))}
+    assert house.result("export", str(stored.path), "-o", "own.csv", "-q")["columns"] == 36
+    house.result("export", "data.nc", "--to", "card", "--license", "mit", "-q")
+    assert "license: mit\n" in (tmp_path / "data.card.md").read_text(encoding="utf-8")
+    for words, says in {
+        ("data.nc",): "give --to parquet, csv or card",
+        (): "give a data set or --model FILE, one of them",
+        ("data.nc", "--model", "m.safetensors"): "give a data set or --model FILE, one of them",
+        ("--model", "m.safetensors"): "a model needs --out FILE that ends in .onnx or .h",
+        ("--model", "m.safetensors", "--to", "csv", "-o", "m.csv"): "--to and --license are for data sets",
+        ("data.nc", "--to", "csv", "-o", "a.parquet"): "must be a file that ends in .csv",
+        ("data.nc", "--to", "csv", "--precision", "float"): "--precision is for models",
+        ("data.nc", "--to", "csv", "--license", "mit"): "--license is written into the card",
+        ("data.nc", "--to", "card", "--license", "A B"): "--license 'A B' must be an identifier",
+        ("none.zarr", "--to", "csv"): "none.zarr",
+    }.items():
+        assert says in house.refusal("export", *words)
