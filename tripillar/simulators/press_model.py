@@ -28,7 +28,8 @@ TIP_MM = (5.0, 4.0)  #: radius and half the length of the fingertip, a capsule a
 CLEARANCE_MM = 4.0  #: between slab and fingertip at rest
 FINGER_KG = 0.2
 FRICTION = 0.6  #: of the slab, Coulomb's
-IMPEDANCE = 0.5  #: MuJoCo's d of the contact: smaller is nearer to a spring, but chatters sooner
+MIN_IMPEDANCE = 0.5  #: MuJoCo's d of a contact: smaller is nearer to a spring, but chatters sooner
+MAX_DAMPED = 0.6  #: largest b/d times the time step; contacts chatter from 1 on
 STEP_S = 0.001
 
 
@@ -138,17 +139,19 @@ def soften(model: Any, geom: str, body: str, stiffness_n_per_mm: float) -> None:
     MuJoCo's contact force f obeys R f = (b v + k r)/d − a: penetration r, its rate v, the bodies' acceleration a apart,
     ``solref`` = (−k, −b), impedance d and R = Â (1 − d)/d, Â the body's inverse mass as the model states it
     (`body_invweight0`); MuJoCo's documentation, chapter Computation. At rest f = k r/(Â (1 − d)), so
-    k = stiffness · Â (1 − d) makes the spring. It has an apparent mass 1/R, with d = 1/2 the body's own. Contacts
-    chatter where b/d times the time step passes 1.
+    k = stiffness · Â (1 − d) makes the spring. It has an apparent mass 1/R, with d = 1/2 the body's own, and
+    b = 2 √k damps both critically. d is 1/2, or where b/d is too fast for the model's time step so much that it is not.
     """
     if model.opt.cone != mujoco.mjtCone.mjCONE_ELLIPTIC:
         raise ArgumentError('soft contacts need elliptic cones: write <option cone="elliptic"/> in the model.')
     g = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
     inverse_kg = model.body_invweight0[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body), 0]
-    stiffness = 1000.0 * stiffness_n_per_mm
-    damping = 2.0 * np.sqrt(stiffness / (inverse_kg * (1.0 - IMPEDANCE)))
-    model.geom_solimp[g] = (IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0)
-    model.geom_solref[g] = -np.array([stiffness, damping]) * inverse_kg * (1.0 - IMPEDANCE)
+    rate2 = 1000.0 * stiffness_n_per_mm * inverse_kg  # k = rate² (1 − d)
+    a = rate2 * (2.0 * model.opt.timestep / MAX_DAMPED) ** 2  # a (1 − d) = d² where b/d is the fastest
+    d = max(MIN_IMPEDANCE, 0.5 * (np.sqrt(a * a + 4.0 * a) - a))
+    k = rate2 * (1.0 - d)
+    model.geom_solimp[g] = (d, d, 0.001, 0.5, 2.0)
+    model.geom_solref[g] = -k, -2.0 * np.sqrt(k)
 
 
 def renderer(model: Any, wide: int, high: int) -> Any:

@@ -145,11 +145,12 @@ def test_what_cannot_be_wrapped_is_refused(response, model):
         press.PressEnv(DESIGN, response, render_mode="human")
 
 
-def test_contact_is_as_stiff_as_the_slab(response):
-    """At rest each of the capsule's two contacts is a spring of the pads' stiffness: F = K · depth."""
+@pytest.mark.parametrize("times", [1.0, 30.0])
+def test_contact_is_as_stiff_as_the_slab(response, times):
+    """At rest each of the capsule's two contacts is a spring of the pads' stiffness, or of more: F = K · depth."""
     import mujoco
 
-    stiffness = pad_stiffness(response)
+    stiffness = times * pad_stiffness(response)
     world = finger_on_slab(DESIGN, stiffness)
     data = mujoco.MjData(world)
     data.ctrl[2] = -0.006
