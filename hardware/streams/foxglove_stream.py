@@ -11,7 +11,7 @@ import numpy as np
 from geometry.layout import FloatArray
 from hardware.readout.description import FRAME, SensorDescription
 from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
-from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
+from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
@@ -65,7 +65,7 @@ class FoxgloveStream:
         from foxglove.channels import SceneUpdateChannel
         from foxglove.websocket import ServerListener
 
-        require_new(self._mcap)
+        make_room(self._mcap)
         stream, context = self, Context()
 
         class Listener(ServerListener):
@@ -82,8 +82,8 @@ class FoxgloveStream:
                     self.port = server.port
                 if self._mcap is not None:
                     opened.callback(open_mcap(self._mcap, context=context).close)
-            except (OSError, RuntimeError) as error:
-                raise StreamError(f"{self._host}:{self.port}: {error}: give another address or file.") from None
+            except RuntimeError as error:  # as the SDK calls whatever is wrong with an address
+                raise StreamError(f"{self._host}:{self.port}: {error}: give another address.") from None
             self._context = context  # its channels end with it
             self._scene = SceneUpdateChannel(SCENE, context=context)
             self._channels = {

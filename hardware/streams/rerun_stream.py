@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
-from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, require_new
+from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
@@ -59,7 +59,7 @@ class RerunStream:
         self._host, self._port, self._rrd = host, port, rrd
 
     def __enter__(self) -> Self:
-        require_new(self._rrd)
+        make_room(self._rrd)
         rr, sinks = self._rerun, []
         if self._host is not None:
             require_free(self._host, self._port)
