@@ -103,7 +103,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         "[twin]  # the design above is at the most probable values of what its maker left unknown",
         f"pairs = {twin.n_pairs}  # measured",
         f"misfit = {found.excess:.4g}  # χ² of the readings over their number: 1 if all is as modelled",
-        f"decoder = {_text(os.path.relpath(decoder, path.parent))}  # its response and draws of it, seen from here",
+        f"decoder = {_text(_seen_from(path.parent, decoder))}  # its response and draws of it, seen from here",
         f"decoder_hash = {_text(file_hash(decoder))}",
         "\n[twin.parameters]  # most probable value and standard deviation, in the key's unit",
         *(f"{_text(name)} = [{value:.7g}, {sd:.3g}]" for name, (value, sd) in twin.parameters.items()),
@@ -116,6 +116,14 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         for pillar, rows in zip(twin.decoder.component.pillars, by_pillar, strict=True):
             lines.append(f"{pillar} = [\n" + "".join(f"  {_row(row, '.6g')},\n" for row in rows) + "]")
     write_text("\n".join([*lines, ""]), path)
+
+
+def _seen_from(folder: Path, decoder: Path) -> str:
+    """The path of a file from a folder, with / on every system; the whole path where it is on another drive."""
+    try:
+        return Path(os.path.relpath(decoder, folder)).as_posix()
+    except ValueError:
+        return Path(decoder).absolute().as_posix()
 
 
 def read_twin(path: Path) -> TwinFile | None:
