@@ -165,7 +165,9 @@ def renderer(model: Any, wide: int, high: int) -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of GLFW, about the display that it lacks
-            if mujoco.gl_context.GLContext.__module__ == "mujoco.glfw":
+            from mujoco import gl_context
+
+            if gl_context.GLContext.__module__ == "mujoco.glfw":
                 import glfw
 
                 if not glfw.init():  # going on without would end the process
