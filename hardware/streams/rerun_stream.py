@@ -18,7 +18,7 @@ from hardware.streams.tactile_frame import TactileFrame
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
 KEPT = "256MiB"  #: of the newest frames, for viewers that connect later
-FLUSH_S = 0.02  #: longest time that a frame waits to be sent
+SERVED_S, FILED_S = 0.05, 1.0  #: longest time that a frame waits, for viewers and for a file alone
 
 
 class RerunStream:
@@ -66,7 +66,8 @@ class RerunStream:
             sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
         if self._rrd is not None:
             sinks.append(rr.FileSink(self._rrd))
-        self._recording = rr.RecordingStream("tripillar", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
+        batches = rr.ChunkBatcherConfig(flush_tick=FILED_S if self._host is None else SERVED_S)
+        self._recording = rr.RecordingStream("tripillar", batcher_config=batches)
         self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
         self._state_sensor()
         return self
