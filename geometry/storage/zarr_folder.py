@@ -149,13 +149,18 @@ def open_zarr(
     Raises
     ------
     FileFormatError
-        If it is missing or no zarr directory, lacks a variable or has it on other dims.
+        If it is missing or no zarr directory, lacks a variable or has it on other dims, or holds pickles.
     """
     import xarray as xr
 
     if not path.is_dir():
         reason = "a file, no zarr directory" if path.exists() else "no such directory"
         raise FileFormatError(f"{path}: {reason}: give one made by '{made_by}'.")
+    headers = (header for name in (".zarray", "zarr.json") for header in path.glob(f"*/{name}"))
+    if any(b'pickle"' in header.read_bytes() for header in headers):
+        raise FileFormatError(
+            f"{path}: holds pickles, which may run any program when they are read: give numbers alone."
+        )
     try:
         opened = xr.open_zarr(path, chunks=None, consolidated=False, decode_times=False)
     except Exception as error:  # damaged headers raise of every kind

@@ -1,5 +1,6 @@
 """Zarr directories: what is written is read back leaf by leaf, lazily, and damage is refused in one line."""
 
+import json
 import pickle
 import shutil
 
@@ -168,6 +169,16 @@ def test_a_damaged_or_foreign_directory_is_refused_in_one_line(copy, data, tmp_p
     with pytest.raises(FileFormatError, match="content_hash"):
         read_samples(copy)
     assert HASHES in text
+
+
+def test_a_directory_that_runs_programs_is_not_read(copy, monkeypatch):
+    """A codec of zarr's unpickles; ours are numbers."""
+    header = copy / "axis/.zarray"
+    plain = json.loads(header.read_text())
+    header.write_text(json.dumps({**plain, "filters": [{"id": "pickle", "protocol": 5}], "dtype": "|O"}))
+    monkeypatch.setattr(pickle, "loads", lambda *_: pytest.fail("unpickled"))
+    with pytest.raises(FileFormatError, match="holds pickles"):
+        read_samples(copy)
 
 
 def test_only_a_data_set_is_replaced(copy, data, tmp_path):
