@@ -2,12 +2,12 @@
 
     python -m studies.many_samples --samples 10000000 --out /somewhere/with/room
 
-takes 0.7 kB of disk a sample for each of the two. Prints seconds of wall clock and of processor time, and the largest
-memory of a process; `--once` leaves the second one out and compares single leaves with samples made in memory instead.
+takes 0.7 kB of disk a sample. Prints seconds of wall clock and of processor time, and the largest memory of a process.
 """
 
 import argparse
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,19 +17,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic, sleep
 
-import numpy as np
 import psutil
 
-from dataset import DatasetSettings, StoredSamples, read_samples
-from dataset.leaves import LEAF, n_leaves
-from dataset.simulation import simulate_part
+from dataset import read_samples
+from dataset.leaves import n_leaves
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from tripillar.sweep.leaves import unfinished
 
 SEED, NOISE = 1, 0.001
 LOOK_S = 0.1  #: between two looks at the processes
-CHECKED = 5  #: leaves that are compared with `--once`
 
 
 @dataclass
@@ -85,38 +82,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--out", type=Path, default=Path("out/many-samples"), help="folder")
-    parser.add_argument("--once", action="store_true", help="compare a few leaves instead of making all again")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    killed, whole = asked.out / "killed.zarr", asked.out / "whole.zarr"
-    if killed.exists() or whole.exists() or unfinished(killed).exists():
+    out = asked.out / "many.zarr"
+    if out.exists() or unfinished(out).exists():
         raise SystemExit(f"{asked.out} holds data sets of before: remove them, or give another folder.")
-    response, _, _ = array_response(SensorDesign())
-    leaves = n_leaves(asked.samples)
-    used = Used()
+    array_response(SensorDesign())  # kept in the cache
+    leaves, used = n_leaves(asked.samples), Used()
     for part in (0.3, 0.6):
-        make(asked.samples, killed, used, lambda part=part: n_done(killed) >= part * leaves)  # type: ignore[misc]
-        print(f"killed when {n_done(killed)} of {leaves} parts were done")
-    make(asked.samples, killed, used)
-    print(f"killed twice: {used}; {sum(f.stat().st_size for f in killed.rglob('*')) / 1e9:.2f} GB")
-    stored = read_samples(killed)
-    assert isinstance(stored, StoredSamples)
-    if asked.once:
-        settings = DatasetSettings(protocol="three-axis", samples=asked.samples, seed=SEED, noise=NOISE)
-        for leaf in np.linspace(0, leaves - 1, CHECKED).astype(int):
-            numbers = range(leaf * LEAF, min(asked.samples, (leaf + 1) * LEAF))
-            made, read = simulate_part(response, settings, numbers, only=()), stored[numbers.start : numbers.stop]
-            assert np.array_equal(made.force_n.astype(np.float32), read.force_n)
-            assert np.array_equal(made.resistance_ohm.astype(np.float32), read.resistance_ohm)
-        print(f"{CHECKED} parts are to the last bit those made in memory")
-    else:
-        used = Used()
-        make(asked.samples, whole, used)
-        print(f"in one go: {used}")
-        assert read_samples(whole).content_hash == stored.content_hash
+        make(asked.samples, out, used, lambda part=part: n_done(out) >= part * leaves)  # type: ignore[misc]
+        print(f"killed when {n_done(out)} of {leaves} parts were done", flush=True)
+    make(asked.samples, out, used)
+    size = sum(file.stat().st_size for file in out.rglob("*"))
+    print(f"killed twice: {used}; {size / 1e9:.2f} GB", flush=True)
     begun = monotonic()
-    assert sum(len(block) for block in stored.blocks()) == asked.samples  # which checks every hash
-    print(f"the same numbers, all hashes in order; read in {monotonic() - begun:.0f} s")
+    killed = read_samples(out)
+    assert sum(len(block) for block in killed.blocks()) == asked.samples  # which checks the hash of every part
+    print(f"read in {monotonic() - begun:.0f} s, the hashes of all parts checked", flush=True)
+    shutil.rmtree(out)
+    used = Used()
+    make(asked.samples, out, used)
+    print(f"in one go: {used}")
+    assert read_samples(out).content_hash == killed.content_hash
+    print("the same numbers")
 
 
 if __name__ == "__main__":

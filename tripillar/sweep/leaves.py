@@ -14,9 +14,9 @@ from typing import Any
 
 from dataset.leaves import LEAF, Leaf, n_leaves, packed, write_leaf, write_leaves_header
 from dataset.measurement import Readout
-from dataset.samples import Samples
+from dataset.samples import LABELS, Samples
 from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
-from dataset.stored import is_current
+from dataset.stored import is_current, read_samples
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
@@ -46,7 +46,12 @@ class LeafJob:
         """Hash of all that leaves depend on: not the number of samples, of which the last leaf alone knows."""
         of_one = dataset_cache_key(self.response, replace(self.settings, samples=1), self.readout)
         more = [] if self.twin is None else [self.twin.decoder_hash]
-        return digest("leaves", LEAF, of_one, None if self.only is None else sorted(self.only), self.dtype, *more)
+        return digest("leaves", LEAF, of_one, self.named, self.dtype, *more)
+
+    @property
+    def named(self) -> list[str] | None:
+        """`only`, in one order."""
+        return None if self.only is None else sorted({*LABELS, *self.only})
 
     def size(self, number: int) -> int:
         """Number of samples of a leaf."""
@@ -120,12 +125,12 @@ def make_directory(
         If the disk is full or the place may not be written to. What was made is kept.
     """
     first = job.part(0, 1)  # refuses what no worker could make
-    recipe = digest("zarr", first.made_from["recipe"], job.only, job.dtype)
+    recipe = digest("zarr", first.made_from["recipe"], job.named, job.dtype)
     folder = unfinished(out)
     if is_current(out, recipe):
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
-        return Made(recipe=recipe, redrawn=_redrawn(out), kept=job.settings.samples)
+        return Made(recipe=recipe, redrawn=int(read_samples(out).made_from["redrawn"]), kept=job.settings.samples)
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
     with reported(out, folder / "any"), kept_folder(folder), last_words(f"stopped; {go_on}"):
         try:
@@ -240,12 +245,6 @@ def _require_same(folder: Path, job: LeafJob) -> None:
 def _is_begun(folder: Path) -> bool:
     """Whether something is kept."""
     return any((folder / "leaves").glob("*.json"))
-
-
-def _redrawn(out: Path) -> int:
-    from dataset import read_samples
-
-    return int(read_samples(out).made_from["redrawn"])
 
 
 def _record_path(folder: Path, number: int) -> Path:
