@@ -1,0 +1,26 @@
+"""A rigid indenter pressed into the array's top, and dragged along it: contact by shape.
+
+In: a design, a shape, a depth. Out: tractions on the top, forces on every unit, displacements of the electrodes. In the
+order of the data: `shapes.py` (sphere, cylinder, flat punch, solid of an STL file), `surface.py` (how the top gives way
+under tractions, cached), `patch.py` (the same on the fine grid of one contact), `coulomb.py` (unilateral contact with
+friction on that grid), `indentation.py` (all of it: open this file first).
+"""
+
+from fem.contact.indentation import Contact, ContactError, press
+from fem.contact.shapes import Cylinder, Flat, Shape, ShapeError, Solid, Sphere, read_solid
+from fem.contact.surface import SurfaceCompliance, surface_compliance
+
+__all__ = [
+    "Contact",
+    "ContactError",
+    "Cylinder",
+    "Flat",
+    "Shape",
+    "ShapeError",
+    "Solid",
+    "Sphere",
+    "SurfaceCompliance",
+    "press",
+    "read_solid",
+    "surface_compliance",
+]

@@ -1,0 +1,314 @@
+"""Presses a rigid shape into an array's top and drags it along, at small strain: open this file first."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.contact.coulomb import balanced
+from fem.contact.patch import Patch, PatchCompliance, tile_integrals
+from fem.contact.shapes import Shape
+from fem.contact.surface import SurfaceCompliance, surface_compliance
+from geometry.design import SensorDesign
+from geometry.errors import TriPillarError, require_type
+from geometry.layout import FloatArray
+
+CELLS = 48  #: of the grid along the longer side of a contact
+COARSE_CELLS = 24  #: of the grid on which the contact's extent is found
+REACH = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer, which piles up
+MARGIN = 2  #: coarse cells around the contact
+PRESS_STEPS, SLIDE_STEPS = 4, 4  #: increments of depth, and then of slide, where there is friction
+PASSES = 3  #: over an increment of the slide, at most
+SMALL_STEP = 0.25  #: of a cell
+MAX_FRICTION = 2.0
+NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has across at least
+MIN_MM = 1e-6  #: of a side of a patch
+MIN_CELLS, MAX_CELLS = 8, 256
+STICKS = 1 - 1e-3  #: of the largest friction: below, a cell sticks
+FREE, SLIPPING, STICKING = range(3)
+
+UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
+
+
+class ContactError(TriPillarError, ValueError):
+    """A contact that cannot be: no depth, no friction of that size, or a shape that misses the sensor."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contact:
+    """A rigid shape in balance with the array's top.
+
+    Forces act on the sensor, along x and y of the array; along z they are positive in compression.
+    """
+
+    design: SensorDesign
+    depth_mm: float
+    at_mm: tuple[float, float]
+    slide_mm: tuple[float, float]
+    friction: float
+    patch: Patch = field(repr=False)
+    cell_force_n: FloatArray = field(repr=False)  #: (3, ny, nx) on the patch's cells, z positive in compression
+    displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
+    gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
+    force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
+    electrode_mm: FloatArray  #: (rows, cols, 2, 3): mean displacement of U1 and U2 along x, y, z
+
+    @cached_property
+    def pressure_mpa(self) -> FloatArray:
+        """Pressure on the patch, (ny, nx)."""
+        return self.cell_force_n[2] / self.patch.cell_mm2
+
+    @cached_property
+    def shear_mpa(self) -> FloatArray:
+        """Shear on the sensor along x and y, (2, ny, nx)."""
+        return self.cell_force_n[:2] / self.patch.cell_mm2
+
+    @property
+    def net_force_n(self) -> FloatArray:
+        """Force along x, y, z, (3,)."""
+        return self.cell_force_n.sum(axis=(1, 2))
+
+    @property
+    def moment_nmm(self) -> FloatArray:
+        """Moment of the force on the sensor about the middle of its top, about x, y and z up, (3,) [N mm]."""
+        x, y = self.patch.x_mm, self.patch.y_mm[:, None]
+        fx, fy, pressing = self.cell_force_n
+        return np.array([-(y * pressing).sum(), (x * pressing).sum(), (x * fy - y * fx).sum()])
+
+    @property
+    def centre_mm(self) -> FloatArray:
+        """Centre of pressure, x and y [mm]."""
+        pressing = self.cell_force_n[2]
+        x, y = (pressing * self.patch.x_mm).sum(), (pressing * self.patch.y_mm[:, None]).sum()
+        return np.array([x, y]) / pressing.sum()
+
+    @property
+    def area_mm2(self) -> float:
+        """Area that touches."""
+        return float((self.cell_force_n[2] > 0).sum() * self.patch.cell_mm2)
+
+    @property
+    def peak_mpa(self) -> float:
+        """Largest pressure of a cell; at the edges of flat punches it grows with the fineness of the grid."""
+        return float(self.pressure_mpa.max())
+
+    @cached_property
+    def state(self) -> NDArray[np.int8]:
+        """`FREE`, `SLIPPING` or `STICKING` of every cell of the patch, (ny, nx)."""
+        touching = self.cell_force_n[2] > 0
+        limit = self.friction * self.cell_force_n[2]
+        sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICKS * limit)
+        return np.where(sticks, STICKING, np.where(touching, SLIPPING, FREE)).astype(np.int8)
+
+
+def press(
+    sensor: SensorDesign | SurfaceCompliance,
+    shape: Shape,
+    depth_mm: float,
+    *,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+    slide_mm: tuple[float, float] = (0.0, 0.0),
+    friction: float = 0.0,
+    cells: int = CELLS,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Contact:
+    """Press a rigid shape into the array's top, then drag it along at that depth.
+
+    Parameters
+    ----------
+    sensor : SensorDesign or SurfaceCompliance
+        A design, whose compliance comes from the cache or is made, or a compliance at hand.
+    shape : Shape
+        `Sphere`, `Cylinder`, `Flat`, or `read_solid` of an STL file.
+    depth_mm : float
+        How far the shape's lowest point goes below the undeformed top.
+    at_mm : tuple of float
+        Where the shape's origin meets the top; the array's middle is (0, 0).
+    slide_mm : tuple of float
+        Displacement of the shape along x and y after it has been pressed.
+    friction : float
+        Coulomb's coefficient μ; 0 is frictionless.
+    cells : int
+        Cells of the grid along the longer side of the contact.
+    progress : function
+        Called with the name of each step as it begins.
+
+    Returns
+    -------
+    Contact
+
+    Raises
+    ------
+    ContactError
+        If the depth is not above 0 or reaches the base, the shape misses the sensor, or a number is out of range.
+    DesignError
+        As `surface_compliance` does.
+    SolverError
+        If the contact finds no balance.
+
+    Notes
+    -----
+    Linear elasticity on the undeformed top: strains of more than some 10 % are only roughly right, whatever the grid.
+    With friction, depth and slide grow in `PRESS_STEPS` and `SLIDE_STEPS` increments, each of them Coulomb's law on the
+    slip since the last. Where a shape drags the rubber along, its place over the rubber moves by its slip alone.
+    """
+    if isinstance(sensor, SensorDesign):
+        sensor, _, _ = surface_compliance(sensor, progress)
+    require_type("sensor", sensor, SurfaceCompliance, "give a SensorDesign, or what surface_compliance makes")
+    path = _Path(sensor, shape, depth_mm, at_mm, slide_mm, friction)
+    _require_sane(path, cells)
+    wide = _patch(sensor.design, *path.box(shape.reach_mm(REACH * depth_mm)), COARSE_CELLS)
+    if wide is None:
+        raise _missed(path)
+    touching = path.touching(wide)
+    if not touching.any():
+        raise _missed(path)
+    fine = _patch(sensor.design, *_around(wide, touching), cells)
+    assert fine is not None  # it is part of the wide one
+    return path.followed(fine)
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """One indentation: a shape, its depth and its slide."""
+
+    surface: SurfaceCompliance
+    shape: Shape
+    depth_mm: float
+    at_mm: tuple[float, float]
+    slide_mm: tuple[float, float]
+    friction: float
+
+    def box(self, reach_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """Corners of what a shape of this reach passes over."""
+        start, end = np.array(self.at_mm), np.array(self.at_mm) + self.slide_mm
+        return np.minimum(start, end) - reach_mm, np.maximum(start, end) + reach_mm
+
+    def followed(self, patch: Patch) -> Contact:
+        """Press and slide on a grid, and gather what is asked."""
+        compliance = PatchCompliance(self.surface, patch)
+        shape = (3 if self.friction else 1, patch.ny, patch.nx)
+        now = _Increment(np.zeros(shape), np.zeros(shape), np.zeros(2), np.zeros(2))
+        for depth_mm, slide_mm in self._increments():
+            now = self._after(now, compliance, depth_mm, slide_mm)
+        force = np.zeros((3, patch.ny, patch.nx))
+        force[-shape[0] :] = now.force_n
+        moved = compliance.moved_mm(force * UP)
+        design = self.surface.design
+        return Contact(
+            design=design,
+            depth_mm=self.depth_mm,
+            at_mm=self.at_mm,
+            slide_mm=self.slide_mm,
+            friction=self.friction,
+            patch=patch,
+            cell_force_n=force,
+            displacement_mm=moved,
+            gap_mm=self._heights_mm(patch, now.past_mm) - moved[2],
+            force_n=tile_integrals(patch, force, design.array.rows, design.array.cols, design.array.pitch_mm),
+            electrode_mm=compliance.electrodes_mm(force * UP),
+        )
+
+    def touching(self, patch: Patch) -> NDArray[np.bool_]:
+        """Cells of a grid that touch without friction, before or after the slide."""
+        compliance = PatchCompliance(self.surface, patch)
+        found = np.zeros((patch.ny, patch.nx), dtype=bool)
+        for slide_mm in {(0.0, 0.0), (float(self.slide_mm[0]), float(self.slide_mm[1]))}:
+            gap = self._heights_mm(patch, np.array(slide_mm))[None]
+            found |= balanced(compliance.pressed_mm, gap, 0.0, np.zeros_like(gap)).force_n[0] > 0
+        return found
+
+    def _increments(self) -> list[tuple[float, FloatArray]]:
+        """Depth and slide after each increment."""
+        slide = np.array(self.slide_mm, dtype=float)
+        if not self.friction:
+            return [(self.depth_mm, slide)]
+        pressed = [(self.depth_mm * k / PRESS_STEPS, np.zeros(2)) for k in range(1, PRESS_STEPS + 1)]
+        dragged = [(self.depth_mm, slide * k / SLIDE_STEPS) for k in range(1, SLIDE_STEPS + 1)]
+        return pressed + (dragged if slide.any() else [])
+
+    def _heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
+        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
+        x, y = np.array(self.at_mm) + past_mm
+        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+
+    def _after(
+        self, before: "_Increment", compliance: PatchCompliance, depth_mm: float, slide_mm: FloatArray
+    ) -> "_Increment":
+        """The next increment; again if the shape slipped past the rubber farther than was assumed."""
+        patch, step = compliance.patch, slide_mm - before.slide_mm
+        now, past = before, before.past_mm if self.friction else slide_mm
+        for _ in range(PASSES if self.friction and step.any() else 1):
+            gap = self._heights_mm(patch, past) + self.depth_mm - depth_mm
+            slip = -before.moved_mm[:-1] - step[:, None, None] if self.friction else before.moved_mm[:-1]
+            solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n)
+            now = _Increment(solved.force_n, solved.moved_mm, slide_mm, past)
+            past = slide_mm - _dragged(now) if self.friction else slide_mm
+            if np.abs(past - now.past_mm).max() < SMALL_STEP * min(patch.cell_mm):
+                break
+        return now
+
+
+@dataclass(frozen=True, eq=False)
+class _Increment:
+    """A balanced state on the way; the last component points into the body."""
+
+    force_n: FloatArray  #: (3, ny, nx), or (1, ny, nx) without friction
+    moved_mm: FloatArray  #: the same
+    slide_mm: FloatArray  #: (2,), of the shape
+    past_mm: FloatArray  #: (2,), of the shape over the rubber
+
+
+def _dragged(now: _Increment) -> FloatArray:
+    """Mean displacement of the rubber along x and y under the pressure, (2,) [mm]."""
+    pressing = now.force_n[2]
+    return (now.moved_mm[:2] * pressing).sum(axis=(1, 2)) / max(pressing.sum(), np.finfo(float).tiny)
+
+
+def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells: int) -> Patch | None:
+    """A grid over the part of a rectangle that lies on the top, None if there is none."""
+    half = np.array(design.slab_mm[:2]) / 2
+    low, high = np.maximum(low_mm, -half), np.minimum(high_mm, half)
+    size = high - low
+    if not (size > MIN_MM).all():
+        return None
+    nx, ny = np.rint(cells * np.maximum(size / size.max(), NARROW)).astype(int).tolist()
+    return Patch((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), nx, ny)
+
+
+def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Corners of the cells of a patch that touch, and some beside them."""
+    columns, rows = np.flatnonzero(touching.any(axis=0)), np.flatnonzero(touching.any(axis=1))
+    first = np.maximum([columns[0] - MARGIN, rows[0] - MARGIN], 0)
+    last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
+    low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
+    return low + first * cell, low + last * cell
+
+
+def _require_sane(path: _Path, cells: int) -> None:
+    numbers = [path.depth_mm, path.friction, *path.at_mm, *path.slide_mm]
+    if not np.isfinite(numbers).all():
+        raise ContactError(f"depth, friction, place and slide must be finite numbers, not {numbers}.")
+    height_mm = path.surface.design.unit.height_mm
+    if not 0 < path.depth_mm < height_mm:
+        raise ContactError(
+            f"depth_mm={path.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far the "
+            "shape goes down."
+        )
+    if not 0 <= path.friction <= MAX_FRICTION:
+        raise ContactError(f"friction={path.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
+    most = max(path.surface.design.slab_mm[:2])
+    if max(map(abs, path.slide_mm)) > most:
+        raise ContactError(f"slide_mm={tuple(path.slide_mm)} leaves the sensor: at most {most:g} mm along x and y.")
+    if not MIN_CELLS <= cells <= MAX_CELLS:
+        raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
+
+
+def _missed(path: _Path) -> ContactError:
+    x, y, _ = path.surface.design.slab_mm
+    return ContactError(
+        f"the shape misses the sensor at at_mm=({path.at_mm[0]:g}, {path.at_mm[1]:g}), depth {path.depth_mm:g} mm: the "
+        f"top reaches from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
+    )

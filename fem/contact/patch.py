@@ -1,0 +1,173 @@
+"""The fine grid of one contact, and how the array gives way on it."""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy import fft
+
+from fem.array.closed_forms import layer_mean_compliance
+from fem.contact.surface import SurfaceCompliance
+from geometry.design import Material
+from geometry.layout import FloatArray, electrode_squares
+
+#: sign of a force or a displacement in the mirror x = 0, and in y = 0
+MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A rectangle of the top, divided into nx × ny equal cells. Forces and displacements on it have (3, ny, nx)."""
+
+    low_mm: tuple[float, float]
+    high_mm: tuple[float, float]
+    nx: int
+    ny: int
+
+    @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Sides of a cell."""
+        return (self.high_mm[0] - self.low_mm[0]) / self.nx, (self.high_mm[1] - self.low_mm[1]) / self.ny
+
+    @property
+    def cell_mm2(self) -> float:
+        dx, dy = self.cell_mm
+        return dx * dy
+
+    @property
+    def x_mm(self) -> FloatArray:
+        """Middles of the cells along x, (nx,)."""
+        return _middles(self.low_mm[0], self.cell_mm[0], self.nx)
+
+    @property
+    def y_mm(self) -> FloatArray:
+        """Middles of the cells along y, (ny,)."""
+        return _middles(self.low_mm[1], self.cell_mm[1], self.ny)
+
+
+@dataclass(frozen=True, eq=False)
+class PatchCompliance:
+    """Displacements of a patch's cells, and of all electrodes, by forces on its cells."""
+
+    surface: SurfaceCompliance
+    patch: Patch
+
+    def moved_mm(self, force_n: FloatArray) -> FloatArray:
+        """Mean displacement of every cell by forces spread evenly over cells.
+
+        Forces [N] and displacements [mm] have shape (3, ny, nx), along x, y, z of the array, z negative pushing down;
+        or (1, ny, nx), along z alone.
+        """
+        design, patch, k = self.surface.design, self.patch, len(force_n)
+        spectrum, size = _layer_spectrum(
+            patch.nx, patch.ny, *patch.cell_mm, design.unit.height_mm, design.matrix_material
+        )
+        moved = np.einsum("abyx,byx->ayx", spectrum[-k:, -k:], fft.rfft2(force_n, size))
+        layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
+        tiles = (self._rest(k) @ self._on_tiles(force_n).ravel()).reshape(k, len(self._rows[1]), -1)
+        return layer + self._rows[0] @ tiles @ self._columns[0].T
+
+    def pressed_mm(self, force_n: FloatArray) -> FloatArray:
+        """The same with the last component of both pressing into the body."""
+        up = np.array([1.0, 1.0, -1.0])[-len(force_n) :, None, None]
+        return up * self.moved_mm(up * force_n)
+
+    def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
+        """Mean displacement of the upper electrodes, (rows, cols, 2, 3) [mm], by forces (3, ny, nx) [N]."""
+        rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
+        near = self.surface.on_electrodes[..., rows, columns]
+        shape = near.shape[:4]
+        rest = near.reshape(np.prod(shape), -1) @ self._on_tiles(force_n).ravel()
+        return self._electrodes_of_layer(force_n).reshape(shape) + rest.reshape(shape).astype(np.float64)
+
+    def _electrodes_of_layer(self, force_n: FloatArray) -> FloatArray:
+        """Mean displacement of the electrodes of the endless layer, (n_units·2, 3), from the table."""
+        surface, patch = self.surface, self.patch
+        squares = electrode_squares(surface.design)
+        middles = (squares[:, :2] + squares[:, 2:]) / 2
+        stride = max(1, int(min(patch.cell_mm) / surface.step_mm))  # no finer than the grid
+        table, step = surface.table[::stride, ::stride], surface.step_mm * stride
+        found = np.empty((len(middles), 3))
+        for number, (x, y) in enumerate(middles):
+            (at_x, sx), (at_y, sy) = _tabled(patch.x_mm, x, step), _tabled(patch.y_mm, y, step)
+            gathered = sy.T @ force_n @ sx  # (3, nodes along y, nodes along x)
+            mirrored = np.where(at_x[:, None] < 0, MIRROR_X, 1.0)[None], np.where(at_y[:, None] < 0, MIRROR_Y, 1.0)
+            signs = mirrored[0] * mirrored[1][:, None]
+            kernel = table[np.abs(at_y)[:, None], np.abs(at_x)]
+            found[number] = np.einsum("yxa,yxab,yxb,byx->a", signs, kernel, signs, gathered, optimize=True)
+        return found
+
+    def _on_tiles(self, force_n: FloatArray) -> FloatArray:
+        return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
+
+    @cached_property
+    def _columns(self) -> tuple[FloatArray, FloatArray]:
+        """Shares of the patch's columns in columns of tiles, and these' numbers."""
+        return _shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm)
+
+    @cached_property
+    def _rows(self) -> tuple[FloatArray, FloatArray]:
+        return _shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm)
+
+    def _rest(self, k: int) -> FloatArray:
+        """What is added to the layer on the tiles that the patch touches, for k axes, (k·n, k·n) [mm/N]."""
+        return self._rest_along_z if k == 1 else self._rest_along_all
+
+    @cached_property
+    def _rest_along_all(self) -> FloatArray:
+        return self._near(self.surface.on_tiles, (slice(None), slice(None)))
+
+    @cached_property
+    def _rest_along_z(self) -> FloatArray:
+        return self._near(self.surface.on_tiles, (slice(2, 3), slice(2, 3)))
+
+    def _near(self, on_tiles: FloatArray, axes: tuple[slice, slice]) -> FloatArray:
+        rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
+        part = on_tiles[axes[0], rows, columns, axes[1], rows, columns]
+        return part.reshape(int(np.prod(part.shape[:3])), -1)
+
+
+def _middles(low_mm: float, cell_mm: float, count: int) -> FloatArray:
+    return low_mm + (np.arange(count, dtype=np.float64) + 0.5) * cell_mm
+
+
+def tile_integrals(patch: Patch, force_n: FloatArray, rows: int, cols: int, pitch_mm: float) -> FloatArray:
+    """Force on each unit's share of the top, pitch × pitch, (rows, cols, 3) [N]; cells on a border are divided."""
+    shares = []
+    for low, high, n, count in zip(patch.low_mm, patch.high_mm, (patch.nx, patch.ny), (cols, rows), strict=True):
+        ends = np.linspace(low, high, n + 1)
+        borders = (np.arange(count + 1) - count / 2) * pitch_mm
+        inside = np.clip(ends[:, None], borders[:-1], borders[1:])
+        shares.append(np.diff(inside, axis=0) / np.diff(ends)[:, None])
+    return (shares[1].T @ force_n @ shares[0]).transpose(1, 2, 0)
+
+
+def _shares(places_mm: FloatArray, count: int, tile_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Linear interpolation between the middles of tiles, constant beyond the outer ones: (n, m), and the m numbers."""
+    at = np.clip(places_mm / tile_mm + (count - 1) / 2, 0, count - 1)
+    first = np.minimum(np.floor(at).astype(np.int64), max(count - 2, 0))
+    numbers = np.arange(first.min(), min(first.max() + 2, count))
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - numbers)), numbers
+
+
+def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np.ndarray, FloatArray]:
+    """Nodes of a table about a middle, in steps from it, and shares (n, m) of places in them."""
+    at = (places_mm - middle_mm) / step_mm
+    nodes = np.arange(int(np.floor(at.min())), int(np.floor(at.max())) + 2)
+    return nodes, np.maximum(0.0, 1.0 - np.abs(at[:, None] - nodes))
+
+
+@lru_cache(maxsize=64)
+def _layer_spectrum(
+    nx: int, ny: int, dx: float, dy: float, height_mm: float, material: Material
+) -> tuple[FloatArray, tuple[int, int]]:
+    """Fourier transform of the layer's influence between cells, (3, 3, ...), and the size that forces are padded to."""
+    x, y = np.arange(nx) * dx, np.arange(ny)[:, None] * dy
+    targets = np.stack(np.broadcast_arrays(x - dx / 2, y - dy / 2, x + dx / 2, y + dy / 2), axis=-1)
+    quarter = layer_mean_compliance(targets, np.array([-dx, -dy, dx, dy]) / 2, height_mm, material)
+    my, mx = fft.next_fast_len(2 * ny - 1, real=True), fft.next_fast_len(2 * nx - 1, real=True)
+    whole = np.zeros((my, mx, 3, 3))
+    whole[:ny, :nx] = quarter
+    whole[:ny, mx - nx + 1 :] = quarter[:, :0:-1] * np.outer(MIRROR_X, MIRROR_X)
+    whole[my - ny + 1 :] = whole[ny - 1 : 0 : -1] * np.outer(MIRROR_Y, MIRROR_Y)
+    return fft.rfft2(whole.transpose(2, 3, 0, 1)), (my, mx)

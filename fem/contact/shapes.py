@@ -1,0 +1,201 @@
+"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from geometry.errors import TriPillarError
+from geometry.layout import FloatArray
+
+MAX_MM = 1e4  #: of a radius or a length
+RASTER = 400  #: points along the longer side of an STL's height map
+
+
+class ShapeError(TriPillarError, ValueError):
+    """A shape without a size, or a file that holds no solid."""
+
+
+class Shape(Protocol):
+    """An indenter's underside, in its own coordinates: the origin below its middle, z = 0 at its lowest point."""
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Height of the underside at points, infinite where there is none [mm]; x and y broadcast."""
+
+    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+        """Half the extent along x and y of what lies below a height [mm]."""
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball."""
+
+    radius_mm: float
+
+    def __post_init__(self) -> None:
+        _require_size(radius_mm=self.radius_mm)
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        return _arc(np.hypot(x_mm, y_mm), self.radius_mm)
+
+    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+        half = _half_chord(self.radius_mm, height_mm)
+        return half, half
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A round bar lying on its side, its ends cut square."""
+
+    radius_mm: float
+    length_mm: float = MAX_MM
+    turn_deg: float = 0.0  #: of its axis from x towards y
+
+    def __post_init__(self) -> None:
+        _require_size(radius_mm=self.radius_mm, length_mm=self.length_mm)
+        _require_turn(self.turn_deg)
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        along, across = _turned(x_mm, y_mm, self.turn_deg)
+        return np.where(np.abs(along) <= self.length_mm / 2, _arc(across, self.radius_mm), np.inf)
+
+    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+        return _box(self.length_mm / 2, _half_chord(self.radius_mm, height_mm), self.turn_deg)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A flat punch with square edges: a rectangle, or a disc if it has a radius."""
+
+    size_mm: tuple[float, float] = (0.0, 0.0)  #: along its own x and y
+    radius_mm: float | None = None
+    turn_deg: float = 0.0  #: of its own x from x towards y
+
+    def __post_init__(self) -> None:
+        if self.radius_mm is None:
+            _require_size(**{"size_mm along x": self.size_mm[0], "size_mm along y": self.size_mm[1]})
+        else:
+            _require_size(radius_mm=self.radius_mm)
+        _require_turn(self.turn_deg)
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        if self.radius_mm is not None:
+            return np.where(np.hypot(x_mm, y_mm) <= self.radius_mm, 0.0, np.inf)
+        along, across = _turned(x_mm, y_mm, self.turn_deg)
+        inside = (np.abs(along) <= self.size_mm[0] / 2) & (np.abs(across) <= self.size_mm[1] / 2)
+        return np.where(inside, 0.0, np.inf)
+
+    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+        if self.radius_mm is not None:
+            return self.radius_mm, self.radius_mm
+        return _box(self.size_mm[0] / 2, self.size_mm[1] / 2, self.turn_deg)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """The underside of any solid as a map of heights; `read_solid` makes one of an STL file."""
+
+    x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
+    y_mm: FloatArray  #: (ny,)
+    map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        column, row = (
+            (places - line[0]) / (line[1] - line[0]) for places, line in ((x_mm, self.x_mm), (y_mm, self.y_mm))
+        )
+        column, row = np.broadcast_arrays(column, row)
+        j = np.clip(np.floor(column).astype(np.int64), 0, len(self.x_mm) - 2)
+        i = np.clip(np.floor(row).astype(np.int64), 0, len(self.y_mm) - 2)
+        right, up = column - j, row - i
+        corners = np.stack([self.map_mm[i + di, j + dj] for di in (0, 1) for dj in (0, 1)])
+        weights = np.stack([(1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right])
+        inside = (right >= 0) & (right <= 1) & (up >= 0) & (up <= 1) & np.isfinite(corners).all(axis=0)
+        found = np.full(column.shape, np.inf)
+        found[inside] = (corners[:, inside] * weights[:, inside]).sum(axis=0)
+        return found
+
+    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+        low = self.map_mm < height_mm
+        x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
+        return float(np.abs(x).max()), float(np.abs(y).max())
+
+
+def read_solid(path: Path) -> Solid:
+    """Read an STL file in mm as an indenter that moves down along z, as it stands in its file.
+
+    Raises
+    ------
+    ShapeError
+        If the file is missing or damaged, or its surface is not closed.
+    """
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, file_type="stl", force="mesh")
+        triangles = np.asarray(mesh.triangles, dtype=float)
+    except Exception as error:  # trimesh raises of many kinds
+        reason = "there is no such file" if isinstance(error, FileNotFoundError) else "it is damaged or no STL"
+        raise ShapeError(f"{path}: {reason}: give an STL file of a closed surface, in mm.") from None
+    if not len(triangles) or not np.isfinite(triangles).all():
+        raise ShapeError(f"{path}: holds no triangles: give an STL file of a closed surface, in mm.")
+    if not mesh.is_watertight:
+        raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
+    return solid_of(triangles)
+
+
+def solid_of(triangles_mm: FloatArray) -> Solid:
+    """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
+    low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
+    size = high - low
+    _require_size(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
+    corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
+    step = size[:2].max() / RASTER
+    x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
+    heights = np.full((len(y), len(x)), np.inf)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
+    doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    edge = 1e-9 * step
+    for k in np.flatnonzero(doubled < 0):  # what looks down; upright faces have no area from below
+        columns = slice(*np.searchsorted(x, [corners[k, :, 0].min() - edge, corners[k, :, 0].max() + edge]))
+        rows = slice(*np.searchsorted(y, [corners[k, :, 1].min() - edge, corners[k, :, 1].max() + edge]))
+        px, py = x[None, columns] - ax[k], y[rows, None] - ay[k]
+        b = (px * (cy - ay)[k] - py * (cx - ax)[k]) / doubled[k]
+        c = (py * (bx - ax)[k] - px * (by - ay)[k]) / doubled[k]
+        inside = (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
+        z = az[k] + b * (bz - az)[k] + c * (cz - az)[k]
+        heights[rows, columns] = np.minimum(heights[rows, columns], np.where(inside, z, np.inf))
+    return Solid(x, y, heights)
+
+
+def _arc(across_mm: FloatArray, radius_mm: float) -> FloatArray:
+    """Height of a circle above its lowest point; without cancellation near it."""
+    inside = np.abs(across_mm) < radius_mm
+    flat = np.where(inside, across_mm, 0.0) ** 2
+    return np.where(inside, flat / (radius_mm + np.sqrt(radius_mm**2 - flat)), np.inf)
+
+
+def _half_chord(radius_mm: float, height_mm: float) -> float:
+    return float(np.sqrt(height_mm * (2 * radius_mm - height_mm))) if height_mm < radius_mm else radius_mm
+
+
+def _turned(x_mm: FloatArray, y_mm: FloatArray, turn_deg: float) -> tuple[FloatArray, FloatArray]:
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    return x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin
+
+
+def _box(half_along: float, half_across: float, turn_deg: float) -> tuple[float, float]:
+    """Half extents along x and y of a turned rectangle."""
+    cos, sin = abs(np.cos(np.radians(turn_deg))), abs(np.sin(np.radians(turn_deg)))
+    return float(half_along * cos + half_across * sin), float(half_along * sin + half_across * cos)
+
+
+def _require_size(**lengths: float) -> None:
+    for name, length in lengths.items():
+        if not 1e-3 <= length <= MAX_MM:
+            raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")
+
+
+def _require_turn(turn_deg: float) -> None:
+    if not abs(turn_deg) <= 360:
+        raise ShapeError(f"turn_deg={turn_deg:g} must be from -360 to 360 degrees.")

@@ -1,0 +1,232 @@
+"""The compliance of an array's top: an endless layer in closed form, and what rims and other pillars add to it.
+
+The layer answers at any distance, however fine a contact's grid is. The rest is smooth but for the last millimetres at
+a rim: it is the difference of two arrays of one condensed cell, the sensor's own and an endless one of matrix alone, on
+square tiles. Both have the same mesh and the same ports, so that what these leave out cancels. Displacements of the
+upper electrodes come likewise from a table of the layer and the difference.
+"""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import scipy.sparse as sp
+
+from fem.array.cell import EDGES, FACES, CondensedCell, condense
+from fem.array.closed_forms import layer_mean_compliance
+from fem.array.coupled_cells import CoupledArray
+from fem.array.substructured import condensed_cell, elastic_body, lone_unit
+from geometry.design import Pad, SensorDesign
+from geometry.errors import DesignError, FileFormatError
+from geometry.layout import ELECTRODES, FloatArray, electrode_squares
+from geometry.mesh import sensor_mesh, suited_settings
+from geometry.storage.files import cache_folder, digest, keep, write_bytes
+from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
+
+VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
+TILES_PER_HEIGHT = 4.0
+MIN_TILES, MAX_TILES = 2, 8  #: along the side of a cell
+MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
+GRID_LEVEL, GRID_DEGREE = 3, 8  #: of a cell of one rubber, and its ports
+MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
+PAD = 0.8  #: of the pitch: pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
+ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
+STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurfaceCompliance:
+    """Displacements of an array's top and of its upper electrodes by forces on the top."""
+
+    design: SensorDesign
+    on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
+    on_electrodes: FloatArray  #: (rows, cols, 2, 3, 3, ny, nx): the same of electrodes
+    table: FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]
+    step_mm: float  #: of that table
+    cache_key: str = ""  #: hash of what it was made from
+
+    @property
+    def tile_mm(self) -> float:
+        return self.design.slab_mm[0] / self.on_tiles.shape[2]
+
+
+def surface_compliance(
+    design: SensorDesign, progress: Callable[[str], None] = lambda step: None
+) -> tuple[SurfaceCompliance, Path, bool]:
+    """Compliance of a sensor's top, from the cache if it is there.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Its pads do not matter: the top is bare rubber.
+    progress : function
+        Called with the name of each step as it begins.
+
+    Returns
+    -------
+    SurfaceCompliance, Path, bool
+        The compliance, its file, and whether it was there already.
+
+    Raises
+    ------
+    DesignError
+        If the rubber is not linear, pads are stiff, pillars conduct by their strain, or the array is too large.
+    GeometryError, SolverError
+        If the mesh or an answer cannot be trusted.
+    """
+    _require_bare(design)
+    plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
+    cache_key = digest("surface", VERSION, plain)
+    path = cache_folder() / f"surface-{cache_key}.npz"
+    found = _read(design, path, cache_key)
+    if found is not None:
+        return found, path, True
+    made = replace(_solved(plain, progress), design=design, cache_key=cache_key)
+    keep(lambda path: _write(made, path), path)
+    return made, path, False
+
+
+def tiles_per_pitch(design: SensorDesign) -> int:
+    """Tiles along the side of a cell."""
+    return int(np.clip(round(TILES_PER_HEIGHT * design.array.pitch_mm / design.unit.height_mm), MIN_TILES, MAX_TILES))
+
+
+def _require_bare(design: SensorDesign) -> None:
+    model = design.matrix_material.model
+    if model != "linear":
+        raise DesignError(
+            f"contact by shape is solved at small strain, this rubber is {model}: write model = 'linear'."
+        )
+    if design.pad.kind == "stiff":
+        raise DesignError("contact by shape presses on bare rubber, these pads are stiff plates: write kind = 'soft'.")
+    if design.electrics.is_conduction:
+        raise DesignError("conduction needs loads on pads, contact by shape has other ones: write model = 'eq1'.")
+    number = 3 * design.n_units * tiles_per_pitch(design) ** 2
+    if number > MAX_FUNCTIONALS:
+        raise DesignError(
+            f"{design.array.rows} × {design.array.cols} units are too many for contact by shape: "
+            f"{MAX_FUNCTIONALS * design.n_units // number} of this pitch fit."
+        )
+
+
+def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCompliance:
+    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    progress("cells")
+    own, plain = _cells(design, tiles)
+    progress(f"coupling {rows} × {cols}")
+    loads = range(3 * tiles**2)
+    observed = range(own.reach.shape[1])
+    moved, _ = CoupledArray(own, rows, cols).influence(loads, observed)
+    wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
+    endless = endless_influence(plain, wide)[..., : len(loads)]
+    for i, j in np.ndindex(rows, cols):
+        for k, m in np.ndindex(rows, cols):
+            moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
+    moved = moved.astype(np.float32)
+    on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
+    on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8)
+    ny, nx = rows * tiles, cols * tiles
+    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, len(ELECTRODES), 3, rows, cols, tiles, tiles, 3)
+    on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7)
+    progress("electrodes")
+    table, step_mm = _electrode_table(design)
+    return SurfaceCompliance(
+        design=design,
+        on_tiles=on_tiles.reshape(3, ny, nx, 3, ny, nx),
+        on_electrodes=on_electrodes.reshape(rows, cols, len(ELECTRODES), 3, 3, ny, nx),
+        table=table,
+        step_mm=step_mm,
+    )
+
+
+def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCell]:
+    """The sensor's condensed cell, and the same of matrix alone; tiles, row by row, then electrodes are seen."""
+    alone, pitch = lone_unit(design), design.array.pitch_mm
+    edges = np.linspace(-pitch / 2, pitch / 2, tiles + 1)
+    y0, x0 = (each.ravel() for each in np.meshgrid(edges[:-1], edges[:-1], indexing="ij"))
+    size = pitch / tiles
+    rectangles = np.vstack([np.stack([x0, y0, x0 + size, y0 + size], axis=1), electrode_squares(alone)])
+    if design.is_homogeneous:
+        cell, _ = condensed_cell(design, GRID_LEVEL, GRID_DEGREE, rectangles)
+        return cell, cell
+    mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
+    own, _ = condensed_cell(design, MESH_LEVEL, MESH_DEGREE, rectangles)
+    matrix = replace(alone, pillar_material=design.matrix_material)
+    return own, condense(elastic_body(matrix, mesh), own.ports, rectangles)
+
+
+def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
+    """Influence of every functional of a cell on those of the others, in an endless array that repeats itself.
+
+    Returns shape (wide, wide, k, k) [mm/N]: steps along y and along x from the loaded cell to the observed one, both
+    modulo `wide`; observed first.
+
+    Notes
+    -----
+    Bloch's theorem: loads of phase exp(i θ·n) move ports alike, so that each θ is a problem of one cell, whose far
+    sides follow its near ones.
+    """
+    ports = cell.ports
+    edge, face = 3 * ports.per_edge, 3 * ports.per_face
+    follows = [*np.tile(np.arange(edge), len(EDGES))]
+    far = [(sx > 0, sy > 0) for sx, sy in EDGES for _ in range(edge)]
+    for axis, sign in FACES:
+        follows += [*(edge + axis * face + np.arange(face))]
+        far += [(sign > 0 and axis == 0, sign > 0 and axis == 1)] * face
+    n, far_x, far_y = len(follows), *np.array(far).T
+    spectrum = np.empty((wide, wide // 2 + 1, cell.reach.shape[1], cell.reach.shape[1]), dtype=complex)
+    for b, a in np.ndindex(*spectrum.shape[:2]):
+        phase = np.exp(2j * np.pi / wide * (a * far_x + b * far_y))
+        tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, edge + 2 * face))
+        adjoint = tied.conj().T.tocsr()
+        S = (tied.T @ (adjoint @ cell.stiffness).T).T
+        L = adjoint @ cell.reach
+        spectrum[b, a] = L.conj().T @ np.linalg.solve(S, L)
+    influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
+    influence[0, 0] += cell.compliance
+    return influence
+
+
+def _electrode_table(design: SensorDesign) -> tuple[FloatArray, float]:
+    """Mean displacement of an electrode of the layer per newton on a point before it, and the table's step."""
+    pitch, electrode = design.array.pitch_mm, design.unit.electrode_mm
+    step = pitch / np.ceil(pitch * STEPS_PER_ELECTRODE / electrode)
+    n = int(np.ceil(max(design.slab_mm[:2]) / step)) + 2
+    half, spot = electrode / 2, 0.5 * step  # a spot is a square of a step's side
+    places = np.arange(n) * step
+    targets = np.tile([-half, -half, half, half], (n, 1))
+    table = np.empty((n, n, 3, 3))
+    for row, y in enumerate(places):  # bounds the memory
+        loads = np.stack([places - spot, np.full(n, y - spot), places + spot, np.full(n, y + spot)], axis=1)
+        table[row] = layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material)
+    return table, step
+
+
+ARRAYS = ("on_tiles", "on_electrodes", "table")
+
+
+def _write(made: SurfaceCompliance, path: Path) -> None:
+    content = BytesIO()
+    arrays = {name: getattr(made, name) for name in ARRAYS}
+    np.savez(content, **arrays, step_mm=made.step_mm, cache_key=made.cache_key)
+    write_bytes(path, *sealed(content.getbuffer(), LAST_LINE))
+
+
+def _read(design: SensorDesign, path: Path, cache_key: str) -> SurfaceCompliance | None:
+    """A compliance that `_write` wrote; None if it is missing or damaged, which is said."""
+    try:
+        require_intact(path, "delete it", required=True)
+        with path.open("rb") as file, np.load(file) as opened:
+            kept = dict(opened)
+        arrays = {name: kept[name] for name in ARRAYS}
+        step_mm, stated = float(kept["step_mm"]), str(kept["cache_key"])
+    except (FileFormatError, OSError, KeyError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error):
+        say_made_anew(path)
+        return None
+    return (
+        SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=stated) if stated == cache_key else None
+    )
