@@ -18,7 +18,7 @@ from geometry.layout import FloatArray
 CELLS = 48  #: of the grid along the longer side of a contact
 COARSE_CELLS = 24  #: of the grid on which the contact's extent is found
 REACH = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer, which piles up
-MARGIN = 2  #: coarse cells around the contact
+MARGIN = 1  #: coarse cells around the contact
 PRESS_STEPS, SLIDE_STEPS = 4, 4  #: increments of depth, and then of slide, where there is friction
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
@@ -93,6 +93,11 @@ class Contact:
     def peak_mpa(self) -> float:
         """Largest pressure of a cell; at the edges of flat punches it grows with the fineness of the grid."""
         return float(self.pressure_mpa.max())
+
+    @property
+    def sticking(self) -> float:
+        """Share of the contact's area that sticks."""
+        return float((self.state == STICKING).sum() / max(1, (self.state != FREE).sum()))
 
     @cached_property
     def state(self) -> NDArray[np.int8]:

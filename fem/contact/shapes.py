@@ -131,12 +131,13 @@ def read_solid(path: Path) -> Solid:
     """
     import trimesh
 
+    if not path.is_file():
+        raise ShapeError(f"{path}: there is no such file: give an STL file of a closed surface, in mm.")
     try:
         mesh = trimesh.load(path, file_type="stl", force="mesh")
         triangles = np.asarray(mesh.triangles, dtype=float)
-    except Exception as error:  # trimesh raises of many kinds
-        reason = "there is no such file" if isinstance(error, FileNotFoundError) else "it is damaged or no STL"
-        raise ShapeError(f"{path}: {reason}: give an STL file of a closed surface, in mm.") from None
+    except Exception:  # trimesh raises of many kinds
+        raise ShapeError(f"{path}: damaged, or no STL: give an STL file of a closed surface, in mm.") from None
     if not len(triangles) or not np.isfinite(triangles).all():
         raise ShapeError(f"{path}: holds no triangles: give an STL file of a closed surface, in mm.")
     if not mesh.is_watertight:

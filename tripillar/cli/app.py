@@ -4,6 +4,7 @@ Results go to stdout (with --json as one object), progress and messages to stder
 code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
 """
 
+from collections.abc import Callable
 from importlib import metadata
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from tripillar.cli.board.simulating import simulate
 from tripillar.cli.exporting import export
 from tripillar.cli.identifying import identify
 from tripillar.cli.learning import crossval, dataset, evaluate, train
+from tripillar.cli.pressing import press
 from tripillar.cli.solving import cad, design, mesh, response, solve
 from tripillar.cli.studying import doctor, optimize, run, sweep
 from tripillar.cli.viewing import SeveralPressures, view
@@ -52,12 +54,13 @@ def root(
         print(context.get_help())
 
 
-for heading, commands in {
-    SOLVING: (design, cad, mesh, solve, response),
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    SOLVING: (design, cad, mesh, solve, response, press),
     LEARNING: (dataset, train, evaluate, crossval, identify, export),
     STUDYING: (run, view, sweep, optimize, doctor),
     BOARD: (ports, info, live, bench, record, convert, replay, tare, calibrate, simulate),
-}.items():
+}
+for heading, commands in COMMANDS.items():
     for command in commands:
         app.command(rich_help_panel=heading, cls=SeveralPressures if command is view else None)(command)
 

@@ -13,9 +13,13 @@ if TYPE_CHECKING:
     from decoupler.evaluation.assessment import Assessment
     from decoupler.evaluation.crossval import Fold
     from decoupler.evaluation.metrics import ForceErrors
+    from fem.contact import Contact
     from fem.scene.solution import Solution
     from tripillar.pipeline.comparison import Comparison
     from tripillar.pipeline.run import Stage
+
+
+MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
 
 
 def _headed(left: tuple[str, ...], right: tuple[str, ...], **settings: Any) -> Table:
@@ -161,3 +165,22 @@ def _error_cells(errors: "ForceErrors") -> tuple[str, str, str]:
     relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
     share = "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
     return relative, f"{errors.rmse_n:.3f}", share
+
+
+def contact_table(contact: "Contact", strain: float) -> Table:
+    """What a shape does to the sensor, and the forces of the units that it loads most."""
+    table = _headed(("",), ("x", "y", "z"), title="Contact; forces on the sensor, z positive in compression")
+    for name, values, form in (
+        ("net force [N]", contact.net_force_n, ".3f"),
+        ("moment about the array's middle [N mm]", contact.moment_nmm, ".2f"),
+        ("centre of pressure [mm]", contact.centre_mm, ".3f"),
+    ):
+        table.add_row(escape(name), *(format(value + 0.0, form) for value in values))
+    table.add_row(escape("contact area [mm²]"), "", "", f"{contact.area_mm2:.2f}")
+    table.add_row(escape("peak pressure [MPa]"), "", "", f"{contact.peak_mpa:.3f}")
+    table.add_row("share that sticks", "", "", f"{contact.sticking:.0%}")
+    table.add_row("largest strain of a pillar", "", "", f"{strain:.1%}", end_section=True)
+    size = np.linalg.norm(contact.force_n, axis=2)
+    for row, col in np.argwhere(size >= MIN_SHOWN * size.max()).tolist():
+        table.add_row(escape(f"unit {row},{col} [N]"), *(f"{value + 0.0:.3f}" for value in contact.force_n[row, col]))
+    return table

@@ -1,0 +1,142 @@
+"""Samples of contact by shape: spheres, cylinders and punches pressed in and dragged; the protocol `indent`.
+
+Their tractions are those of contact, not uniform ones on pads: a truth that no decoder's pads are a model of.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
+from dataset.samples import Samples
+from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pillar_volumes
+from geometry.storage.netcdf import write_netcdf
+
+#: ranges of an indentation's sizes, in heights of the slab
+RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 0.2), (0.0, 0.15)
+FRICTION = (0.1, 1.0)
+PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
+CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
+_MAKING = Lock()
+
+
+def indented(
+    design: SensorDesign, seed: int, block: int, count: int, cap: float, rounds: int
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """The first samples of a block.
+
+    Parameters
+    ----------
+    design : SensorDesign
+    seed, block : int
+        A sample depends on these and its number in the block alone, not on how many are made.
+    count : int
+        Samples to make.
+    cap : float
+        Largest pillar strain; what passes it is drawn again.
+    rounds : int
+        Draws of one sample before it is given up.
+
+    Returns
+    -------
+    traction_mpa : array, shape (count, n_units, 3)
+        Force on each unit's share of the top over its pad's area, z < 0 pushing down.
+    displacement_mm : array, shape (count, n_units, 2, 3)
+    redrawn : array, shape (count,)
+        How often each was drawn again; `rounds` where no draw stayed below the cap.
+    """
+    surface = _surface(design)
+    traction, displacement = np.zeros((count, design.n_units, 3)), np.zeros((count, design.n_units, 2, 3))
+    redrawn = np.zeros(count, dtype=np.int64)
+    per_area = np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
+    for sample in range(count):
+        for attempt in range(rounds):
+            contact = _drawn(np.random.default_rng([seed, block, sample, attempt]), surface)
+            moved = contact.electrode_mm.reshape(design.n_units, 2, 3)
+            if pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).max() <= cap:
+                break
+            redrawn[sample] += 1
+        traction[sample] = contact.force_n.reshape(-1, 3) * per_area
+        displacement[sample] = moved
+    return traction, displacement, redrawn
+
+
+def samples_of(contacts: Sequence[Contact]) -> Samples:
+    """Contacts with one sensor as labelled samples: force on each unit's share of the top, exact resistances."""
+    design = contacts[0].design
+    force = np.stack([contact.force_n for contact in contacts])
+    moved = np.stack([contact.electrode_mm for contact in contacts])
+    length = pillar_lengths(moved, design.unit)
+    return Samples(
+        force_n=force,
+        traction_mpa=force * np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2,
+        displacement_mm=moved,
+        length_mm=length,
+        resistance_ohm=pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm),
+        design=design,
+    )
+
+
+def largest_strain(contact: Contact) -> float:
+    """Largest strain |l − l₀|/l₀ of a pillar."""
+    unit = contact.design.unit
+    return float(pillar_strains(contact.electrode_mm, pillar_lengths(contact.electrode_mm, unit), unit).max())
+
+
+def write_contact(contact: Contact, path: Path) -> None:
+    """Write a contact as a data set of one sample, and pressure, shear, gap and displacement over its grid."""
+    patch = contact.patch
+    maps = {
+        "pressure_mpa": (("y", "x"), contact.pressure_mpa, {"units": "MPa"}),
+        "shear_mpa": (("direction", "y", "x"), contact.shear_mpa, {"units": "MPa", "note": "on the sensor"}),
+        "gap_mm": (("y", "x"), contact.gap_mm, {"units": "mm", "note": "between shape and rubber"}),
+        "moved_mm": (("axis", "y", "x"), contact.displacement_mm, {"units": "mm", "note": "of the top, z up"}),
+        "state": (("y", "x"), contact.state, {"flag_values": [0, 1, 2], "flag_meanings": "free slipping sticking"}),
+    }
+    places = {"x": ("x", patch.x_mm, {"units": "mm"}), "y": ("y", patch.y_mm, {"units": "mm"})}
+    story = {
+        "depth_mm": contact.depth_mm,
+        "at_mm": list(contact.at_mm),
+        "slide_mm": list(contact.slide_mm),
+        "friction": contact.friction,
+    }
+    sample = samples_of([contact]).to_xarray()
+    write_netcdf(sample.assign(maps).assign_coords({**places, "direction": ["x", "y"]}).assign_attrs(story), path)
+
+
+def _drawn(generator: np.random.Generator, surface: SurfaceCompliance) -> Contact:
+    """A random shape, pressed and dragged somewhere."""
+    design = surface.design
+    height, (wide, deep, _) = design.unit.height_mm, design.slab_mm
+    turn = generator.uniform(0.0, 180.0)
+    shapes: tuple[Shape, ...] = (
+        Sphere(height * generator.uniform(*RADIUS)),
+        Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH), turn),
+        Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE)), turn_deg=turn),
+    )
+    angle = generator.uniform(0.0, 2 * np.pi)
+    slide = height * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)
+    return press(
+        surface,
+        shapes[generator.integers(len(shapes))],
+        height * generator.uniform(*DEPTH),
+        at_mm=(wide * generator.uniform(-0.5, 0.5), deep * generator.uniform(-0.5, 0.5)),
+        slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),
+        friction=generator.uniform(*FRICTION),
+        cells=CELLS,
+    )
+
+
+def _surface(design: SensorDesign) -> SurfaceCompliance:
+    with _MAKING:  # blocks are made side by side; the first of them makes it for all
+        return _kept_surface(design)
+
+
+@lru_cache(maxsize=2)
+def _kept_surface(design: SensorDesign) -> SurfaceCompliance:
+    return surface_compliance(design)[0]

@@ -1,0 +1,98 @@
+"""A picture of a contact: forces on the units, and pressure, shear, stick and slip on the grid."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fem.contact.indentation import FREE, STICKING, Contact
+from geometry.layout import electrode_squares, unit_centres
+from geometry.storage.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ARROWS = 14  #: of shear along the longer side of the contact
+BLUE, INK, GREY = "#0072b2", "#222222", "#9a9a9a"
+SHARE = 0.9  #: of the pitch: the longest arrow of a unit's tangential force
+MIN_ARROW = 0.02  #: of the pitch: shorter ones are left out
+
+
+def draw_contact(contact: Contact, path: Path) -> None:
+    """Write a PNG: units coloured by their normal force on the left, the contact itself on the right."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 5.6), dpi=120, layout="constrained")
+    array, zoom = figure.subplots(1, 2)
+    _draw_units(array, contact)
+    _draw_patch(zoom, contact)
+    fx, fy, fz = contact.net_force_n + 0.0
+    x, y = contact.centre_mm + 0.0
+    figure.suptitle(
+        f"{contact.depth_mm:g} mm deep, friction {contact.friction:g}: net force {fx:.2f}, {fy:.2f}, {fz:.2f} N, "
+        f"centre of pressure {x:.2f}, {y:.2f} mm",
+        fontsize=11,
+    )
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _draw_units(axes: "Axes", contact: Contact) -> None:
+    design = contact.design
+    wide, deep, _ = design.slab_mm
+    pitch = design.array.pitch_mm
+    box: Any = (-wide / 2, wide / 2, -deep / 2, deep / 2)
+    shown = axes.imshow(contact.force_n[..., 2], origin="lower", extent=box, cmap="Reds", vmin=0.0)
+    axes.figure.colorbar(shown, ax=axes, label="normal force on a unit [N]", shrink=0.85)
+    for border in np.arange(1, design.array.cols) * pitch - wide / 2:
+        axes.axvline(border, color="white", linewidth=1.0)
+    for border in np.arange(1, design.array.rows) * pitch - deep / 2:
+        axes.axhline(border, color="white", linewidth=1.0)
+    for x0, y0, x1, y1 in electrode_squares(design):
+        axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], facecolor="none", edgecolor=GREY, linewidth=0.8)
+    x, y = unit_centres(design).T
+    shear = contact.force_n.reshape(-1, 3)[:, :2]
+    largest = float(np.hypot(*shear.T).max())
+    if contact.friction and largest > 0:
+        arrows = (shear / largest * SHARE * pitch).T
+        large = np.hypot(*arrows) > MIN_ARROW * pitch
+        axes.quiver(
+            x[large], y[large], *arrows[:, large], angles="xy", scale_units="xy", scale=1.0, color=BLUE, width=0.006
+        )
+        axes.plot([], [], color=BLUE, label=f"tangential force, at most {largest:.3g} N a unit")
+    x0, y0, x1, y1 = *contact.patch.low_mm, *contact.patch.high_mm
+    frame: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": "--", "label": "shown beside"}
+    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], **frame)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title="forces on the units", xlim=box[:2], ylim=box[2:], aspect="equal")
+
+
+def _draw_patch(axes: "Axes", contact: Contact) -> None:
+    patch, state = contact.patch, contact.state
+    box: Any = (patch.low_mm[0], patch.high_mm[0], patch.low_mm[1], patch.high_mm[1])
+    pressure = np.where(state == FREE, np.nan, contact.pressure_mpa)
+    shown = axes.imshow(pressure, origin="lower", extent=box, cmap="viridis", vmin=0.0)
+    axes.figure.colorbar(shown, ax=axes, label="pressure [MPa]", shrink=0.85)
+    axes.contour(patch.x_mm, patch.y_mm, state != FREE, levels=[0.5], colors=[INK], linewidths=1.2)
+    axes.plot([], [], color=INK, label="edge of the contact")
+    if contact.friction:
+        sticks = state == STICKING
+        if sticks.any() and not sticks.all():
+            axes.contour(patch.x_mm, patch.y_mm, sticks, levels=[0.5], colors=["white"], linewidths=1.6)
+            axes.plot([], [], color="#bbbbbb", label="sticks inside, slips outside")
+        every = max(1, round(max(patch.nx, patch.ny) / ARROWS))
+        some = np.s_[every // 2 :: every]
+        shear = contact.shear_mpa[:, some, some]
+        largest = float(np.hypot(*contact.shear_mpa).max())
+        x, y = np.meshgrid(patch.x_mm[some], patch.y_mm[some])
+        there = state[some, some] != FREE
+        if largest > 0:
+            length = 1.5 * every * max(patch.cell_mm) / largest
+            axes.quiver(
+                x[there], y[there], *(shear[:, there] * length), angles="xy", scale_units="xy", scale=1.0,
+                color="#ff8c5a", width=0.005,
+            )  # fmt: skip
+            axes.plot([], [], color="#ff8c5a", label=f"shear on the sensor, at most {largest:.3g} MPa")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
+    title = f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa"
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title, aspect="equal")
