@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from dataset.measurement import Readout
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import pad_protocol
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import Samples
 from dataset.simulation import (
@@ -95,7 +95,7 @@ class GroupSolver:
         self.design, self.cap = response.design, settings.cap
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
-        light = PROTOCOLS[settings.protocol].is_light
+        light = pad_protocol(settings.protocol).is_light
         self._solver = SampleSolver(self.design, influence, unwanted=self._is_far, by_derivatives=light)
 
     def _strain(self, displacement_mm: FloatArray) -> FloatArray:
@@ -113,7 +113,7 @@ class GroupSolver:
         LoadError
             If a sample was drawn `MAX_DRAWS` times in vain.
         """
-        k, protocol = self.design.n_units, PROTOCOLS[settings.protocol]
+        k, protocol = self.design.n_units, pad_protocol(settings.protocol)
         traction, displacement = np.empty((GROUP, k, 3)), np.empty((GROUP, k, 2, 3))
         estimate = np.empty(GROUP)
         ratio, ratio_error = np.ones((GROUP, k, 3)), np.zeros(GROUP)

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from geometry.design import SensorDesign
+from geometry.errors import DesignError
 from geometry.layout import FloatArray, unit_centres
 
 NORMAL_MPA = (1.0, 5.0)  #: range of a pad's pressure, and of an indenter's peak
@@ -152,3 +153,18 @@ PROTOCOLS = {
         "nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light, is_light=True
     ),
 }
+INDENT = "indent"  #: loads the top by contact, not pads: see `dataset.indentation`
+#: one line for people about every kind of loads
+SUMMARIES = {name: protocol.summary for name, protocol in PROTOCOLS.items()} | {
+    INDENT: "a sphere, cylinder or flat punch is pressed in, and mostly dragged, with friction"
+}
+
+
+def pad_protocol(name: str) -> Protocol:
+    """The protocol of that name, refused if it does not load pads."""
+    if name == INDENT:
+        raise DesignError(
+            f"protocol='{INDENT}' presses shapes on linear rubber; finite strain and twins take loads on pads alone: "
+            f"choose one of {', '.join(PROTOCOLS)}."
+        )
+    return PROTOCOLS[name]

@@ -17,8 +17,9 @@ import psutil
 from threadpoolctl import threadpool_limits
 
 from dataset.imperfections import Imperfections
+from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES
 from dataset.resistance import conducted_lengths, pillar_lengths, pillar_resistances, pillar_strains
 from dataset.samples import LABELS, SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, VARIABLES
@@ -50,8 +51,8 @@ class DatasetSettings(Imperfections):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.protocol not in PROTOCOLS:
-            raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(PROTOCOLS)}.")
+        if self.protocol not in SUMMARIES:
+            raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(SUMMARIES)}.")
         if not 1 <= self.samples <= MAX_SAMPLES:
             raise DesignError(f"samples={self.samples} must be from 1 to {MAX_SAMPLES}; the paper uses 2200.")
         if not 0 <= self.seed < 2**63:
@@ -62,7 +63,8 @@ class DatasetSettings(Imperfections):
 
 def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
     """Hash of all that a dataset depends on."""
-    through = [] if readout is None else [readout]
+    through: list[Any] = [] if readout is None else [readout]
+    through += [INDENT, VERSION] if settings.protocol == INDENT else []
     return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
 
 
@@ -126,7 +128,7 @@ def simulate_part(
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
         kept = min(BLOCK, n - start)
-        block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout)
+        block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout, kept)
         for name, values in arrays.items():
             values[start : start + kept] = block[name][:kept].reshape(kept, *values.shape[1:])
         return kept, int(redrawn[:kept].sum())
@@ -179,7 +181,7 @@ def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, rea
     return {
         **settings.as_attributes(),
         **read_through(readout),
-        "summary": PROTOCOLS[settings.protocol].summary,
+        "summary": SUMMARIES[settings.protocol],
         "redrawn": redrawn,
         "response_hash": response.content_hash,
         "mesh_hash": response.mesh_hash,
@@ -266,12 +268,54 @@ def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple
 
 
 def _block(
-    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None
+    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
     """All samples of one block by the name of their variable, and how often each was redrawn.
 
-    A whole block is made even when only a part of it is wanted, so that no sample depends on how many are.
+    A whole block is made even when only the first `kept` are wanted, so that no sample depends on how many are; but
+    contacts, each drawn alone, only as far as wanted: the others carry no load.
     """
+    design = response.design
+    if settings.protocol == INDENT:
+        traction, displacement, redrawn = _indented(response, settings, number, kept)
+    else:
+        traction, displacement, redrawn = _pads_loaded(response, settings, number)
+    length = pillar_lengths(displacement, design.unit)
+    by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
+    effective = {}
+    if response.conducted is not None:
+        newtons = traction * design.pad.size_mm**2
+        effective["effective_length_mm"] = conducted_lengths(response.conducted, newtons)
+        by_unit = effective["effective_length_mm"].reshape(by_unit.shape)
+    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
+    block = effective | {
+        "traction_mpa": traction,
+        "force_n": forces(traction, design),
+        "displacement_mm": displacement,
+        "length_mm": length,
+        "resistance_ohm": resistance.reshape(length.shape),
+    }
+    return block, redrawn
+
+
+def _indented(
+    response: ArrayResponse, settings: DatasetSettings, number: int, kept: int
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Tractions, displacements and redraws of a block's contacts; see `_pads_loaded`."""
+    k = response.design.n_units
+    traction, displacement = np.zeros((BLOCK, k, 3)), np.zeros((BLOCK, k, 2, 3))
+    redrawn = np.zeros(BLOCK, dtype=np.int64)
+    found = indented(response.design, settings.seed, number, kept, settings.cap, MAX_ROUNDS)
+    traction[:kept], displacement[:kept], redrawn[:kept] = found
+    if (redrawn == MAX_ROUNDS).any():
+        raise LoadError(_impossible(response.design, settings))
+    return traction, displacement, redrawn
+
+
+def _pads_loaded(
+    response: ArrayResponse, settings: DatasetSettings, number: int
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Tractions (BLOCK, n_units, 3), displacements (BLOCK, n_units, 2, 3) and redraws (BLOCK,) of a block."""
     design, protocol = response.design, PROTOCOLS[settings.protocol]
     traction = np.empty((BLOCK, design.n_units, 3))
     displacement = np.empty((BLOCK, design.n_units, 2, 3))
@@ -291,26 +335,15 @@ def _block(
             break
         waiting, n_waiting = over, len(over)
     else:
-        raise LoadError(
-            f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in "
-            f"{MAX_ROUNDS} draws on end: raise the cap, or lower the forces by a smaller pad "
-            f"(size_mm={design.pad.size_mm:g})."
-        )
-    by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
-    effective = {}
-    if response.conducted is not None:
-        newtons = traction * design.pad.size_mm**2
-        effective["effective_length_mm"] = conducted_lengths(response.conducted, newtons)
-        by_unit = effective["effective_length_mm"].reshape(by_unit.shape)
-    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
-    block = effective | {
-        "traction_mpa": traction,
-        "force_n": forces(traction, design),
-        "displacement_mm": displacement,
-        "length_mm": length,
-        "resistance_ohm": resistance.reshape(length.shape),
-    }
-    return block, redrawn
+        raise LoadError(_impossible(design, settings))
+    return traction, displacement, redrawn
+
+
+def _impossible(design: SensorDesign, settings: DatasetSettings) -> str:
+    return (
+        f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {MAX_ROUNDS} draws on "
+        f"end: raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
+    )
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:

@@ -3,9 +3,10 @@
 In: a scene (a body, loads, probes) or a sensor's design. Out: the probes' displacements with an estimate of their
 error (`solve_scene`), or the influence matrix of the array (`array_response`): what 1 N on a pad does to every
 electrode. The rooms, in the order of the data: `scene/` (a scene and its file), `methods/` (open `solving.py` and
-`plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array),
-`discretization/` (meshes, elements and their matrices), `linear/` (factorisations and checked solves), `fields/`
-(displacement and stress anywhere, for pictures), `pictures/` (the pictures).
+`plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array), `contact/` (open
+`indentation.py` first: rigid shapes pressed into it), `discretization/` (meshes, elements and their matrices),
+`linear/` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures), `pictures/`
+(the pictures).
 """
 
 from fem.array.response import ArrayResponse, read_response, write_response

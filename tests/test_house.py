@@ -22,7 +22,18 @@ RIDDLES = ("What", "How", "Who")
 #: rooms of each floor, in the order of the data: none imports one to its right
 ROOMS = {
     "geometry": ["storage"],
-    "fem": ["scene", "linear", "discretization", "conduction", "finite", "array", "contact", "methods", "fields", "pictures"],
+    "fem": [
+        "scene",
+        "linear",
+        "discretization",
+        "conduction",
+        "finite",
+        "array",
+        "contact",
+        "methods",
+        "fields",
+        "pictures",
+    ],
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
     "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "simulators", "face", "cli"],

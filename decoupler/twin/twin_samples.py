@@ -9,7 +9,7 @@ import numpy as np
 
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import pad_protocol
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
 from decoupler.data.columns import MIN_CALIBRATED_OHM, force_columns
@@ -56,7 +56,7 @@ def simulate_twin(
         if value:
             raise DesignError(f"{name}={value:g}: a twin has its own gains and offsets: leave it out.")
     decoder = twin.read_decoder()
-    axes = [axis for axis in PROTOCOLS[settings.protocol].axes if axis not in decoder.component.axes]
+    axes = [axis for axis in pad_protocol(settings.protocol).axes if axis not in decoder.component.axes]
     if axes or decoder.inverse is None or decoder.ensemble is None:
         known = ", ".join(decoder.component.forces)
         raise DesignError(

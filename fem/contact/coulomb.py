@@ -8,7 +8,7 @@ import numpy as np
 from fem.linear.linear_solver import SolverError
 from geometry.layout import FloatArray
 
-TOLERANCE = 1e-4  #: last change of any force, relative to the largest pressure
+TOLERANCE = 1e-4
 MAX_STEPS = 2000
 
 
@@ -21,7 +21,11 @@ class Balance:
 
 
 def balanced(
-    give: Callable[[FloatArray], FloatArray], apart_mm: FloatArray, friction: float, first: FloatArray
+    give: Callable[[FloatArray], FloatArray],
+    apart_mm: FloatArray,
+    friction: float,
+    first: FloatArray,
+    tolerance: float = TOLERANCE,
 ) -> Balance:
     """Solve one increment of contact.
 
@@ -36,6 +40,8 @@ def balanced(
         Coefficient μ.
     first : array, shape (k, ny, nx)
         Forces to begin with.
+    tolerance : float
+        Last change of any force, relative to the largest pressing one.
 
     Raises
     ------
@@ -60,7 +66,7 @@ def balanced(
         change = _projected(force - alpha * (apart_mm + moved), friction) - force
         gave = give(change)
         force, moved = force + change, moved + gave
-        if np.abs(change).max() <= TOLERANCE * force[-1].max(initial=0.0):
+        if np.abs(change).max() <= tolerance * force[-1].max(initial=0.0):
             return Balance(force, moved)
         curvature = float(np.vdot(change, gave))
         if curvature > 0:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.contact.coulomb import balanced
+from fem.contact.coulomb import TOLERANCE, balanced
 from fem.contact.patch import Patch, PatchCompliance, tile_integrals
 from fem.contact.shapes import Shape
 from fem.contact.surface import SurfaceCompliance, surface_compliance
@@ -20,6 +20,7 @@ COARSE_CELLS = 24  #: of the grid on which the contact's extent is found
 REACH = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer, which piles up
 MARGIN = 1  #: coarse cells around the contact
 PRESS_STEPS, SLIDE_STEPS = 4, 4  #: increments of depth, and then of slide, where there is friction
+ON_THE_WAY = 1e-3  #: tolerance of increments before the last
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
@@ -159,27 +160,28 @@ def press(
     With friction, depth and slide grow in `PRESS_STEPS` and `SLIDE_STEPS` increments, each of them Coulomb's law on the
     slip since the last. Where a shape drags the rubber along, its place over the rubber moves by its slip alone.
     """
-    if isinstance(sensor, SensorDesign):
-        sensor, _, _ = surface_compliance(sensor, progress)
-    require_type("sensor", sensor, SurfaceCompliance, "give a SensorDesign, or what surface_compliance makes")
-    path = _Path(sensor, shape, depth_mm, at_mm, slide_mm, friction)
+    if not isinstance(sensor, SurfaceCompliance):
+        require_type("sensor", sensor, SensorDesign, "give a design, or its surface_compliance")
+    design = sensor.design if isinstance(sensor, SurfaceCompliance) else sensor
+    path = _Path(design, shape, depth_mm, at_mm, slide_mm, friction)
     _require_sane(path, cells)
-    wide = _patch(sensor.design, *path.box(shape.reach_mm(REACH * depth_mm)), COARSE_CELLS)
+    wide = _patch(design, *path.box(shape.reach_mm(REACH * depth_mm)), COARSE_CELLS)
     if wide is None:
         raise _missed(path)
-    touching = path.touching(wide)
+    surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
+    touching = path.touching(PatchCompliance(surface, wide))
     if not touching.any():
         raise _missed(path)
-    fine = _patch(sensor.design, *_around(wide, touching), cells)
+    fine = _patch(design, *_around(wide, touching), cells)
     assert fine is not None  # it is part of the wide one
-    return path.followed(fine)
+    return path.followed(PatchCompliance(surface, fine))
 
 
 @dataclass(frozen=True, eq=False)
 class _Path:
     """One indentation: a shape, its depth and its slide."""
 
-    surface: SurfaceCompliance
+    design: SensorDesign
     shape: Shape
     depth_mm: float
     at_mm: tuple[float, float]
@@ -191,17 +193,18 @@ class _Path:
         start, end = np.array(self.at_mm), np.array(self.at_mm) + self.slide_mm
         return np.minimum(start, end) - reach_mm, np.maximum(start, end) + reach_mm
 
-    def followed(self, patch: Patch) -> Contact:
+    def followed(self, compliance: PatchCompliance) -> Contact:
         """Press and slide on a grid, and gather what is asked."""
-        compliance = PatchCompliance(self.surface, patch)
+        design, patch = self.design, compliance.patch
         shape = (3 if self.friction else 1, patch.ny, patch.nx)
         now = _Increment(np.zeros(shape), np.zeros(shape), np.zeros(2), np.zeros(2))
-        for depth_mm, slide_mm in self._increments():
-            now = self._after(now, compliance, depth_mm, slide_mm)
+        *before, last = self._increments()
+        for depth_mm, slide_mm in before:
+            now = self._after(now, compliance, depth_mm, slide_mm, ON_THE_WAY)
+        now = self._after(now, compliance, *last, TOLERANCE)
         force = np.zeros((3, patch.ny, patch.nx))
         force[-shape[0] :] = now.force_n
         moved = compliance.moved_mm(force * UP)
-        design = self.surface.design
         return Contact(
             design=design,
             depth_mm=self.depth_mm,
@@ -216,9 +219,9 @@ class _Path:
             electrode_mm=compliance.electrodes_mm(force * UP),
         )
 
-    def touching(self, patch: Patch) -> NDArray[np.bool_]:
+    def touching(self, compliance: PatchCompliance) -> NDArray[np.bool_]:
         """Cells of a grid that touch without friction, before or after the slide."""
-        compliance = PatchCompliance(self.surface, patch)
+        patch = compliance.patch
         found = np.zeros((patch.ny, patch.nx), dtype=bool)
         for slide_mm in {(0.0, 0.0), (float(self.slide_mm[0]), float(self.slide_mm[1]))}:
             gap = self._heights_mm(patch, np.array(slide_mm))[None]
@@ -240,7 +243,12 @@ class _Path:
         return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
 
     def _after(
-        self, before: "_Increment", compliance: PatchCompliance, depth_mm: float, slide_mm: FloatArray
+        self,
+        before: "_Increment",
+        compliance: PatchCompliance,
+        depth_mm: float,
+        slide_mm: FloatArray,
+        tolerance: float,
     ) -> "_Increment":
         """The next increment; again if the shape slipped past the rubber farther than was assumed."""
         patch, step = compliance.patch, slide_mm - before.slide_mm
@@ -248,7 +256,7 @@ class _Path:
         for _ in range(PASSES if self.friction and step.any() else 1):
             gap = self._heights_mm(patch, past) + self.depth_mm - depth_mm
             slip = -before.moved_mm[:-1] - step[:, None, None] if self.friction else before.moved_mm[:-1]
-            solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n)
+            solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n, tolerance)
             now = _Increment(solved.force_n, solved.moved_mm, slide_mm, past)
             past = slide_mm - _dragged(now) if self.friction else slide_mm
             if np.abs(past - now.past_mm).max() < SMALL_STEP * min(patch.cell_mm):
@@ -296,7 +304,7 @@ def _require_sane(path: _Path, cells: int) -> None:
     numbers = [path.depth_mm, path.friction, *path.at_mm, *path.slide_mm]
     if not np.isfinite(numbers).all():
         raise ContactError(f"depth, friction, place and slide must be finite numbers, not {numbers}.")
-    height_mm = path.surface.design.unit.height_mm
+    height_mm = path.design.unit.height_mm
     if not 0 < path.depth_mm < height_mm:
         raise ContactError(
             f"depth_mm={path.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far the "
@@ -304,7 +312,7 @@ def _require_sane(path: _Path, cells: int) -> None:
         )
     if not 0 <= path.friction <= MAX_FRICTION:
         raise ContactError(f"friction={path.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
-    most = max(path.surface.design.slab_mm[:2])
+    most = max(path.design.slab_mm[:2])
     if max(map(abs, path.slide_mm)) > most:
         raise ContactError(f"slide_mm={tuple(path.slide_mm)} leaves the sensor: at most {most:g} mm along x and y.")
     if not MIN_CELLS <= cells <= MAX_CELLS:
@@ -312,7 +320,7 @@ def _require_sane(path: _Path, cells: int) -> None:
 
 
 def _missed(path: _Path) -> ContactError:
-    x, y, _ = path.surface.design.slab_mm
+    x, y, _ = path.design.slab_mm
     return ContactError(
         f"the shape misses the sensor at at_mm=({path.at_mm[0]:g}, {path.at_mm[1]:g}), depth {path.depth_mm:g} mm: the "
         f"top reaches from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."

@@ -143,11 +143,19 @@ def tile_integrals(patch: Patch, force_n: FloatArray, rows: int, cols: int, pitc
 
 
 def _shares(places_mm: FloatArray, count: int, tile_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Linear interpolation between the middles of tiles, constant beyond the outer ones: (n, m), and the m numbers."""
-    at = np.clip(places_mm / tile_mm + (count - 1) / 2, 0, count - 1)
-    first = np.minimum(np.floor(at).astype(np.int64), max(count - 2, 0))
-    numbers = np.arange(first.min(), min(first.max() + 2, count))
-    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - numbers)), numbers
+    """Parabolas through the means of three tiles of a row, at places (n,): (n, m), and the numbers (m,) of tiles.
+
+    The same shares take a force to tiles, each spread over its own: its moments up to the second stay.
+    """
+    at = places_mm / tile_mm + (count - 1) / 2
+    middle = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
+    numbers = np.arange(middle.min() - 1, middle.max() + 2)
+    off = at - middle
+    square = off**2 - 1 / 12  # the mean of off² over a tile is 1/12 more than at its middle
+    shares = np.zeros((len(at), len(numbers)))
+    for step, share in ((-1, (square - off) / 2), (0, 1 - square), (1, (square + off) / 2)):
+        shares[np.arange(len(at)), middle + step - numbers[0]] = share
+    return shares, numbers
 
 
 def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np.ndarray, FloatArray]:

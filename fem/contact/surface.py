@@ -29,7 +29,7 @@ from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, seal
 
 VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
 TILES_PER_HEIGHT = 4.0
-MIN_TILES, MAX_TILES = 2, 8  #: along the side of a cell
+MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
 GRID_LEVEL, GRID_DEGREE = 2, 6  #: of a cell of one rubber, and its ports; 3 and 8 change forces at a rim by 0.2 %
 MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ARROWS = 14  #: of shear along the longer side of the contact
-BLUE, INK, GREY = "#0072b2", "#222222", "#9a9a9a"
+BLUE, ORANGE, INK, GREY = "#0072b2", "#ff8c5a", "#222222", "#9a9a9a"
 SHARE = 0.9  #: of the pitch: the longest arrow of a unit's tangential force
+AS_DRAWN: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
 MIN_ARROW = 0.02  #: of the pitch: shorter ones are left out
 
 
@@ -56,9 +57,7 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
     if contact.friction and largest > 0:
         arrows = (shear / largest * SHARE * pitch).T
         large = np.hypot(*arrows) > MIN_ARROW * pitch
-        axes.quiver(
-            x[large], y[large], *arrows[:, large], angles="xy", scale_units="xy", scale=1.0, color=BLUE, width=0.006
-        )
+        axes.quiver(x[large], y[large], *arrows[:, large], **AS_DRAWN, color=BLUE, width=0.006)
         axes.plot([], [], color=BLUE, label=f"tangential force, at most {largest:.3g} N a unit")
     x0, y0, x1, y1 = *contact.patch.low_mm, *contact.patch.high_mm
     frame: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": "--", "label": "shown beside"}
@@ -88,11 +87,8 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
         there = state[some, some] != FREE
         if largest > 0:
             length = 1.5 * every * max(patch.cell_mm) / largest
-            axes.quiver(
-                x[there], y[there], *(shear[:, there] * length), angles="xy", scale_units="xy", scale=1.0,
-                color="#ff8c5a", width=0.005,
-            )  # fmt: skip
-            axes.plot([], [], color="#ff8c5a", label=f"shear on the sensor, at most {largest:.3g} MPa")
+            axes.quiver(x[there], y[there], *(shear[:, there] * length), **AS_DRAWN, color=ORANGE, width=0.005)
+            axes.plot([], [], color=ORANGE, label=f"shear on the sensor, at most {largest:.3g} MPa")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
     title = f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa"
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title, aspect="equal")

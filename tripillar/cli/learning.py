@@ -40,6 +40,7 @@ Protocol = Literal[
     "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
     "light-fz", "light-fx", "light",
 ]  # fmt: skip
+Kind = Literal[Protocol, "indent"]
 Component = Literal["fz", "fx", "fy", "all"]
 UnstatedOption = Annotated[
     Path | None,
@@ -68,10 +69,10 @@ GoalOption = Annotated[
 
 def dataset(
     protocol: Annotated[
-        Protocol,
+        Kind,
         typer.Option(
             help="Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along "
-            "all axes; light, by 10 N at most. With -fz or -fx along one axis."
+            "all axes; light, by 10 N at most; with -fz or -fx along one axis. indent: shapes pressed and dragged."
         ),
     ],
     samples: Annotated[int, typer.Option(help="Number of samples to make.")],
@@ -134,6 +135,7 @@ def dataset(
     require_other(out, design)
     from dataset import DatasetSettings
     from dataset.imperfections import place_of
+    from dataset.protocols import pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
     from geometry.storage.zarr_folder import is_zarr
@@ -189,6 +191,9 @@ def dataset(
         raise DesignError("--workers and --scheduler belong to --strain finite and to directories, --out data.zarr.")
     if not (finite or is_zarr(out)):
         require_memory(sensor, samples, names)
+    if finite:
+        with spelled(protocol="--protocol"):
+            pad_protocol(protocol)
     if finite and twin is not None:
         raise DesignError(f"{design} is a twin, identified by linear rubber: leave --strain finite out.")
     with progress_bars(verbosity) as bars:

@@ -1,5 +1,6 @@
 """The command that presses a shape into the array's top."""
 
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -61,7 +62,7 @@ def press(
     require_other(out, design)
     require_suffix("--picture", picture, ".png")
     sizes = {"radius": radius, "size": size, "length": length, "turn": turn}
-    from dataset.indented import largest_strain, write_contact
+    from dataset.indentation import largest_strain, write_contact
     from fem.contact import press as pressed
     from tripillar.cli.tables import contact_table
 
@@ -69,10 +70,10 @@ def press(
     spellings |= {"radius_mm": "--radius", "length_mm": "--length", "turn_deg": "--turn"}
     with spelled(**spellings), progress_bars(verbosity) as bars:
         indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
-        advance = bars.begin("contact", total=1)
+        begin = cache(lambda: bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
         contact = pressed(
             chosen(design), indenter, depth, at_mm=_pair("--at", at), slide_mm=_pair("--slide", slide),
-            friction=friction, progress=lambda step: advance(0, step),
+            friction=friction, progress=lambda step: begin()(0, step),
         )  # fmt: skip
     strain = largest_strain(contact)
     files = [path for path in (out, picture) if path is not None]
@@ -88,7 +89,7 @@ def press(
 
 
 def _as_plain(contact: "Contact", strain: float) -> dict[str, Any]:
-    from dataset.indented import samples_of
+    from dataset.indentation import samples_of
 
     x, y = contact.centre_mm.tolist()
     return {

@@ -168,7 +168,7 @@ def _error_cells(errors: "ForceErrors") -> tuple[str, str, str]:
 
 
 def contact_table(contact: "Contact", strain: float) -> Table:
-    """What a shape does to the sensor, and the forces of the units that it loads most."""
+    """Results of a contact, and the forces of the units that it loads most."""
     table = _headed(("",), ("x", "y", "z"), title="Contact; forces on the sensor, z positive in compression")
     for name, values, form in (
         ("net force [N]", contact.net_force_n, ".3f"),

@@ -1,0 +1,49 @@
+"""Data sets of contact by shape."""
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, read_samples, simulate
+from dataset.indentation import largest_strain, samples_of, write_contact
+from dataset.protocols import pad_protocol
+from dataset.resistance import pillar_resistances
+from fem.array.solving import ResponseSettings, array_response
+from fem.contact import Sphere, press
+from geometry.design import Array, SensorDesign
+from geometry.errors import DesignError
+from geometry.layout import pillar_volumes
+
+DESIGN = SensorDesign(array=Array(rows=1, cols=2))
+
+
+def indents(samples: int, **changed):
+    response, _, _ = array_response(DESIGN, ResponseSettings(tolerance=1e-2))
+    return simulate(response, DatasetSettings(protocol="indent", samples=samples, seed=3, **changed))
+
+
+def test_a_sample_depends_on_seed_and_number_alone(shared_cache):
+    few, more = indents(2), indents(4, noise=0.001)
+    assert np.array_equal(few.force_n, more.force_n[:2])
+    assert np.array_equal(few.displacement_mm, more.displacement_mm[:2])
+    assert not np.array_equal(few.resistance_ohm, more.resistance_ohm[:2])
+
+
+def test_labels_are_those_of_the_contact(tmp_path, shared_cache):
+    """Forces press, tractions are forces over the pad, resistances follow from the lengths; the file says the same."""
+    data = indents(3)
+    assert (data.force_n[..., 2] >= 0).all()
+    assert (data.force_n[..., 2].sum(axis=(1, 2)) > 0).all()
+    assert data.traction_mpa * [144.0, 144.0, -144.0] == pytest.approx(data.force_n, rel=1e-12)
+    ohms = pillar_resistances(data.length_mm, pillar_volumes(DESIGN.unit), DESIGN.resistivity_ohm_mm)
+    assert data.resistance_ohm == pytest.approx(ohms, rel=1e-12)
+    contact = press(DESIGN, Sphere(6.0), 0.8, at_mm=(3.0, 0.0), cells=16)
+    write_contact(contact, tmp_path / "contact.nc")
+    kept = read_samples(tmp_path / "contact.nc")
+    assert kept.force_n[0] == pytest.approx(contact.force_n, rel=1e-12)
+    assert kept.resistance_ohm == pytest.approx(samples_of([contact]).resistance_ohm, rel=1e-12)
+    assert 0 < largest_strain(contact) < 0.3
+
+
+def test_what_takes_loads_on_pads_alone_says_so():
+    with pytest.raises(DesignError, match="presses shapes"):
+        pad_protocol("indent")

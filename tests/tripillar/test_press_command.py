@@ -1,0 +1,48 @@
+"""`tripillar press`: one JSON object, a data set of one sample, a picture; one line for a mistake."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dataset import read_samples
+from tests.house import House
+
+
+@pytest.fixture
+def house(tmp_path):
+    return House(tmp_path)
+
+
+def test_a_shape_is_pressed_dragged_written_and_drawn(house):
+    done = house.tripillar(
+        "press", "--shape", "flat", "--size", "6,4", "--turn", "20", "--depth", "0.3", "--at", "5,-1", "--slide",
+        "0.1,0", "--friction", "0.5", "--design", "small.toml", "--out", "contact.nc", "--picture", "contact.png",
+        "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert np.sum(found["force_n"], axis=(0, 1)) == pytest.approx(found["net_force_n"], rel=1e-9)
+    assert found["net_force_n"][0] > 0
+    assert found["centre_mm"] == pytest.approx([5.0, -1.0], abs=0.5)
+    kept = read_samples(house.folder / "contact.nc")
+    assert kept.resistance_ohm[0] == pytest.approx(np.array(found["resistance_ohm"]), rel=1e-12)
+    with Image.open(house.folder / "contact.png") as picture:
+        assert picture.size[0] > 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--shape", "ball.obj"), "must be sphere, cylinder, flat"),
+        (("--shape", "sphere"), "needs --radius"),
+        (("--shape", "sphere", "--radius", "5", "--size", "3"), "--size is not of --shape sphere"),
+        (("--shape", "flat", "--size", "3", "--at", "here"), "--at here: must be two numbers"),
+        (("--shape", "sphere", "--radius", "5", "--at", "99,0"), "misses the sensor"),
+        (("--shape", "none.stl"), "no such file"),
+        (("--shape", "sphere", "--radius", "5", "--picture", "contact.jpg"), "must be a file that ends in .png"),
+    ],
+)
+def test_mistakes_are_one_line(house, options, told):
+    assert told in house.refusal("press", "--depth", "0.5", "--design", "small.toml", *options)
