@@ -23,7 +23,7 @@ def draw_contact(contact: Contact, path: Path) -> None:
     """Write a PNG: units coloured by their normal force on the left, the contact itself on the right."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 5.6), dpi=120, layout="constrained")
+    figure = Figure(figsize=(12.5, 6.0), dpi=120, layout="compressed")
     array, zoom = figure.subplots(1, 2)
     _draw_units(array, contact)
     _draw_patch(zoom, contact)

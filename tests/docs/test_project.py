@@ -36,7 +36,7 @@ def test_the_contribution_guide_names_what_is_there():
 def test_the_gallery_has_ten_small_pictures_each_with_its_command():
     page = read("docs/gallery.md")
     shown = [re.findall(r"!\[.+\]\((.+)\)", section) for section in page.split("\n## ")[1:]]
-    typed = [re.findall(r"^    (tripillar|python -m) ", section, re.MULTILINE) for section in page.split("\n## ")[1:]]
+    typed = [re.findall(r"^    (tripillar|python) ", section, re.MULTILINE) for section in page.split("\n## ")[1:]]
     assert len(shown) == 10
     assert all(len(pictures) == 1 and commands for pictures, commands in zip(shown, typed, strict=True))
     paths = [ROOT / "docs" / picture for (picture,) in shown]
