@@ -14,20 +14,13 @@ from dataset.samples import Samples
 from dataset.stored import StoredSamples
 from dataset.variables import COORDINATES
 from geometry.design_file import design_to_toml
-from geometry.errors import FileFormatError, TriPillarError
+from geometry.errors import FileFormatError, needing
 from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_AT_ONCE = 4 * LEAF  #: rows of a group of a Parquet file: 28 MB of forces and resistances of 36 units in float32
-
-
-class MissingParquetError(TriPillarError, ImportError):
-    """The optional package ``pyarrow`` is not installed."""
-
-    def __init__(self, error: ImportError) -> None:
-        super().__init__(f"Parquet needs a package that is not installed ({error}): pip install 'tripillar[parquet]'.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +83,7 @@ def write_table(
     ------
     FileFormatError, NotWrittenError
         If the path ends otherwise, or cannot be written to.
-    MissingParquetError
+    MissingPackageError
         If pyarrow is not installed.
     """
     path = Path(path)
@@ -101,11 +94,9 @@ def write_table(
 
 
 def _write_parquet(data: Samples | StoredSamples, path: Path, counted: Callable[[int], None]) -> None:
-    try:
+    with needing("Parquet", "parquet"):
         import pyarrow as pa
         from pyarrow.parquet import ParquetWriter
-    except ImportError as error:
-        raise MissingParquetError(error) from None
     schema, dtype = _schema(data), number_type(data)
     with replacing(path) as temporary, ParquetWriter(temporary, schema, compression="zstd") as writer:
         for block in data.blocks(ROWS_AT_ONCE):

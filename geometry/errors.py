@@ -1,5 +1,8 @@
 """The errors a user can cause or meet; each message says what was given, what is allowed, how to mend it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class TriPillarError(Exception):
     """Base of all errors that the command line reports as one line with exit code 2."""
@@ -21,6 +24,10 @@ class NotWrittenError(TriPillarError, OSError):
     """A file that could not be written: the disk is full, or its folder may not be written to."""
 
 
+class MissingPackageError(TriPillarError, ImportError):
+    """A package of an extra of TriPillar is not installed."""
+
+
 class ArgumentError(TriPillarError, TypeError):
     """An argument of another type than the function takes."""
 
@@ -34,3 +41,21 @@ def require_type(name: str, value: object, kind: type, mend: str) -> None:
     """
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} is of type {type(value).__name__}, expected {kind.__name__}: {mend}.")
+
+
+@contextmanager
+def needing(user: str, extra: str) -> Iterator[None]:
+    """Around imports: a missing package is refused as a `MissingPackageError` that names the extra to install.
+
+    >>> with needing("Parquet", "parquet"):
+    ...     import no_such_package
+    Traceback (most recent call last):
+    geometry.errors.MissingPackageError: Parquet needs a package that is not installed (No module named \
+'no_such_package'): pip install 'tripillar[parquet]'.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{user} needs a package that is not installed ({error}): pip install 'tripillar[{extra}]'."
+        ) from None

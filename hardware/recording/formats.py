@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.errors import FileFormatError, TriPillarError
+from geometry.errors import FileFormatError, needing
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing, write_text
 from geometry.storage.netcdf import read_netcdf, write_netcdf
@@ -48,7 +48,7 @@ def read_recording(path: Path) -> Recording:
     ------
     FileFormatError
         If the file is missing, no recording, or holds no frame or those of two boards.
-    MissingMcapError
+    MissingPackageError
         If it is an MCAP file and the package is not installed.
     """
     try:
@@ -141,13 +141,6 @@ def _read_netcdf(path: Path) -> Recording:
 _STATISTICS = "tripillar statistics"  # name of the metadata at the end
 
 
-class MissingMcapError(TriPillarError, ImportError):
-    """The optional package ``mcap`` is not installed."""
-
-    def __init__(self, error: ImportError) -> None:
-        super().__init__(f"MCAP needs a package that is not installed ({error}): pip install 'tripillar[mcap]'.")
-
-
 def write_mcap(
     recording: Recording,
     path: Path,
@@ -179,13 +172,11 @@ def write_mcap(
 
     Raises
     ------
-    MissingMcapError
+    MissingPackageError
         If the package is not installed.
     """
-    try:
+    with needing("MCAP", "mcap"):
         from mcap.writer import Writer
-    except ImportError as error:
-        raise MissingMcapError(error) from None
     n = len(recording.counts)
     if force_n is not None and force_n.shape[::3] != (n, len(axes)):
         raise ValueError(
@@ -226,12 +217,10 @@ def write_mcap(
 
 def _read_mcap(path: Path) -> Recording:
     """Read what `write_mcap` or a recorder of version 1 wrote; of one that was cut short, what is whole."""
-    try:
+    with needing("MCAP", "mcap"):
         from mcap.exceptions import EndOfFile
         from mcap.records import Channel, Message, Metadata
         from mcap.stream_reader import StreamReader
-    except ImportError as error:
-        raise MissingMcapError(error) from None
     plain: dict[str, Any] = {}
     scans: list[dict[str, Any]] = []
     received_s: list[float] = []

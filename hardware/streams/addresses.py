@@ -13,13 +13,6 @@ class StreamError(TriPillarError, RuntimeError):
     """A stream that cannot be opened."""
 
 
-class MissingPackageError(TriPillarError, ImportError):
-    """An optional package is not installed."""
-
-    def __init__(self, user: str, extra: str, error: ImportError) -> None:
-        super().__init__(f"{user} needs a package that is not installed ({error}): pip install 'tripillar[{extra}]'.")
-
-
 def host_and_port(text: str, port: int) -> tuple[str, int]:
     """Host and port of HOST:PORT, or of HOST with the usual port.
 

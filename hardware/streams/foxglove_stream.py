@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from geometry.errors import needing
 from geometry.layout import FloatArray
 from hardware.readout.description import FRAME, SensorDescription
 from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
-from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, make_room
+from hardware.streams.addresses import LOOPBACK, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
@@ -51,10 +52,8 @@ class FoxgloveStream:
     def __init__(
         self, sensor: SensorDescription, host: str | None = LOOPBACK, port: int = PORT, mcap: Path | None = None
     ) -> None:
-        try:
+        with needing("Foxglove", "foxglove"):
             import foxglove  # noqa: F401
-        except ImportError as error:
-            raise MissingPackageError("Foxglove", "foxglove", error) from None
         self._painter = Painter(sensor)
         self._host, self.port, self._mcap = host, port, mcap
         self._open = ExitStack()

@@ -9,9 +9,10 @@ from typing import Any, Self
 
 import numpy as np
 
+from geometry.errors import needing
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
-from hardware.streams.addresses import LOOPBACK, MissingPackageError, StreamError, make_room
+from hardware.streams.addresses import LOOPBACK, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 from hardware.streams.tactile_frame import TactileFrame
 
@@ -50,10 +51,8 @@ class RerunStream:
     def __init__(
         self, sensor: SensorDescription, host: str | None = LOOPBACK, port: int = PORT, rrd: Path | None = None
     ) -> None:
-        try:
+        with needing("Rerun", "rerun"):
             import rerun
-        except ImportError as error:
-            raise MissingPackageError("Rerun", "rerun", error) from None
         self._rerun: Any = rerun
         self._painter = Painter(sensor)
         self._host, self._port, self._rrd = host, port, rrd

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from geometry.errors import needing
 from geometry.layout import AXES, FloatArray
 from geometry.storage.files import replacing
 from hardware.readout.description import FRAME, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
 from hardware.recording import Recording
-from hardware.streams.addresses import MissingPackageError
 from hardware.streams.tactile_frame import TactileFrame, recorded_frames
 
 PACKAGE = "tripillar_msgs"
@@ -60,10 +60,8 @@ def write_ros2(recording: Recording, forces: Forces, path: Path) -> None:
     DesignError
         If nobody knows where the pads are.
     """
-    try:
+    with needing("ROS 2", "mcap"):
         from mcap_ros2.writer import Writer
-    except ImportError as error:
-        raise MissingPackageError("ROS 2", "mcap", error) from None
     forces.description.require_positions()
     with replacing(path) as temporary, temporary.open("wb") as file, Writer(file) as writer:
         schemas = {name: writer.register_msgdef(f"{PACKAGE}/msg/{name}", definition(name)) for name in _NAMES}

@@ -8,9 +8,9 @@ import yaml
 
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.card import card_text, size_category
-from dataset.table import MissingParquetError, columns_of, write_table
+from dataset.table import columns_of, write_table
 from geometry.design_file import design_from_toml
-from geometry.errors import DesignError, FileFormatError
+from geometry.errors import DesignError, FileFormatError, MissingPackageError
 from tests.house import House
 
 pa = pytest.importorskip("pyarrow")
@@ -70,7 +70,7 @@ def test_other_forms_and_a_missing_package_are_refused_and_leave_nothing(data, t
     with pytest.raises(FileFormatError, match=r"end the name in \.parquet or \.csv"):
         write_table(data, tmp_path / "a.xlsx")
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(MissingParquetError, match=r"pip install 'tripillar\[parquet\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'tripillar\[parquet\]'"):
         write_table(data, tmp_path / "a.parquet")
     assert not list(tmp_path.iterdir())
 

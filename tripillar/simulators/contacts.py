@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from geometry.errors import ArgumentError
+from geometry.errors import ArgumentError, needing
 from geometry.layout import FloatArray
-from tripillar.simulators.extra import needing
 
-with needing():
+with needing("the simulator", "simulators"):
     import mujoco
 
 MIN_COSINE = np.sqrt(0.5)  #: of the angle between a contact's normal and z; flatter ones are at the slab's sides

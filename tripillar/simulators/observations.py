@@ -8,12 +8,11 @@ import torch
 
 from dataset.imperfections import OPEN_OHM
 from dataset.variables import MAX_N
-from geometry.errors import ArgumentError
+from geometry.errors import ArgumentError, needing
 from geometry.layout import FloatArray
 from tripillar.simulators.contacts import ContactReader, stacked
-from tripillar.simulators.extra import needing
 
-with needing():
+with needing("the simulator", "simulators"):
     import gymnasium
     from gymnasium import spaces
     from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper

@@ -9,14 +9,13 @@ import numpy as np
 
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign
-from geometry.errors import ArgumentError
+from geometry.errors import ArgumentError, needing
 from geometry.layout import FloatArray
 from tripillar.simulators.contacts import ContactReader
-from tripillar.simulators.extra import needing
 from tripillar.simulators.observations import Observed, TactileObservation, TactileVectorObservation
 from tripillar.simulators.press_model import CLEARANCE_MM, FINGERTIP, finger_on_slab, pad_stiffness, renderer
 
-with needing():
+with needing("the simulator", "simulators"):
     import gymnasium
     import mujoco
     from gymnasium import spaces

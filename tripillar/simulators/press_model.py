@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
-from geometry.errors import ArgumentError, TriPillarError
-from tripillar.simulators.extra import needing
+from geometry.errors import ArgumentError, TriPillarError, needing
 
-with needing():
+with needing("the simulator", "simulators"):
     import mujoco
 
 if TYPE_CHECKING:

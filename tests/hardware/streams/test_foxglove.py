@@ -11,10 +11,10 @@ import time
 import numpy as np
 import pytest
 
-from geometry.errors import DesignError
+from geometry.errors import DesignError, MissingPackageError
 from hardware.readout.wrench import SIGNS
 from hardware.recording.topics import FORCES, RESISTANCES, SENSOR, WRENCH
-from hardware.streams.addresses import MissingPackageError, StreamError
+from hardware.streams.addresses import StreamError
 from hardware.streams.foxglove_stream import SCENE, FoxgloveStream
 from hardware.streams.rerun_stream import RerunStream
 from hardware.streams.scene import LONGEST, Painter

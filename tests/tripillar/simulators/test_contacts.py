@@ -6,12 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from geometry.errors import ArgumentError
+from geometry.errors import ArgumentError, MissingPackageError
 
 mujoco = pytest.importorskip("mujoco")
 
 from tripillar.simulators.contacts import ContactReader, stacked  # noqa: E402 (needs mujoco)
-from tripillar.simulators.extra import MissingSimulatorError  # noqa: E402
 
 GRAVITY, KG = 9.81, 1.3
 SOLVED = 1e-6  #: relative: MuJoCo's tolerance of 1e-8, and what is left of the box's settling
@@ -107,5 +106,5 @@ def test_names_that_the_model_lacks_are_refused():
 
 def test_a_missing_simulator_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingSimulatorError, match=r"mujoco.*pip install 'tripillar\[simulators\]'"):
+    with pytest.raises(MissingPackageError, match=r"mujoco.*pip install 'tripillar\[simulators\]'"):
         runpy.run_path(sys.modules[ContactReader.__module__].__file__)
