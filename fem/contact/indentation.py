@@ -301,9 +301,9 @@ def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, Floa
 
 
 def _require_sane(path: _Path, cells: int) -> None:
-    numbers = [path.depth_mm, path.friction, *path.at_mm, *path.slide_mm]
-    if not np.isfinite(numbers).all():
-        raise ContactError(f"depth, friction, place and slide must be finite numbers, not {numbers}.")
+    for name, place in (("at_mm", path.at_mm), ("slide_mm", path.slide_mm)):
+        if not np.isfinite(place).all():
+            raise ContactError(f"{name}={place[0]:g},{place[1]:g} must be finite numbers.")
     height_mm = path.design.unit.height_mm
     if not 0 < path.depth_mm < height_mm:
         raise ContactError(
@@ -312,9 +312,9 @@ def _require_sane(path: _Path, cells: int) -> None:
         )
     if not 0 <= path.friction <= MAX_FRICTION:
         raise ContactError(f"friction={path.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
-    most = max(path.design.slab_mm[:2])
-    if max(map(abs, path.slide_mm)) > most:
-        raise ContactError(f"slide_mm={tuple(path.slide_mm)} leaves the sensor: at most {most:g} mm along x and y.")
+    most, (x, y) = max(path.design.slab_mm[:2]), path.slide_mm
+    if max(abs(x), abs(y)) > most:
+        raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most:g} mm along x and y.")
     if not MIN_CELLS <= cells <= MAX_CELLS:
         raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
 
@@ -322,6 +322,6 @@ def _require_sane(path: _Path, cells: int) -> None:
 def _missed(path: _Path) -> ContactError:
     x, y, _ = path.design.slab_mm
     return ContactError(
-        f"the shape misses the sensor at at_mm=({path.at_mm[0]:g}, {path.at_mm[1]:g}), depth {path.depth_mm:g} mm: the "
+        f"the shape misses the sensor at at_mm={path.at_mm[0]:g},{path.at_mm[1]:g}, depth {path.depth_mm:g} mm: the "
         f"top reaches from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
     )

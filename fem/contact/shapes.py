@@ -74,7 +74,8 @@ class Flat:
 
     def __post_init__(self) -> None:
         if self.radius_mm is None:
-            _require_size(**{"size_mm along x": self.size_mm[0], "size_mm along y": self.size_mm[1]})
+            for side in self.size_mm:
+                _require_size(size_mm=side)
         else:
             _require_size(radius_mm=self.radius_mm)
         _require_turn(self.turn_deg)

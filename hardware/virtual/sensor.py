@@ -25,6 +25,7 @@ from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import AXES, rest_lengths
 from hardware.readout.crossbar import Crossbar
+from hardware.readout.wrench import pad_positions
 from hardware.virtual.decoding import TorchDecoder, TorchForward
 from hardware.virtual.wires import TorchCrossbar
 
@@ -174,9 +175,8 @@ class VirtualSensor:
     @cached_property
     def _pads(self) -> tuple[Tensor, Tensor]:
         """Centres of the pads' columns along x, of their rows along y [mm]."""
-        pad, pitch_mm = self.design.pad, self.design.array.pitch_mm
-        y, x = (torch.arange(n, dtype=self._like.dtype, device=self._like.device) - (n - 1) / 2 for n in self.shape)
-        return x * pitch_mm + pad.offset_x_mm, y * pitch_mm + pad.offset_y_mm
+        places = torch.as_tensor(pad_positions(self.design), dtype=self._like.dtype, device=self._like.device)
+        return places[0, :, 0], places[:, 0, 1]
 
     def reset(self, which: Tensor | None = None, seed: int | None = None) -> None:
         """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.

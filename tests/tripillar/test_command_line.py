@@ -139,6 +139,9 @@ def test_bars_end_full_unless_what_they_show_fails(capsys):
         bars.begin("training", total=200)(150, "")
         raise ValueError
     assert " 75%" in capsys.readouterr().err
+    with suppress(ValueError), Bars():
+        raise ValueError
+    assert not capsys.readouterr().err  # a refusal is one line, with none above it
 
 
 def test_nobody_reads_any_more(tmp_path):

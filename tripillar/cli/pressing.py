@@ -67,7 +67,7 @@ def press(
     from tripillar.cli.tables import contact_table
 
     spellings = {"depth_mm": "--depth", "at_mm": "--at", "slide_mm": "--slide", "friction": "--friction"}
-    spellings |= {"radius_mm": "--radius", "length_mm": "--length", "turn_deg": "--turn"}
+    spellings |= {"radius_mm": "--radius", "size_mm": "--size", "length_mm": "--length", "turn_deg": "--turn"}
     with spelled(**spellings), progress_bars(verbosity) as bars:
         indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
         begin = cache(lambda: bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
@@ -126,8 +126,7 @@ def _shape(name: str, given: dict[str, Any]) -> "Shape":
             raise DesignError("--shape flat needs --radius, a disc, or --size, a rectangle: give one of them.")
         if "radius" in given:
             return Flat(radius_mm=given["radius"])
-        sides = given["size"] if "," in given["size"] else f"{given['size']},{given['size']}"
-        return Flat(_pair("--size", sides), turn_deg=given.get("turn", 0.0))
+        return Flat(_pair("--size", given["size"], alone=True), turn_deg=given.get("turn", 0.0))
     if "radius" not in given:
         raise DesignError(f"--shape {name} needs --radius.")
     if name == "sphere":
@@ -136,9 +135,10 @@ def _shape(name: str, given: dict[str, Any]) -> "Shape":
     return Cylinder(given["radius"], **more)
 
 
-def _pair(option: str, text: str) -> tuple[float, float]:
+def _pair(option: str, text: str, alone: bool = False) -> tuple[float, float]:
+    """Numbers along x and y; one that may stand alone is both."""
     try:
-        x, y = map(float, text.split(","))
+        x, y = map(float, text.split(",") * (2 if alone and "," not in text else 1))
     except ValueError:
         raise DesignError(f"{option} {text}: must be two numbers, such as 7.5,-3.") from None
     return x, y

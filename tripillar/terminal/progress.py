@@ -45,7 +45,6 @@ class Bars:
         )
 
     def __enter__(self) -> Self:
-        self._progress.start()
         return self
 
     def __exit__(
@@ -54,10 +53,12 @@ class Bars:
         if error is None:  # whatever ended before its limit, such as a training, is done as well
             for task in self._progress.tasks:
                 self._progress.update(task.id, completed=task.total)
-        self._progress.stop()
+        if self._progress.live.is_started:  # else it ends in an empty line where nothing was shown
+            self._progress.stop()
 
     def begin(self, stage: str, total: float) -> Advance:
         """Open the bar of a stage; the function it gives moves it."""
+        self._progress.start()
         task = self._progress.add_task(stage, total=total, note="")
         self._begun_s = perf_counter()
 

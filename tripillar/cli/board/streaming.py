@@ -45,15 +45,16 @@ class AskedStreams:
 
     def require(self) -> None:
         """Refuse files of other kinds and addresses that are none, before a board is opened."""
+        from hardware.streams import foxglove_stream, rerun_stream
         from hardware.streams.addresses import host_and_port, require_new
 
         require_suffix("--mcap", self.mcap, ".mcap")
         require_suffix("--rrd", self.rrd, ".rrd")
         for path in (self.mcap, self.rrd):
             require_new(path)
-        for address in (self.foxglove, self.rerun):
+        for address, port in ((self.foxglove, foxglove_stream.PORT), (self.rerun, rerun_stream.PORT)):
             if address:
-                host_and_port(address, 0)
+                host_and_port(address, port)
 
     @contextmanager
     def opened(self, sensor: "SensorDescription") -> Iterator[list["Stream"]]:
