@@ -78,7 +78,7 @@ def surface_compliance(
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    _require_bare(design)
+    require_bare(design)
     plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
     cache_key = digest("surface", VERSION, plain)
     path = cache_folder() / f"surface-{cache_key}.npz"
@@ -95,7 +95,8 @@ def tiles_per_pitch(design: SensorDesign) -> int:
     return int(np.clip(round(TILES_PER_HEIGHT * design.array.pitch_mm / design.unit.height_mm), MIN_TILES, MAX_TILES))
 
 
-def _require_bare(design: SensorDesign) -> None:
+def require_bare(design: SensorDesign) -> None:
+    """Refuse a design whose top is not bare linear rubber, or has too many tiles."""
     model = design.matrix_material.model
     if model != "linear":
         raise DesignError(

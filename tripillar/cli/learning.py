@@ -135,9 +135,10 @@ def dataset(
     require_other(out, design)
     from dataset import DatasetSettings
     from dataset.imperfections import place_of
-    from dataset.protocols import pad_protocol
+    from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
+    from fem.contact.surface import require_bare
     from geometry.storage.zarr_folder import is_zarr
     from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
@@ -191,9 +192,11 @@ def dataset(
         raise DesignError("--workers and --scheduler belong to --strain finite and to directories, --out data.zarr.")
     if not (finite or is_zarr(out)):
         require_memory(sensor, samples, names)
-    if finite:
+    if finite or twin is not None:
         with spelled(protocol="--protocol"):
             pad_protocol(protocol)
+    elif protocol == INDENT:
+        require_bare(sensor)
     if finite and twin is not None:
         raise DesignError(f"{design} is a twin, identified by linear rubber: leave --strain finite out.")
     with progress_bars(verbosity) as bars:
