@@ -106,7 +106,8 @@ def train(
     Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
     to all of them by least squares, block by block.
     """
-    given, data = data, drawn(data, 0 if training is None else training.seed)
+    seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
+    given, data = data, drawn(data, seed)
     parts, network, training = suited_training(data, component, network, training, response)
     data = distinct(data, parts)
     if len(data.resistance_ohm) < 2:

@@ -185,6 +185,8 @@ view --save x.png --colour red -> --colour red must be one of
 view --save x.png --camera back -> --camera back must be one of
 view --save x.png --load heavy -> --load heavy must be one of
 view block.toml --save x.png --pressure 3 -> has its own loads
+press --shape sphere --radius 5 -> Missing option '--depth'
+press --shape sphere --radius 5 --depth 0 -> must be above 0
 view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
 view small.toml --port board -> add --serve, whose page these are for, or leave --port out
 view small.toml --serve --save x.png -> the page of --serve has controls of its own: leave --save out
