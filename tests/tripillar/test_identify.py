@@ -107,6 +107,18 @@ def test_what_makes_no_sense_is_refused(house, words, says):
     assert not (house.folder / "m.safetensors").exists()
 
 
+def test_pairs_of_contacts_are_refused_unless_forced(house):
+    """Their forces are no tractions on pads: a sensor that is bent to explain them reads worse than nothing."""
+    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (6, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    pairs = Samples(force_n=force_n, resistance_ohm=shown(force_n), design=DESIGN, made_from={"protocol": "indent"})
+    pairs.write(house.folder / "indent.nc")
+    words = ("identify", "--data", "indent.nc", "-o", "m.safetensors", "-q")
+    assert "presses shapes" in house.refusal(*words)
+    assert not (house.folder / "m.safetensors").exists()
+    house.result(*words, "--force")
+    assert "presses shapes" in read_model(house.folder / "m.safetensors").made_from["forced"]
+
+
 def test_a_load_that_did_not_act_is_doubted_unless_forced(house):
     """60 kg are stated, and the readings are those of nothing."""
     table = (house.folder / "pairs.csv").read_text().splitlines()

@@ -137,11 +137,20 @@ def checked_pairs(
             raise FileFormatError(f"{doubted} Or take the pairs as they are with {caller.go_on}.")
         return pairs, {"forced": doubted} if doubted else {}
     component, judge = component_named(acting(Pairs.of(pairs))), joint_model(response)
-    forced = heed(doubt(pairs, component, judge), force, caller)
+    forced = heed(_contacts(pairs) or doubt(pairs, component, judge), force, caller)
     mention(pairs, component, judge, caller)
     mention_another_sensor(pairs, component, judge, caller)
     own = None if response is None else ForwardModel.of(response, component)
     return Pairs.of(distinct(without_stuck(pairs, component, own), component)), forced
+
+
+def _contacts(pairs: "Samples") -> str | None:
+    """Say in a line that samples are of contacts by shape; None if they are of loads on pads."""
+    from dataset.protocols import INDENT
+
+    if pairs.made_from.get("protocol") != INDENT:
+        return None
+    return f"the protocol '{INDENT}' presses shapes, and a sensor is identified from loads on its pads: measure such"
 
 
 def with_derivatives(design: SensorDesign, bars: "Bars") -> "tuple[ArrayResponse, ResponseSensitivities]":
