@@ -96,6 +96,13 @@ class Contact:
         return float(self.pressure_mpa.max())
 
     @property
+    def steepness(self) -> float:
+        """Depth over half the contact's smaller extent along x or y; of a sphere about its slope at the edge."""
+        touching = self.cell_force_n[2] > 0
+        extents = [np.ptp(np.flatnonzero(touching.any(axis=axis))) + 1 for axis in (0, 1)]
+        return float(2.0 * self.depth_mm / (np.array(extents) * self.patch.cell_mm).min())
+
+    @property
     def sticking(self) -> float:
         """Share of the contact's area that sticks."""
         return float((self.state == STICKING).sum() / max(1, (self.state != FREE).sum()))

@@ -32,6 +32,12 @@ def test_a_shape_is_pressed_dragged_written_and_drawn(house):
         assert picture.size[0] > 1000
 
 
+def test_a_needle_is_said_to_be_beyond_linear_strain(house):
+    done = house.tripillar("press", "--shape", "sphere", "--radius", "0.01", "--depth", "0.5", "--design", "small.toml")
+    assert done.returncode == 0, done.stderr
+    assert "linear strain ends near 0.5; press less deep" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -41,6 +47,7 @@ def test_a_shape_is_pressed_dragged_written_and_drawn(house):
         (("--shape", "flat", "--size", "3", "--at", "here"), "--at here: must be two numbers"),
         (("--shape", "sphere", "--radius", "5", "--at", "99,0"), "misses the sensor"),
         (("--shape", "none.stl"), "no such file"),
+        (("--shape", "sphere", "--radius", "5", "--out", "contact.txt"), "must be a file that ends in .nc"),
         (("--shape", "sphere", "--radius", "5", "--picture", "contact.jpg"), "must be a file that ends in .png"),
     ],
 )

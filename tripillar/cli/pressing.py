@@ -24,6 +24,7 @@ from tripillar.terminal.console import (
 if TYPE_CHECKING:
     from fem.contact import Contact, Shape
 
+MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length", "turn"), "flat": ("radius", "size", "turn")}
 
@@ -60,6 +61,7 @@ def press(
     Strain is linear: depths of more than a tenth of the slab's height are only roughly right.
     """
     require_other(out, design)
+    require_suffix("--out", out, ".nc")
     require_suffix("--picture", picture, ".png")
     sizes = {"radius": radius, "size": size, "length": length, "turn": turn}
     from dataset.indentation import largest_strain, write_contact
@@ -84,6 +86,11 @@ def press(
 
         draw_contact(contact, picture)
     answer(json_, _as_plain(contact, strain), lambda: [contact_table(contact, strain)], *files)
+    if contact.steepness > MAX_STEEPNESS:
+        say(
+            f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
+            f"{MAX_STEEPNESS:g}; press less deep, or with a wider shape"
+        )
     if strain > STRAIN_CAP:
         say(f"warning: a pillar is strained by {strain:.0%}: linear strain ends near {STRAIN_CAP:.0%}; press less deep")
 
@@ -99,6 +106,7 @@ def _as_plain(contact: "Contact", strain: float) -> dict[str, Any]:
         "area_mm2": contact.area_mm2,
         "peak_mpa": contact.peak_mpa,
         "sticking": contact.sticking,
+        "steepness": contact.steepness,
         "largest_strain": strain,
         "force_n": contact.force_n.tolist(),
         "resistance_ohm": samples_of([contact]).resistance_ohm[0].tolist(),
