@@ -146,6 +146,8 @@ class StoredSamples:
             try:
                 part = self._data.isel(sample=slice(start, start + LEAF))
                 arrays = {str(name): np.ascontiguousarray(values) for name, values in part.data_vars.items()}
+            except MemoryError:
+                raise
             except Exception as error:  # all that damage raises
                 raise FileFormatError(
                     f"{self.path}: samples {start} and on cannot be read ({type(error).__name__}): make it again."
