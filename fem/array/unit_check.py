@@ -40,6 +40,7 @@ class UnitCheck:
     reused: bool  #: whether both were there already
 
 
+# scikit-fem hands fields and parameters to these as types of its own, which it does not publish
 @BilinearForm
 def shear(u, v, w):  # type: ignore[no-untyped-def]
     """∫ 2μ ε(u):ε(v)"""
