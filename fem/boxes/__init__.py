@@ -1,1 +1,1 @@
-"""Boxes: `lagrange.py` (functions along a line), `lines.py` (graded lines), `boxes.py` (elements of any order), `splitting.py`."""
+"""Boxes: functions along a line (`lagrange.py`), graded lines (`lines.py`), elements of any order (`boxes.py`)."""

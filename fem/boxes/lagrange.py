@@ -65,7 +65,7 @@ def cube_slopes(order: int, places: FloatArray) -> FloatArray:
 def interval_integrals(
     order: int, left: FloatArray, right: FloatArray, start: FloatArray, end: FloatArray
 ) -> FloatArray:
-    """∫ φₐ dx over [start, end] of the functions of elements [left, right] that hold it, shape (m, order + 1); exact."""
+    """∫ φₐ dx over [start, end] of the functions of elements [left, right] that hold it, (m, order + 1); exact."""
     x, weights = gauss_points(order // 2 + 1)
     half = (end - start) / 2
     places = (2 * (start[:, None] + half[:, None] * (x + 1)) - (left + right)[:, None]) / (right - left)[:, None]

@@ -6,16 +6,17 @@ stress, with H = F − I the gradient of the displacement:
 
     P = ∂W/∂F + p ∂θ/∂F
 
-All laws are Hooke's of the same λ and μ at small strain. Another one is a class with W, ∂W/∂F and ∂²W/∂F², and its line
-in `LAWS`.
+All laws are Hooke's of the same λ and μ at small strain. Another one is a class with W and its two derivatives, and its
+line in `LAWS`.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.design import Material
 from geometry.layout import FloatArray
@@ -75,25 +76,21 @@ class Law(ABC):
         second -= H.swapaxes(0, 1)
         return Strain(H=H, C=plus_unit(second, trace), theta=theta)
 
-    def volume_curvature(self, strain: Strain, p: FloatArray) -> FloatArray:
-        """p ∂²θ/∂F², shape (3, 3, 3, 3, ...), of pressures (...): of J, p εᵢⱼₖ ε_JLK F_kK in [i, J, j, L]."""
-        pF = p * strain.F
-        out = np.zeros((3, 3, 3, 3, *pF.shape[2:]))
-        for (i, j, k, s), (J, L, K, t) in product(EPSILON, EPSILON):
-            out[i, J, j, L] += s * t * pF[k, K]
-        return out
-
     @abstractmethod
     def energy(self, strain: Strain) -> FloatArray:
         """W, shape (...) [MPa = mJ/mm³]."""
 
     @abstractmethod
-    def stress(self, strain: Strain) -> FloatArray:
-        """∂W/∂F, shape (3, 3, ...) [MPa]."""
+    def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
+        """P = ∂W/∂F + p ∂θ/∂F of pressures (...), shape (3, 3, ...) [MPa]."""
 
     @abstractmethod
-    def tangent(self, strain: Strain) -> FloatArray:
-        """∂²W/∂F², shape (3, 3, 3, 3, ...), entry [i, J, j, L] [MPa]."""
+    def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
+        """∂²W/∂F² + p ∂²θ/∂F², shape (3, 3, 3, 3, ...), entry [i, J, j, L] [MPa]."""
+
+    def part(self, some: slice | NDArray) -> "Law":
+        """The law at some of the places along the first axis of λ and μ."""
+        return replace(self, mu_mpa=self.mu_mpa[some], lame_mpa=self.lame_mpa[some])
 
 
 class Linear(Law):
@@ -106,17 +103,14 @@ class Linear(Law):
     def strain(self, H: FloatArray) -> Strain:
         return Strain(H=H, C=np.zeros_like(H), theta=H[0, 0] + H[1, 1] + H[2, 2])
 
-    def volume_curvature(self, strain: Strain, p: FloatArray) -> FloatArray:
-        return np.zeros((3, 3, 3, 3, *strain.theta.shape))
-
     def energy(self, strain: Strain) -> FloatArray:
         both = strain.H + strain.H.swapaxes(0, 1)
         return self.mu_mpa / 4 * (both**2).sum(axis=(0, 1))
 
-    def stress(self, strain: Strain) -> FloatArray:
-        return self.mu_mpa * (strain.H + strain.H.swapaxes(0, 1))
+    def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
+        return plus_unit(self.mu_mpa * (strain.H + strain.H.swapaxes(0, 1)), p)
 
-    def tangent(self, strain: Strain) -> FloatArray:
+    def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
         mu = np.broadcast_to(self.mu_mpa, strain.theta.shape)
         out = plus_unit_tensor(np.zeros((3, 3, 3, 3, *mu.shape)), mu)
         for i, j in product(range(3), range(3)):
@@ -131,20 +125,22 @@ class NeoHookean(Law):
         H = strain.H  # (I₁ − 3)/2 = tr H + |H|²/2
         return self.mu_mpa * (H[0, 0] + H[1, 1] + H[2, 2] + (H**2).sum(axis=(0, 1)) / 2 - np.log1p(strain.theta))
 
-    def stress(self, strain: Strain) -> FloatArray:
-        over = self.mu_mpa / strain.J  # μ F − μ/J cof F
-        return plus_unit(self.mu_mpa * strain.H - over * strain.C, over * strain.theta)
+    def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
+        over = self.mu_mpa / strain.J  # μ F + (p − μ/J) cof F
+        P = (p - over) * strain.C
+        P += self.mu_mpa * strain.H
+        return plus_unit(P, p + over * strain.theta)
 
-    def tangent(self, strain: Strain) -> FloatArray:
+    def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
         over = self.mu_mpa / strain.J
-        out = self.volume_curvature(strain, -over)
+        out = cofactor_slopes(strain.F, p - over)
         cof = strain.cof
         out += np.einsum("iJ...,jL...->iJjL...", over / strain.J * cof, cof)
         return plus_unit_tensor(out, np.broadcast_to(self.mu_mpa, strain.theta.shape))
 
 
 class MooneyRivlin(Law):
-    """W = c₁ (I₁ − 3) + c₂ (I₂ − 3) − 2 (c₁ + 2 c₂) ln J − 2 c₂ (J − 1)², c₁ = 0.4 μ and c₂ = 0.1 μ as usual in rubbers.
+    """W = c₁ (I₁ − 3) + c₂ (I₂ − 3) − 2 (c₁ + 2 c₂) ln J − 2 c₂ (J − 1)² with c₁ = 0.4 μ, c₂ = 0.1 μ.
 
     I₂ = (I₁² − |C|²)/2 of C = FᵀF, ∂I₂/∂F = 2 (I₁ F − F C). The last term leaves λ at small strain what it is.
     """
@@ -163,22 +159,22 @@ class MooneyRivlin(Law):
         log = 2 * (first + 2 * second) * np.log1p(strain.theta)
         return first * trace + second * more - log - 2 * second * strain.theta**2
 
-    def stress(self, strain: Strain) -> FloatArray:
+    def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
         first, second = self._constants()
         F, H = strain.F, strain.H
         G = H + H.swapaxes(0, 1) + np.einsum("kJ...,kL...->JL...", H, H)
-        over, pressed = 2 * (first + 2 * second) / strain.J, 4 * second * strain.theta
-        # 2 c₁ F + 2 c₂ (I₁ F − F FᵀF) − (2 (c₁ + 2 c₂)/J + 4 c₂ θ) cof F, its parts at rest cancelled
-        out = 2 * (first + 2 * second) * H - (over + pressed) * strain.C
+        over, pressed = 2 * (first + 2 * second) / strain.J, p - 4 * second * strain.theta
+        # 2 c₁ F + 2 c₂ (I₁ F − F FᵀF) + (p − 2 (c₁ + 2 c₂)/J − 4 c₂ θ) cof F, its parts at rest cancelled
+        out = 2 * (first + 2 * second) * H + (pressed - over) * strain.C
         out += 2 * second * ((G[0, 0] + G[1, 1] + G[2, 2]) * F - np.einsum("iK...,KJ...->iJ...", F, G))
-        return plus_unit(out, over * strain.theta - pressed)
+        return plus_unit(out, over * strain.theta + pressed)
 
-    def tangent(self, strain: Strain) -> FloatArray:
+    def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
         first, second = self._constants()
         F, cof = strain.F, strain.cof
         right, left = np.einsum("kJ...,kL...->JL...", F, F), np.einsum("iK...,jK...->ij...", F, F)
         over = 2 * (first + 2 * second) / strain.J
-        out = self.volume_curvature(strain, -over - 4 * second * strain.theta)
+        out = cofactor_slopes(F, p - over - 4 * second * strain.theta)
         out += np.einsum("iJ...,jL...->iJjL...", (over / strain.J - 4 * second) * cof, cof)
         out += 2 * second * (2 * np.einsum("iJ...,jL...->iJjL...", F, F) - np.einsum("iL...,jJ...->iJjL...", F, F))
         for i in range(3):
@@ -203,6 +199,15 @@ def plus_unit_tensor(A: FloatArray, scale: FloatArray) -> FloatArray:
     for i, J in product(range(3), range(3)):
         A[i, J, i, J] += scale
     return A
+
+
+def cofactor_slopes(F: FloatArray, scale: FloatArray) -> FloatArray:
+    """Scale times ∂ cof F/∂F = εᵢⱼₖ ε_JLK F_kK, in [i, J, j, L], shape (3, 3, 3, 3, ...)."""
+    own = scale * F
+    out = np.zeros((3, 3, 3, 3, *own.shape[2:]))
+    for (i, j, k, s), (J, L, K, t) in product(EPSILON, EPSILON):
+        out[i, J, j, L] += s * t * own[k, K]
+    return out
 
 
 def cofactors(F: FloatArray) -> FloatArray:
