@@ -125,7 +125,7 @@ class Boxes:
         return self._rows(box, cube_functions(self.order, local))
 
     def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
-        """Rows that take nodal values to their derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
+        """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
         box, local = self.located(points_mm)
         along = cube_slopes(self.order, local) * (2 / self.size[box]).T[:, :, None]
         along = np.tensordot(np.linalg.inv(self.shear), along, (0, 0))
