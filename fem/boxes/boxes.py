@@ -61,6 +61,13 @@ class Boxes:
         return int(self.nodes.max()) + 1
 
     @cached_property
+    def is_independent(self) -> NDArray[np.bool_]:
+        """Which nodes hang on no others, (n,)."""
+        if self.constraint is None:
+            return np.ones(self.n_nodes, dtype=bool)
+        return np.asarray(self.constraint.diagonal() == 1)
+
+    @cached_property
     def lines(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Every place along x, y and z at which a box ends [mm]."""
         x, y, z = (np.unique(np.concatenate([self.low[:, d], self.high[:, d]])) for d in range(3))

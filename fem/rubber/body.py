@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -103,6 +104,16 @@ def rest_terms(order: int, lean: tuple[float, float]) -> tuple[tuple[tuple[int, 
     return tuple(pairs), np.stack(terms, axis=1)
 
 
+class Condensed(NamedTuple):
+    """An element at rest whose inside is eliminated."""
+
+    stiffness: FloatArray  #: between the nodes on its surface, (n_surface, n_surface, 3, 3) [N/mm]
+    inner: NDArray[np.float32]  #: (n_inside·3, n_surface·3): displacements inside, from those of the surface
+
+
+Kind = tuple[float, ...]  #: of alike elements: relative extents and Lamé's constants
+
+
 class RubberBody:
     """Boxes filled with rubber.
 
@@ -111,6 +122,8 @@ class RubberBody:
     boxes : Boxes
     law : Law
         Its λ and μ of shape (n_elements, 1).
+    condensed : dict, optional
+        Elements of earlier bodies of the same height, order and lean; new ones are kept there, and no others.
 
     Notes
     -----
@@ -119,8 +132,9 @@ class RubberBody:
     over half an element.
     """
 
-    def __init__(self, boxes: Boxes, law: Law) -> None:
+    def __init__(self, boxes: Boxes, law: Law, condensed: dict[Kind, Condensed] | None = None) -> None:
         self.boxes, self.law, self.reference = boxes, law, reference_box(boxes.order)
+        self._known = {} if condensed is None else condensed
         self.scale = (2 / boxes.size).T  #: ∂ξ/∂x of the boxes before they are sheared, (3, n_elements) [1/mm]
         self.jacobian = boxes.size.prod(axis=1) / 8  #: volume over that of the reference box, (n_elements,) [mm³]
         self._mass = self.reference.weights @ self.reference.pressures**2
@@ -250,6 +264,67 @@ class RubberBody:
         scales = np.stack([size.prod(axis=1) / 2 / size[:, k] / size[:, m] for k, m in pairs], axis=1)
         both = np.stack([self.law.lame_mpa[some], self.law.mu_mpa[some]], axis=1) * scales[:, None]
         return np.tensordot(both.reshape(len(size), -1), terms.reshape(-1, *terms.shape[2:]), 1)
+
+    @cached_property
+    def _kinds(self) -> list[Kind]:
+        """Elements of one kind are alike; sizes that only rounding tells apart are one."""
+        size = (self.boxes.size / self.boxes.height_mm).round(12)
+        return [tuple(row) for row in np.column_stack([size, self.law.lame_mpa, self.law.mu_mpa]).tolist()]
+
+    @cached_property
+    def condensed(self) -> dict[Kind, Condensed]:
+        """Elements by kind, their insides eliminated."""
+        known, surface, inside = self._known, self.reference.surface, self.reference.inside
+        for kind in known.keys() - set(self._kinds):
+            del known[kind]
+        first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
+        new, step = (
+            np.array(list(first.values()), dtype=np.int64),
+            max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2)),
+        )
+        for elements in np.array_split(new, 1 + len(new) // step) if len(new) else []:
+            K = self.rest_stiffness(elements)
+            parts = [
+                K[:, rows][:, :, cols].swapaxes(2, 3).reshape(len(K), 3 * len(rows), 3 * len(cols))
+                for rows, cols in ((surface, surface), (inside, surface), (inside, inside))
+            ]
+            inner = np.linalg.solve(parts[2], parts[1])
+            outer = (parts[0] - parts[1].swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
+            for element, own, recovered in zip(elements, outer.swapaxes(2, 3), inner, strict=True):
+                # seven digits of what only indicators, pictures and points inside need
+                known[self._kinds[element]] = Condensed(np.ascontiguousarray(own), -recovered.astype(np.float32))
+        return known
+
+    def filled(self, u: FloatArray) -> FloatArray:
+        """Displacements at rest (n_nodes, 3) with those inside the elements, from those on their surfaces."""
+        if not len(self.reference.inside):
+            return u
+        u = u.copy()
+        for own, kind in zip(self.nodes, self._kinds, strict=True):
+            inside = self.condensed[kind].inner @ u[own[self.reference.surface]].ravel()
+            u[own[self.reference.inside]] = inside.reshape(-1, 3)
+        return u
+
+    def on_surfaces(self, forces: FloatArray) -> FloatArray:
+        """Nodal forces (n_nodes, 3) at rest with those inside the elements moved to their surfaces."""
+        inside, surface = self.reference.inside, self.reference.surface
+        if not len(inside):
+            return forces
+        forces = forces.copy()
+        for element in np.flatnonzero(forces[self.nodes[:, inside]].any(axis=(1, 2))):
+            own, inner = self.nodes[element], self.condensed[self._kinds[element]].inner
+            forces[own[surface]] += (inner.T @ forces[own[inside]].ravel()).reshape(-1, 3)
+            forces[own[inside]] = 0.0
+        return forces
+
+    def rest_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
+        """Chunks of elements and their stiffness at rest between nodes on their surfaces, (e, n, n, 3, 3) [N/mm]."""
+        surface, inner = self.reference.surface, self.reference.inside
+        for some in self.chunks(9 * len(surface) ** 2):
+            if len(inner):
+                yield some, np.stack([self.condensed[kind].stiffness for kind in self._kinds[some]])
+            else:
+                yield some, self.rest_stiffness(some)
 
 
 class Tangent:
