@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.finite.system import FiniteSystem, Misfit, State
-from fem.linear.factors import SolverError
-from fem.linear.refactored import RepeatedFactor
 from fem.scene.loads import FollowerLoad
 from geometry.layout import FloatArray
 
@@ -78,16 +77,14 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(
-    system: FiniteSystem, factor: RepeatedFactor | None = None, first_step: float = 1.0
-) -> Equilibrium:
+def find_equilibrium(system: FiniteSystem, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
     ----------
     system : FiniteSystem
-    factor : RepeatedFactor, optional
-        Of the system's pattern, to use again; it is left with the last tangent.
+    factor : Factor, optional
+        Of tangents in the same pattern, to use again; it is left with the last tangent.
     first_step : float
         Share of the load to try first.
 
@@ -96,7 +93,7 @@ def find_equilibrium(
     UnreachableLoadError
         With the load that was reached, the place that gave way, and what would help.
     """
-    factor = factor or RepeatedFactor(system.pattern)
+    factor = factor or system.new_factor()
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
@@ -141,7 +138,7 @@ class _Tried:
     converged: bool
 
 
-def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, path: _Path) -> _Tried:
+def _equilibrium_at(system: FiniteSystem, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
@@ -151,8 +148,10 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
         if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             return _Tried(state, misfit, iteration, False)
         try:
-            blocks, parts = system.tangent(state, share, misfit.held)
-            factor.factor(blocks)
+            tangent, parts = system.tangent(state, share, misfit.held)
+            factor.factor(tangent)
+        except FactorMemoryError:
+            raise
         except SolverError:
             return _Tried(state, misfit, iteration, False)
         change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
@@ -169,7 +168,7 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
     return _Tried(state, misfit, MAX_ITERATIONS, converged)
 
 
-def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, misfit: Misfit) -> bool:
+def _is_stable(system: FiniteSystem, factor: Factor, state: State, share: float, misfit: Misfit) -> bool:
     """Whether no mode beyond squeezed elements is unstable; True if the solver does not count, as of pressures.
 
     Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
@@ -180,14 +179,14 @@ def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share
     others = [system.moves_of(parity) for parity in product((1, -1), repeat=len(system.mirrors))]
     judge = None
     for moves in others if factor.n_negative else others[1:]:
-        judge = judge or RepeatedFactor(system.pattern)
+        judge = judge or system.new_factor()
         judge.factor(system.tangent(state, share, misfit.held, squeezed, moves)[0])
         if judge.n_negative:
             return False
     return True
 
 
-def _judgement(system: FiniteSystem, factor: RepeatedFactor, misfit: Misfit) -> dict[str, Any]:
+def _judgement(system: FiniteSystem, factor: Factor, misfit: Misfit) -> dict[str, Any]:
     """`is_stable` and `stability` of a state that was taken."""
     if factor.n_negative is None:
         return {"is_stable": None, "stability": "stability not checked"}
@@ -202,7 +201,7 @@ def _own_displacement(system: FiniteSystem, state: State) -> float:
     return float((system.dead * state.u).sum() + (system.force_n * state.shift).sum())
 
 
-def _slope(system: FiniteSystem, factor: RepeatedFactor, state: State) -> float:
+def _slope(system: FiniteSystem, factor: Factor, state: State) -> float:
     """d(f · u) / d(share) by the last tangent."""
     loads = system.loads_on(state, 1.0).reshape(-1, 1)
     return float((loads * factor.solve(loads)).sum())
@@ -227,9 +226,8 @@ def _refusal(system: FiniteSystem, share: float, worst: "_Tried") -> Unreachable
     )
 
 
-def solve_rest(system: FiniteSystem, factor: RepeatedFactor) -> FloatArray:
+def solve_rest(system: FiniteSystem, factor: Factor) -> FloatArray:
     """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
     state = system.rest()
-    blocks, _ = system.tangent(state, 0.0, np.zeros_like(state.u))
-    factor.factor(blocks)
+    factor.factor(system.tangent(state, 0.0, np.zeros_like(state.u))[0])
     return factor.solve(system.loads_on(state, 1.0).reshape(-1, 1)).reshape(-1, 3)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.discretization.grid import Grid
+from fem.factor import Factor
 from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, load_series
 from fem.finite.system import FiniteSystem, at_state
-from fem.linear.refactored import RepeatedFactor
 from fem.scene.loads import Load, StiffLoad
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
@@ -177,8 +177,8 @@ class PreloadedArray:
         return np.array(terms), base.state.u + found.u.sum(axis=0)
 
     @cached_property
-    def _factor(self) -> RepeatedFactor:
-        return RepeatedFactor(next(iter(self._bases.values())).system.pattern)
+    def _factor(self) -> Factor:
+        return next(iter(self._bases.values())).system.new_factor()
 
 
 def _over(base: BaseState, force_n: FloatArray) -> FloatArray:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fem.factor import Factor
 from fem.finite.loads import skew
 from fem.finite.newton import find_equilibrium
 from fem.finite.rubber_body import N_POINTS, N_PRESSURES, PRESSURES, Strain, TangentParts, bilinear_cofactors, cofactors
 from fem.finite.system import FiniteSystem, State
-from fem.linear.refactored import RepeatedFactor
 from geometry.layout import FloatArray
 
 Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
@@ -28,7 +28,7 @@ class BaseState:
 
     system: FiniteSystem
     state: State
-    factor: RepeatedFactor
+    factor: Factor
     parts: TangentParts  #: of the tangent
     strain: Strain
     plate_forces: FloatArray  #: internal forces of the bonded nodes, (n, 3) [N]
@@ -48,15 +48,15 @@ class BaseState:
             raise ValueError(
                 "series are expanded about dead loads and forces on plates only: moments and pressures turn."
             )
-        factor = RepeatedFactor(system.pattern)
+        factor = system.new_factor()
         return cls.about(system, find_equilibrium(system, factor).state, factor)
 
     @classmethod
-    def about(cls, system: FiniteSystem, state: State, factor: RepeatedFactor) -> "BaseState":
+    def about(cls, system: FiniteSystem, state: State, factor: Factor) -> "BaseState":
         """Any state with its tangent, which `factor` is left with; series want an equilibrium."""
         misfit = system.misfit(state, 1.0)
-        blocks, parts = system.tangent(state, 1.0, misfit.held)
-        factor.factor(blocks)
+        tangent, parts = system.tangent(state, 1.0, misfit.held)
+        factor.factor(tangent)
         internal, _, _ = system.body.internal_forces(state.u[None])
         return cls(
             system=system,

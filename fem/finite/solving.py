@@ -13,7 +13,6 @@ from fem.finite.mirrored import loads_above, unfolded
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
 from fem.finite.system import FiniteSystem
-from fem.linear.refactored import RepeatedFactor
 from fem.scene.scene import Probe, Scene, regions_at
 from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
@@ -105,7 +104,7 @@ def solve_finite(
         whole, u = unfolded(grid, equilibrium.state.u, mirrors)
         found.append(probes_of(scene, whole, u))
         if linear is not None:
-            change = solve_rest(system, RepeatedFactor(system.pattern))
+            change = solve_rest(system, system.new_factor())
             moved = system.nodal_change(system.rest().rotation, change)
             small = probes_of(scene, *unfolded(grid, moved, mirrors))
             found[-1] = {name: linear.probes[name] + u - small[name] for name, u in found[-1].items()}

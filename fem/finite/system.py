@@ -11,10 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.factor import Factor
 from fem.finite.loads import FollowingFaces, skew
 from fem.finite.plates import Plates, turns
 from fem.finite.rubber_body import N_NODES, PAIRS, RubberBody, TangentParts
-from fem.linear.refactored import BlockPattern
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
 from geometry.layout import FloatArray
 
@@ -195,8 +195,10 @@ class FiniteSystem:
         held: FloatArray,
         steadied: NDArray[np.bool_] | None = None,
         moves: FloatArray | None = None,
-    ) -> tuple[FloatArray, TangentParts]:
-        """Blocks of the tangent in `pattern` at a share of the load, and its parts; `held` is of `Misfit`.
+    ) -> tuple[sp.bsr_matrix, TangentParts]:
+        """The tangent in 3 × 3 blocks at a share of the load, and its parts; `held` is of `Misfit`.
+
+        Only blocks on the diagonal and above it if it is symmetric: it is for `new_factor`.
 
         Elements that are `steadied` take no part in any loss of stability: see `TangentParts.steady`. `moves` are
         those of another parity than the loads'.
@@ -205,7 +207,7 @@ class FiniteSystem:
         if steadied is not None:
             parts.steady(steadied)
         K = parts.blocks()
-        data = np.empty((len(self.pattern.rows), 3, 3))
+        data = np.empty((len(self._rows), 3, 3))
         for i, j in PAIRS:
             flat = K[i, j].reshape(-1)
             data[:, i, j] = self._of_elements @ flat
@@ -218,9 +220,13 @@ class FiniteSystem:
             data -= (self._of_faces @ (share * own).reshape(-1, 9)).reshape(-1, 3, 3)
         if self.mirrors:
             moves = self.moves if moves is None else moves
-            data *= moves[self.pattern.rows][:, :, None] * moves[self.pattern.cols][:, None, :]
-            data[self.pattern.rows == self.pattern.cols] += np.eye(3) * (1.0 - moves)[:, None, :]
-        return data, parts
+            data *= moves[self._rows][:, :, None] * moves[self._cols][:, None, :]
+            data[self._rows == self._cols] += np.eye(3) * (1.0 - moves)[:, None, :]
+        return sp.bsr_matrix((data, self._cols, self._starts), shape=(self.n_unknowns,) * 2), parts
+
+    def new_factor(self, solver: str | None = None) -> Factor:
+        """Factor of tangents in one pattern, with none in it yet."""
+        return Factor(symmetric=self.symmetric, upper=self.symmetric, solver=solver)
 
     def _plate_blocks(self, K: dict[tuple[int, int], FloatArray], state: State, held: FloatArray) -> FloatArray:
         """Blocks between plates and nodes, in the order of `_find_pattern`: see there."""
@@ -292,7 +298,8 @@ class FiniteSystem:
             (r >= 0) & (c >= 0) & ((r <= c) if self.symmetric else True) for r, c in groups
         ]  # without held nodes, and without what the other triangle repeats
         keys = np.unique(np.concatenate([(r * n + c)[k] for (r, c), k in zip(groups, kept, strict=True)]))
-        self.pattern = BlockPattern(keys // n, keys % n, n, self.symmetric)
+        self._rows, self._cols = (keys // n).astype(np.int32), (keys % n).astype(np.int32)
+        self._starts = np.searchsorted(self._rows, np.arange(n + 1)).astype(np.int32)
 
         def places(rows: IntArray, cols: IntArray, kept: NDArray[np.bool_]) -> sp.csr_matrix:
             number = np.flatnonzero(kept)
