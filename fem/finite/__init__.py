@@ -5,5 +5,5 @@ open it first), or those of thousands of samples (`samples.py`). In the order of
 stresses, tangents), `loads.py` (loads on these), `plates.py` (rigid plates), `system.py` (body, loads and plates as one
 system of equations), `newton.py` (its solution, step by step), `mirrored.py` (halves and quarters of scenes),
 `series.py` (the response as a power series in the load), `relaxation.py` (many samples by one tangent), `preloads.py`
-(both for an array on one grid), `derivatives.py` and `light.py` (light samples by stored derivatives, without a solve).
+(both for an array on one grid).
 """
