@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.boxes.boxes import Boxes
 from fem.conduction.reduced import REDUCED_ERROR
-from fem.discretization.grid import Grid
 from fem.finite.conducted import PillarReader
 from fem.finite.gradients import PointGradients
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
@@ -128,8 +128,8 @@ class SampleSolver:
             ratio_error=ratio_error,
         )
 
-    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Grid, FloatArray]:
-        """For pictures: the coarse grid and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
+    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
+        """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
 
         Small linear ones are added that bring the electrodes to their answer (k, 2, 3) [mm], as nearly as forces can.
         """
@@ -137,7 +137,7 @@ class SampleSolver:
         found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
         missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
         more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
-        return self.coarse.body.grid, found.state.u[0] + more
+        return self.coarse.body.boxes, found.state.u[0] + more
 
     def _nearest_preloads(self, force_n: FloatArray) -> FloatArray:
         """Of `PRELOADS_MPA` those nearest to the middle of the pressures of samples (m, k, 3) [N], (m,)."""

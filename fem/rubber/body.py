@@ -11,7 +11,7 @@ order 3 on they have two degrees less along each axis: with one less, at ν = 0.
 as wide, pressures grew with each refinement (Schötzau, Schwab & Stenberg, Numer. Math. 83 (1999), for two less).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.boxes.lagrange import cube_slopes, gauss_points
-from fem.rubber.law import Law, Strain, plus_unit
+from fem.rubber.law import LAWS, Law, Strain, plus_unit
+from geometry.design import Material
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -139,6 +140,14 @@ class RubberBody:
         self.jacobian = boxes.size.prod(axis=1) / 8  #: volume over that of the reference box, (n_elements,) [mm³]
         self._mass = self.reference.weights @ self.reference.pressures**2
         self._weighted = self.reference.weights[:, None] * self.reference.pressures
+
+    @classmethod
+    def of(
+        cls, boxes: Boxes, materials: Sequence[Material], condensed: dict[Kind, Condensed] | None = None
+    ) -> "RubberBody":
+        """Boxes of which each holds the material that its region numbers; all materials are of one model."""
+        shares = (boxes.region == np.arange(len(materials))[:, None])[..., None]
+        return cls(boxes, LAWS[materials[0].model].of(materials, shares.astype(float)), condensed)
 
     @property
     def nodes(self) -> IntArray:
