@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.assembly import Assembly
+from fem.factor import Factor
 from fem.following import FollowingFaces
 from fem.mirrors import Mirror, Parity, flipped_rectangles, folded_loads, folded_point, held_components, images
 from fem.plates import Plates, skew, turns
@@ -285,6 +286,10 @@ class System:
             data = data * (moves[rows][:, :, None] * moves[cols][:, None, :])
             data[rows == cols] += np.eye(3) * (1.0 - moves)[:, None, :]
         return self.assembly.matrix(data)
+
+    def new_factor(self, solver: str | None = None) -> Factor:
+        """A factor for tangents of this system, with none in it yet."""
+        return Factor(symmetric=self.symmetric, upper=self.symmetric, solver=solver)
 
     def probe_rows(self, probe: Probe, parity: Parity | None = None) -> tuple[sp.csr_matrix, FloatArray]:
         """Rows (r, n_nodes) and signs (r, 3): u of a probe is Σ_r signs · (rows @ u), anywhere on the whole body."""

@@ -5,7 +5,7 @@ import scipy.sparse as sp
 
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import PILLAR_TERMINALS, Conductor
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
 
@@ -56,7 +56,7 @@ def second_derivatives(
 
     residuals = [residual(t) for t in range(4)]
     inner = K[free][:, free].tocsr()
-    solved, _ = checked_solve(inner, factorized(inner, definite=True).solve, np.hstack(residuals[:2]))
+    solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:2]))
     answers = np.hsplit(solved, 2)  # of the upper electrodes
     at_rest = phi.T @ (K @ phi)
     found = []

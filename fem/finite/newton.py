@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fem.factor import Factor, SolverError
+from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.mirrors import parities
 from fem.scene.loads import FollowerLoad
 from fem.system import Misfit, State, System
@@ -84,7 +84,7 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
     ----------
     system : System
     factor : Factor, optional
-        Of `tangent_factor`, to use again; it is left with the last tangent.
+        Of the system's tangents, to use again; it is left with the last tangent.
     first_step : float
         Share of the load to try first.
 
@@ -93,7 +93,7 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
     UnreachableLoadError
         With the load that was reached, the place that gave way, and what would help.
     """
-    factor = factor or tangent_factor(system)
+    factor = factor or system.new_factor()
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
@@ -150,6 +150,8 @@ def _equilibrium_at(system: System, factor: Factor, state: State, share: float, 
         try:
             blocks, parts = system.tangent(state, share, misfit.reactions)
             factor.factor(system.matrix(blocks))
+        except FactorMemoryError:
+            raise
         except SolverError:
             return _Tried(state, misfit, iteration, False)
         change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
@@ -176,7 +178,7 @@ def _is_stable(system: System, factor: Factor, state: State, share: float, misfi
         return True
     squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
     every = parities(tuple(replace(mirror, parities=(1, -1)) for mirror in system.mirrors))
-    blocks, judge = None, tangent_factor(system)
+    blocks, judge = None, system.new_factor()
     for parity in every if factor.n_negative else every[1:]:
         blocks = system.tangent(state, share, misfit.reactions, squeezed)[0] if blocks is None else blocks
         judge.factor(system.matrix(blocks, parity))
@@ -223,11 +225,6 @@ def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadEr
         f"gives way (smallest J {least:.2g}): {mend}.",
         is_unstable,
     )
-
-
-def tangent_factor(system: System) -> Factor:
-    """A factor for tangents of a system, without a matrix yet."""
-    return Factor(symmetric=system.symmetric, upper=system.symmetric)
 
 
 def solve_rest(system: System, factor: Factor) -> FloatArray:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor
-from fem.finite.newton import tangent_factor
 from fem.finite.relaxation import Relaxation, Relaxed
 from fem.finite.series import BaseState, load_series
 from fem.rubber.body import RubberBody

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.factor import Factor
-from fem.finite.newton import find_equilibrium, tangent_factor
+from fem.finite.newton import find_equilibrium
 from fem.plates import skew
 from fem.rubber.body import Tangent
 from fem.rubber.law import Strain, bilinear_cofactors, cofactors
@@ -49,7 +49,7 @@ class BaseState:
             raise ValueError(
                 "series are expanded about dead loads and forces on plates only: moments and pressures turn."
             )
-        factor = tangent_factor(system)
+        factor = system.new_factor()
         return cls.about(system, find_equilibrium(system, factor).state, factor)
 
     @classmethod

@@ -10,7 +10,7 @@ from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.discretization.grid import lattice_boxes
 from fem.discretization.richardson import richardson_factor
-from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest, tangent_factor
+from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.mirrors import Mirror
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
@@ -103,7 +103,7 @@ def solve_finite(
         u = equilibrium.state.u
         found.append({probe.name: system.seen(probe, u) for probe in scene.probes})
         if linear is not None:
-            change = solve_rest(system, tangent_factor(system))
+            change = solve_rest(system, system.new_factor())
             moved = system.nodal_change(system.rest().rotation, change)
             small = {probe.name: system.seen(probe, moved) for probe in scene.probes}
             found[-1] = {name: linear.probes[name] + u - small[name] for name, u in found[-1].items()}

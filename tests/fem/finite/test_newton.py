@@ -11,7 +11,6 @@ from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium, 
 from fem.finite.rubber_body import RubberBody
 from fem.finite.solving import finite_grid, solve_finite
 from fem.finite.system import FiniteSystem
-from fem.linear.refactored import RepeatedFactor
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.scene.checks import SceneError
@@ -43,7 +42,7 @@ def test_small_loads_give_the_tangent_s_answer(kind, mpa):
     """They differ by the strain, which is about mpa / 6, and by what the residual may be; plates tilt as well."""
     system = FiniteSystem(BODY, loads_of(kind, mpa))
     found = find_equilibrium(system)
-    linear = system.nodal_change(system.rest().rotation, solve_rest(system, RepeatedFactor(system.pattern)))
+    linear = system.nodal_change(system.rest().rotation, solve_rest(system, system.new_factor()))
     assert np.abs(found.state.u - linear).max() < (mpa + 10 * RESIDUAL) * np.abs(linear).max()
 
 
@@ -169,9 +168,7 @@ def test_a_load_off_the_grid_s_lines_is_refused():
 
 def test_both_solvers_agree():
     system = FiniteSystem(BODY, loads_of("follower", 1.0))
-    one, two = (
-        find_equilibrium(system, RepeatedFactor(system.pattern, solver)).state.u for solver in ("pardiso", "superlu")
-    )
+    one, two = (find_equilibrium(system, system.new_factor(solver)).state.u for solver in ("pardiso", "superlu"))
     assert np.allclose(one, two, atol=1e-9)
 
 
