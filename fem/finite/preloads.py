@@ -178,7 +178,7 @@ class PreloadedArray:
 
     @cached_property
     def _factor(self) -> Factor:
-        return tangent_factor(next(iter(self._bases.values())).system)
+        return next(iter(self._bases.values())).system.new_factor()
 
 
 def _over(base: BaseState, force_n: FloatArray) -> FloatArray:
