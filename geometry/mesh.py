@@ -260,10 +260,10 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
     return points, cells
 
 
-def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, reach_mm: float) -> FloatArray:
+def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
     """Points with every face that lies along a side of a prism moved onto that side.
 
-    A face (three point numbers) belongs to a side if all its points are within reach of it. Only faces count, not
+    A face (three point numbers) belongs to a side if all its points are within the slack of it. Only faces count, not
     single points, so points inside the body stay where they are.
     """
     upright = points.copy()
@@ -271,7 +271,7 @@ def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, re
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
     (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
     for axis, plane in ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high)):
-        along = faces[(np.abs(upright[faces, axis] - plane) <= reach_mm).all(axis=1)]
+        along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
         snapped[along, axis] = plane
         moved[along] = True
     snapped[:, :2] += prism.axis_at(snapped[:, 2])

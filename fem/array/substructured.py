@@ -27,7 +27,7 @@ from fem.discretization.plate import Plate
 from fem.discretization.richardson import richardson_factor
 from geometry.design import Electrics, SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep, write_bytes
 from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
@@ -105,8 +105,7 @@ class Weights(NamedTuple):
 #: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
 WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 0.0, 0.3, 0.7)}
 FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
-#: numbers of a cell's functionals: forces on its pad, mean displacements of its electrodes
-PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
+PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
 
@@ -144,9 +143,9 @@ def response_by_cells(
     refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
     progress(f"coupling {rows} × {cols}")
-    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
+    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, electrode_means(design))
     seconds["couple"] += perf_counter() - start
-    shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
+    shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
         influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
@@ -156,6 +155,11 @@ def response_by_cells(
         seconds=seconds,
         steps=refined.steps,
     )
+
+
+def electrode_means(design: SensorDesign) -> range:
+    """Numbers of a cell's functionals that are mean displacements of its upper electrodes."""
+    return range(3, 3 + 3 * len(design.unit.layout.upper))
 
 
 def usual_tolerance(design: SensorDesign) -> float:
@@ -228,7 +232,7 @@ def _cell_of_stage(
     rows, cols = min(MAX_TESTED, design.array.rows), min(MAX_TESTED, design.array.cols)
 
     def array_of(cell: CondensedCell) -> FloatArray:
-        return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
+        return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
 
     if design.is_homogeneous:
         cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE[design.pad.kind]))
@@ -278,7 +282,7 @@ def influence_range(design: SensorDesign, share: float) -> int:
 def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
     """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
 
-    The smaller one's has shape (r, c, 2, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
+    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
     array's middle ones; what lies beyond `reach` is 0.
     """
     small_rows, small_cols = influence.shape[:2]

@@ -15,13 +15,13 @@ from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector
 from skfem.helpers import ddot, div, sym_grad
 
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import ELECTRODE_MEANS, PADS, lone_unit, refined_cell, usual_tolerance
+from fem.array.substructured import PADS, electrode_means, lone_unit, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import ELECTRODES, electrode_squares, pad_squares
+from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep
 from geometry.storage.seal import say_made_anew
@@ -87,7 +87,7 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
         keep(lambda path: write_response(unit, path), path)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
-    ours = refined.cell.standing_alone[ELECTRODE_MEANS][:, PADS]
+    ours = refined.cell.standing_alone[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
         cells=len(mesh.cells),
@@ -144,7 +144,7 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     rows, cols = design.array.rows, design.array.cols
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=(electrodes @ u).reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
+        influence_mm_per_n=(electrodes @ u).reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=residual,
         unknowns=K.shape[0],
         mesh_hash=mesh.content_hash,

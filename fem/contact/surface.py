@@ -22,7 +22,7 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.substructured import condensed_cell, elastic_body, lone_unit
 from geometry.design import Pad, SensorDesign
 from geometry.errors import DesignError, FileFormatError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares
+from geometry.layout import FloatArray, electrode_squares
 from geometry.mesh import sensor_mesh, suited_settings
 from geometry.storage.files import cache_folder, digest, keep, write_bytes
 from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
@@ -44,7 +44,7 @@ class SurfaceCompliance:
 
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
-    on_electrodes: FloatArray  #: (rows, cols, 2, 3, 3, ny, nx): the same of electrodes
+    on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
     table: FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
@@ -131,14 +131,14 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
     on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8)
     ny, nx = rows * tiles, cols * tiles
-    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, len(ELECTRODES), 3, rows, cols, tiles, tiles, 3)
+    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
     on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7)
     progress("electrodes")
     table, step_mm = _electrode_table(design)
     return SurfaceCompliance(
         design=design,
         on_tiles=on_tiles.reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes=on_electrodes.reshape(rows, cols, len(ELECTRODES), 3, 3, ny, nx),
+        on_electrodes=on_electrodes.reshape(rows, cols, -1, 3, 3, ny, nx),
         table=table,
         step_mm=step_mm,
     )
