@@ -35,9 +35,9 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
 from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares, pillar_shares
-from geometry.storage.files import cache_folder, digest, keep
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 from geometry.storage.netcdf import read_netcdf, write_netcdf
-from geometry.storage.seal import say_made_anew
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
 VERSION = 2  #: raise when the same design gives other derivatives, so that cached ones are not reused
@@ -75,12 +75,12 @@ class ResponseSensitivities:
     def with_tolerances(self, deviation: Mapping[str, float]) -> Self:
         """The same with other standard deviations; what is known exactly (0) is left out."""
         known = [deviation.get(name, usual) for name, usual in zip(self.parameters, self.deviation, strict=True)]
-        kept = np.flatnonzero(known)
+        uncertain = np.flatnonzero(known)
         return replace(
             self,
-            parameters=tuple(self.parameters[k] for k in kept),
-            deviation=np.array(known)[kept],
-            influence_mm_per_n=self.influence_mm_per_n[kept],
+            parameters=tuple(self.parameters[k] for k in uncertain),
+            deviation=np.array(known)[uncertain],
+            influence_mm_per_n=self.influence_mm_per_n[uncertain],
         )
 
 
@@ -100,29 +100,25 @@ def response_sensitivities(
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = digest("sensitivities", VERSION, response_cache_key(design, settings))
-    path = cache_folder() / f"sensitivities-{cache_key}.nc"
-    try:
-        kept = read_sensitivities(path)
-        if kept.cache_key == cache_key:
-            return replace(kept, design=design), path, True
-    except FileFormatError:
-        say_made_anew(path)
-    response, _, _ = array_response(design, settings, progress)
-    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
-    derivatives = _derivatives(design, deviations, progress)
-    by_scale = -response.influence_mm_per_n
-    if PILLARS_YOUNG in derivatives:
-        by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
-    derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
-    sensitivities = ResponseSensitivities(
-        design=design,
-        parameters=tuple(deviations),
-        deviation=np.array(list(deviations.values())),
-        influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
-        cache_key=cache_key,
-    )
-    keep(lambda path: write_sensitivities(sensitivities, path), path)
-    return sensitivities, path, False
+
+    def make() -> ResponseSensitivities:
+        response, _, _ = array_response(design, settings, progress)
+        deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
+        derivatives = _derivatives(design, deviations, progress)
+        by_scale = -response.influence_mm_per_n
+        if PILLARS_YOUNG in derivatives:
+            by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
+        derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
+        return ResponseSensitivities(
+            design=design,
+            parameters=tuple(deviations),
+            deviation=np.array(list(deviations.values())),
+            influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
+            cache_key=cache_key,
+        )
+
+    found, path, reused = kept("sensitivities.nc", cache_key, make, read_sensitivities, write_sensitivities)
+    return replace(found, design=design), path, reused
 
 
 def _derivatives(

@@ -20,11 +20,10 @@ from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
 from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-from geometry.storage.files import cache_folder, digest, keep
-from geometry.storage.seal import say_made_anew
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 
 VERSION = 1  #: raise when the same mesh gives another solution, so that cached ones are not reused
 
@@ -77,14 +76,13 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     progress("mesh")
     mesh, mesh_path, meshed_before = sensor_mesh(alone, suited_settings(alone))
     bent = replace(alone, resistivity_ohm_mm=1.0)
-    path = cache_folder() / f"unit-{digest('unit', VERSION, bent, mesh.content_hash)}.nc"
-    try:
-        unit, solved_before = read_response(path), True
-    except FileFormatError:
-        say_made_anew(path)
+    cache_key = digest("unit", VERSION, bent, mesh.content_hash)
+
+    def make() -> ArrayResponse:
         progress("Taylor-Hood")
-        unit, solved_before = meshed_response(alone, mesh), False
-        keep(lambda path: write_response(unit, path), path)
+        return replace(meshed_response(alone, mesh), cache_key=cache_key)
+
+    unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
     ours = refined.cell.standing_alone[electrode_means(design)][:, PADS]
