@@ -108,7 +108,7 @@ class Pad:
             raise DesignError(f"kind={self.kind!r} must be one of {', '.join(PAD_KINDS)}; of the contact pad.")
 
 
-MODELS = ("linear", "neo-hookean")
+MODELS = ("linear", "neo-hookean", "mooney-rivlin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class Material:
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", "linear: small strain; neo-hookean: finite strain", optional=True)
+    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", optional=True)
     young_mpa: float = quantity(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
 

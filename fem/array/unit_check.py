@@ -18,7 +18,7 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, electrode_means, lone_unit, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -136,7 +136,7 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     T = tied(K.shape[0], plates)
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
-    x, residual = checked_solve(K, factorized(K), T.T @ f)
+    x, residual = checked_solve(Factor(K), T.T @ f)
     u = np.zeros((displacement.N, f.shape[1]))
     u[free] = (T @ x)[: len(free)]
     rows, cols = design.array.rows, design.array.cols

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
 from fem.conduction.hexahedra import Hexahedra
 from fem.conduction.unit_mesh import unit_hexahedra
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Unit
 from geometry.layout import FloatArray
 
@@ -63,7 +63,7 @@ class Conductor:
         free = np.flatnonzero(~phi.any(axis=1))
         rows = stiffness[free]
         K = rows[:, free].tocsr()
-        phi[free, :-1], _ = checked_solve(K, factorized(K, definite=True).solve, -(rows @ phi[:, :-1]))
+        phi[free, :-1], _ = checked_solve(Factor(K, definite=True), -(rows @ phi[:, :-1]))
         phi[free, -1] = 1 - phi[free, :-1].sum(axis=1)
         return phi
 

@@ -5,7 +5,7 @@ import scipy.sparse as sp
 
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import Conductor
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
 
@@ -56,7 +56,7 @@ def second_derivatives(
 
     residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
     inner = K[free][:, free].tocsr()
-    solved, _ = checked_solve(inner, factorized(inner, definite=True).solve, np.hstack(residuals[:n_first]))
+    solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
     answers = np.hsplit(solved, n_first)  # of the pillars' first ends
     at_rest = phi.T @ (K @ phi)
     found = []

@@ -19,7 +19,7 @@ from scipy.linalg import eigh
 from fem.discretization.grid import Grid, geometric_line
 from fem.discretization.lagrange import line_integral, line_nodes, line_values, reference_matrices
 from fem.discretization.mirrors import Mirror, Parity, folded_integrals, folded_point, held_components
-from fem.linear.factors import SolverError
+from fem.factor import SolverError
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Probe, Region, Scene, regions_at
 from geometry.layout import FloatArray

@@ -27,7 +27,7 @@ class PillarReader:
 
     def gradients_on(self, array: PreloadedArray) -> PointGradients:
         """Displacement gradients at the points that this reader needs, from the nodes of an array's grid."""
-        return PointGradients(array.body.grid, self._points)
+        return PointGradients(array.body.boxes, self._points)
 
     def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances over eq. 1's.

@@ -17,7 +17,7 @@ from fem.discretization.grid import lattice_boxes
 from fem.discretization.lagrange import elastic_tensors
 from fem.discretization.mirrors import Parity, parities
 from fem.discretization.richardson import errors_by_falls
-from fem.linear.factors import SolverError
+from fem.factor import SolverError
 from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene

@@ -7,7 +7,7 @@ from skfem.models.elasticity import linear_elasticity
 
 from fem.discretization.graded_box import Term, conjugate_gradients
 from fem.discretization.lagrange import elastic_tensors, line_integral, line_nodes, line_values
-from fem.linear.factors import SolverError
+from fem.factor import SolverError
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
