@@ -21,7 +21,7 @@ MAX_ITERATIONS = 16  #: with one tangent
 RENEWALS = 2  #: of the tangent, of samples that have not settled then
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
-#: displacements (m, k, 2, 3) of electrodes to booleans (m,): of samples that need no answer
+#: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
 Unwanted = Callable[[FloatArray], NDArray[np.bool_]]
 
 
@@ -62,7 +62,7 @@ class PreloadedArray:
         offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
         self.arm = (
             upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
-        )  #: of the electrodes on their plates, (2, 3)
+        )  #: of the electrodes on their plates, (n_upper, 3)
         self._bases: dict[float, BaseState] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
@@ -90,12 +90,12 @@ class PreloadedArray:
         return System(self.body, loads)
 
     def electrodes(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Displacements (m, k, 2, 3) [mm] of the electrodes under plates of these motions."""
+        """Displacements (m, k, n_upper, 3) [mm] of the electrodes under plates of these motions."""
         return np.asarray(shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, self.arm) - self.arm)
 
     @cached_property
     def influence(self) -> FloatArray:
-        """Linear displacement of the electrodes per newton on each pad, (6 k, 3 k) [mm/N]."""
+        """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
         k, rest = self.design.n_units, self._bases.get(0.0) or BaseState.of(self._system(0.0))
         moves, spins = rest.compliance()[:, : 3 * k].T.reshape(3 * k, 2, k, 3).swapaxes(0, 1)
         spins = spins / rest.system.plates.half_mm[:, None]
@@ -103,7 +103,7 @@ class PreloadedArray:
 
     @cached_property
     def forces_of(self) -> FloatArray:
-        """Forces (3 k) that move the linear array most nearly by displacements (6 k), as a matrix [N/mm]."""
+        """Forces (3 k) that move the linear array most nearly by displacements (3 n_upper k), as a matrix [N/mm]."""
         return np.asarray(np.linalg.pinv(self.influence))
 
     def linear_field(self, force_n: FloatArray) -> FloatArray:
@@ -157,8 +157,8 @@ class PreloadedArray:
     def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> tuple[FloatArray, FloatArray]:
         """Series of the electrodes and of the nodes under forces (m, k, 3) [N], see `series.py`.
 
-        Terms of the electrodes' displacements (orders + 1, m, k, 2, 3) [mm], and the sum of those of the nodes (m,
-        n_nodes, 3) [mm].
+        Terms of the electrodes' displacements (orders + 1, m, k, n_upper, 3) [mm], and the sum of those of the nodes
+        (m, n_nodes, 3) [mm].
 
         The first one is the preload's own. With R = (I + 2 q₀ [v] + 2 [v]²) R₀ and v = Σ sⁱ vᵢ the order n of an
         electrode at a from its plate's middle moves by cₙ + 2 vₙ × a + 2 Σ vᵢ × (vₙ₋ᵢ × a) up to n = 3, but for the
