@@ -78,8 +78,8 @@ class System:
 
     Notes
     -----
-    The tangent is kept symmetric where all loads have a potential: dead tractions, forces on plates. It is not with
-    pressures or with moments, whose axes do not turn.
+    The tangent is kept symmetric where all loads have a potential: dead tractions, forces on plates. At finite strain
+    it is not with pressures or with moments, whose axes do not turn; where strain is small, pressures push along −z.
     """
 
     def __init__(
@@ -89,6 +89,8 @@ class System:
         mirrors: tuple[Mirror, ...] = (),
         parity: Parity | None = None,
     ) -> None:
+        is_linear = body.law.is_linear
+        loads = [load.at_rest if is_linear and isinstance(load, FollowerLoad) else load for load in loads]
         self.body, self.whole_loads, self.mirrors = body, tuple(loads), mirrors
         planes = {mirror.axis for mirror in mirrors}
         self.parity = parity or (int(0 in planes), int(1 in planes))
@@ -103,7 +105,7 @@ class System:
         self.dead = self.dead_loads(self.parity)
         self.force_n = np.array([load.force_n for load in stiff]).reshape(-1, 3)
         self.moment_nmm = np.array([load.moment_nmm for load in stiff]).reshape(-1, 3)
-        self.symmetric = not len(self.faces.nodes) and not self.moment_nmm.any()
+        self.symmetric = is_linear or not (len(self.faces.nodes) or self.moment_nmm.any())
         boxes = body.boxes
         free = (boxes.points_mm[:, 2] > 0.0) & boxes.is_independent
         free[self.plates.node] = False
