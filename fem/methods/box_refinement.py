@@ -5,6 +5,8 @@ errors of the probes come from, and along which axis; those are split, the other
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
@@ -35,13 +37,14 @@ GROWTH = 2.5  #: of the number of boxes, at most, from mesh to mesh
 
 
 class SplitBoxes:
-    """A scene on boxes; the plan's mirrors have one parity each."""
+    """A scene on boxes; of the plan's mirrors those with one parity are used."""
 
     min_meshes = 2
 
     def __init__(self, scene: Scene, plan: Plan) -> None:
-        self.scene, self.plan = scene, plan
-        self.mesh = first_mesh(scene, plan)
+        mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
+        self.scene, self.plan = scene, replace(plan, mirrors=mirrors)
+        self.mesh = first_mesh(scene, self.plan)
         self.order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
         self._condensed: dict[Kind, Condensed] = {}
 
@@ -86,14 +89,14 @@ class SplitBoxes:
         self.mesh.split(marked(indicators, SHARE if excess > 2 else LAST_SHARE))
 
 
-def solve_by_splitting(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
+def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
     """Solve a scene whose every region is a box (or the same sheared box) on boxes that are split where it matters.
 
     Parameters
     ----------
     scene : Scene
     plan : Plan
-        Of element "Q4"; of its mirrors, each with one parity.
+        Of method "boxes".
     with_field : bool
         Also return the displacement of the whole body.
 
