@@ -291,10 +291,8 @@ class RubberBody:
         for kind in known.keys() - set(self._kinds):
             del known[kind]
         first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
-        new, step = (
-            np.array(list(first.values()), dtype=np.int64),
-            max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2)),
-        )
+        new = np.array(list(first.values()), dtype=np.int64)
+        step = max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
         for elements in np.array_split(new, 1 + len(new) // step) if len(new) else []:
             K = self.rest_stiffness(elements)
             parts = [
