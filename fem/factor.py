@@ -131,7 +131,8 @@ class Factor:
             pardiso.call(11)
             self._need(max(pardiso.iparm[14], int(pardiso.iparm[15]) + int(pardiso.iparm[16])) / 1e6)
             self._pardiso = pardiso
-        self._pardiso.take(part)
+        else:
+            self._pardiso.take(part)
         self._pardiso.call(22)
         self.n_negative = int(self._pardiso.iparm[22]) if self._pardiso.mtype == -2 else None
 

@@ -9,6 +9,7 @@ from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, la
 from fem.discretization.lagrange import line_values
 from fem.discretization.mirrors import Mirror
 from fem.discretization.richardson import richardson_factor
+from fem.factor import FactorMemoryError
 from fem.finite.mirrored import loads_above, unfolded
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.rubber_body import RubberBody
@@ -93,9 +94,9 @@ def solve_finite(
         watch.spent("assemble")
         try:
             equilibrium = find_equilibrium(system)
-        except UnreachableLoadError as error:
+        except (UnreachableLoadError, FactorMemoryError) as error:
             # with one grid or none there is no estimate to give; and finer grids are right about what buckles
-            if not np.isfinite(estimate) or error.is_unstable:
+            if not np.isfinite(estimate) or getattr(error, "is_unstable", False):
                 raise
             steps.append(f"level {level}: {error} The answer is that of the grid before.")
             break
