@@ -195,7 +195,7 @@ def test_answers_are_refined_once_or_refused():
             calls.append(b.shape[1])
             return factor.solve(b) * (1 + off)
 
-        return SimpleNamespace(matrix=K, solve=solve)
+        return SimpleNamespace(matrix=K, times=K.__matmul__, n_unknowns=K.shape[0], solve=solve)
 
     assert checked_solve(solving(0.0), rhs)[1] < 1e-12
     assert calls == [5]
@@ -203,7 +203,12 @@ def test_answers_are_refined_once_or_refused():
     assert calls == [5, 5, 4]  # the zero column needs none
     for off in (1.001, np.nan):
         with pytest.raises(SolverError, match=rf"residual .* is above 1e-09 for {n} unknowns"):
-            checked_solve(SimpleNamespace(matrix=K, solve=lambda b, off=off: exact * off), K @ exact)
+            checked_solve(
+                SimpleNamespace(
+                    matrix=K, times=K.__matmul__, n_unknowns=len(exact), solve=lambda b, off=off: exact * off
+                ),
+                K @ exact,
+            )
     # a product in the matrix's place is what the residual is measured by
     assert checked_solve(factor, K @ exact, lambda x: K @ x)[1] < 1e-12
     with pytest.raises(SolverError):
@@ -217,7 +222,9 @@ def test_columns_are_judged_one_by_one():
     rhs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     first = np.array([[1 + 1e-6, 0.0, 0.0], [0.0, 1 + 4 * np.finfo(float).eps, 1.0]]).T
     answers = iter([first.copy(), np.array([[1e-10 - 1e-6, 0, 0], np.zeros(3)]).T, first.copy(), np.zeros((3, 2))])
-    guessing = SimpleNamespace(matrix=matrix, solve=lambda b: next(answers))
+    guessing = SimpleNamespace(
+        matrix=matrix, times=matrix.__matmul__, n_unknowns=matrix.shape[0], solve=lambda b: next(answers)
+    )
     x, residual = checked_solve(guessing, rhs)
     assert 1e-8 < residual < 1e-6
     assert x[0, 0] == pytest.approx(1 + 1e-10, rel=1e-14)
