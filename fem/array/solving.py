@@ -6,20 +6,19 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
-from fem.array.closed_forms import halfspace_response, layer_response
+from fem.array.closed_forms import layer_response
 from fem.array.conducted import conducted_pillars
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign
-from geometry.errors import DesignError, FileFormatError
-from geometry.storage.files import cache_folder, digest, keep
-from geometry.storage.seal import say_made_anew
+from geometry.errors import DesignError
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 
 VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
-    "halfspace": "closed form of Boussinesq and Cerruti: instant, and wrong by more than half on a thin slab",
 }
 
 
@@ -27,7 +26,7 @@ METHODS = {
 class ResponseSettings:
     """Method and tolerance of a response."""
 
-    method: Literal["cells", "layer", "halfspace"] = "cells"  #: see METHODS
+    method: Literal["cells", "layer"] = "cells"  #: see METHODS
     tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 with other pillars
 
     def __post_init__(self) -> None:
@@ -64,16 +63,12 @@ def array_response(
     if design.electrics.is_conduction:
         _require_cells(design, settings)
     cache_key = response_cache_key(design, settings)
-    path = cache_folder() / f"response-{cache_key}.nc"
-    try:
-        response = read_response(path)
-        if response.cache_key == cache_key:
-            return replace(response, design=design), path, True
-    except FileFormatError:
-        say_made_anew(path)
-    response = replace(_solved(design, settings, progress), cache_key=cache_key)
-    keep(lambda path: write_response(response, path), path)
-    return response, path, False
+
+    def make() -> ArrayResponse:
+        return replace(_solved(design, settings, progress), cache_key=cache_key)
+
+    response, path, reused = kept("response.nc", cache_key, make, read_response, write_response)
+    return replace(response, design=design), path, reused
 
 
 def _solved(design: SensorDesign, settings: ResponseSettings, progress: Callable[[str], None]) -> ArrayResponse:
@@ -135,6 +130,4 @@ def solve_response(
         )
     if settings.method == "layer":
         return layer_response(design)
-    if settings.method == "halfspace":
-        return halfspace_response(design)
     return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)

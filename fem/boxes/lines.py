@@ -45,8 +45,9 @@ def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level:
 
     Notes
     -----
-    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `LOGARITHMIC` lengths
-    only their logarithm more. Counts of all attractors add up; lines lie where their sum is a whole number of steps.
+    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `LOGARITHMIC`
+    lengths only their logarithm more. Counts of all attractors add up; lines lie where their sum is a whole number of
+    steps.
 
     Examples
     --------

@@ -84,7 +84,7 @@ class Sensor:
 
     @property
     def pillars(self) -> list[Prism]:
-        """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
+        """The pillars of every unit; those of a unit overlap at common electrodes."""
         return pillar_prisms(self.design)
 
 
@@ -299,8 +299,7 @@ class Scene:
             if isinstance(load, StiffLoad):
                 found += load.spread
             elif isinstance(load, FollowerLoad):
-                traction = (*load.traction_mpa, -load.pressure_mpa)
-                found.append(DeadLoad(center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=traction))
+                found.append(load.at_rest)
             else:
                 found.append(load)
         return tuple(found)
