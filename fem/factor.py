@@ -56,10 +56,8 @@ class Factor:
     ----------
     matrix : csr_matrix or bsr_matrix, shape (n, n), optional
         K; left out, `factor` takes the first one. PARDISO analyses square blocks as one entry each.
-    definite : bool
-        True for a symmetric positive definite matrix, as of displacements alone; the mixed form's is not.
-    symmetric : bool
-        False for an unsymmetric matrix.
+    definite, symmetric : bool
+        Positive definite, as of displacements alone (the mixed form's K is not); symmetric, or with `False` not.
     upper : bool
         True if only the upper triangle of a symmetric matrix is given; blocks on the diagonal are whole.
     solver : {"pardiso", "superlu"}, optional
@@ -101,6 +99,16 @@ class Factor:
         """K, both triangles."""
         return whole(self._given) if self.upper else self._given
 
+    def times(self, x: FloatArray) -> FloatArray:
+        """K x, shape (n, k)."""
+        given = self._given
+        if not self.upper:
+            return given @ x
+        block = given.blocksize[0] if given.format == "bsr" else 1
+        rows = np.repeat(np.arange(len(given.indptr) - 1), np.diff(given.indptr))
+        diagonal = given.data.reshape(-1, block, block)[rows == given.indices]
+        return given @ x + given.T @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
+
     def factor(self, matrix: SparseMatrix) -> None:
         """Factor a matrix, the first one or other values in its pattern; raises as the class does."""
         self._given, self.n_unknowns = matrix, matrix.shape[0]
@@ -131,7 +139,8 @@ class Factor:
             pardiso.call(11)
             self._need(max(pardiso.iparm[14], int(pardiso.iparm[15]) + int(pardiso.iparm[16])) / 1e6)
             self._pardiso = pardiso
-        self._pardiso.take(part)
+        else:
+            self._pardiso.take(part)
         self._pardiso.call(22)
         self.n_negative = int(self._pardiso.iparm[22]) if self._pardiso.mtype == -2 else None
 
@@ -233,8 +242,7 @@ def _upper(matrix: SparseMatrix) -> SparseMatrix:
     """Entries or square blocks on the diagonal and above it; those on it whole."""
     if matrix.format != "bsr":
         return sp.triu(matrix, format="csr")
-    numbers = sp.csr_matrix((np.arange(len(matrix.indices)), matrix.indices, matrix.indptr))
-    kept = sp.triu(numbers, format="csr")
+    kept = sp.triu(sp.csr_matrix((np.arange(len(matrix.indices)), matrix.indices, matrix.indptr)), format="csr")
     return sp.bsr_matrix((matrix.data[kept.data], kept.indices, kept.indptr), shape=matrix.shape)
 
 
@@ -258,9 +266,7 @@ def _mkl_pardiso() -> Callable[..., None]:
         from pypardiso import PyPardisoSolver
 
         library = PyPardisoSolver().libmkl
-    pardiso = library["pardiso"]  # by index: a fresh function, without pypardiso's argument types
-    pardiso.restype = None
-    return pardiso
+    return library["pardiso"]  # by index: a fresh function, without pypardiso's argument types
 
 
 def _not_factored(n: int, why: object) -> SolverError:
@@ -281,8 +287,7 @@ def checked_solve(
     left. `product` takes x to K x where something is faster than the sparse matrix. Returns the solutions (n, k) and
     the residual.
     """
-    matrix = factor.matrix
-    product = product or matrix.__matmul__
+    product = product or factor.times
     x = factor.solve(rhs)
     with np.errstate(over="ignore", invalid="ignore"):  # infinities and NaN are refused below
         misfit = rhs - product(x)
@@ -293,13 +298,14 @@ def checked_solve(
             residuals[poor] = _relative(rhs[:, poor] - product(x[:, poor]), rhs[:, poor])
             poor = ~(residuals <= RESIDUAL_LIMIT)
         if poor.any():
+            matrix = factor.matrix
             size = np.linalg.norm(abs(matrix) @ np.abs(x), axis=0) + np.linalg.norm(rhs, axis=0)
             rounded = np.linalg.norm(rhs - matrix @ x, axis=0) <= ROUNDING * size
             poor &= ~(rounded & (residuals <= SLENDER_LIMIT))
     residual = float(np.max(residuals, initial=0.0))
     if poor.any():
         raise SolverError(
-            f"residual {residual:.1e} is above {RESIDUAL_LIMIT:g} for {matrix.shape[0]} unknowns: the mesh may have "
+            f"residual {residual:.1e} is above {RESIDUAL_LIMIT:g} for {factor.n_unknowns} unknowns: the mesh may have "
             "degenerate elements or the moduli differ too widely; mesh again or bring them closer."
         )
     return x, residual

@@ -24,6 +24,8 @@ ROOMS = {
     "geometry": ["storage"],
     "fem": [
         "scene",
+        "boxes",
+        "rubber",
         "discretization",
         "conduction",
         "finite",
