@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import SensorDesign, quantity, require_numbers, require_positive
+from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
 from geometry.mesher import run_apart
@@ -39,15 +39,14 @@ QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (
 class MeshSettings:
     """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
 
-    edge_top_mm: float = quantity(1.25, "wanted edge length at the touched surface, where loads begin and end")
-    edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base")
-    envelope_mm: float = quantity(
+    edge_top_mm: float = positive(1.25, "wanted edge length at the touched surface, where loads begin and end")
+    edge_base_mm: float = positive(5.0, "wanted edge length at the clamped base")
+    envelope_mm: float = positive(
         0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time"
     )
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "edge_top_mm", "edge_base_mm", "envelope_mm")
+        require_sound(self)
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "

@@ -27,7 +27,7 @@ import numpy as np
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
+from geometry.design import SensorDesign, Unit, positive, quantity, require_sound
 from geometry.errors import DesignError
 from geometry.layout import pillar_ends, pillar_sections, upper_electrodes
 from geometry.storage.files import require_folder
@@ -37,13 +37,12 @@ from geometry.storage.files import require_folder
 class Mould:
     """Settings for printing the mould's parts. Lengths in mm."""
 
-    wall_mm: float = quantity(5.0, "width of the rim around the slab, on every part")
-    plate_mm: float = quantity(3.0, "thickness of the lid and of the floors")
+    wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
+    plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "wall_mm", "plate_mm")
+        require_sound(self)
         if self.clearance_mm < 0:
             raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 
