@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.interior import CellInterior, design_interior
-from fem.array.substructured import lone_unit, pad_plate
-from fem.fields.stress import CornerStress, corner_stress
+from fem.array.meshed import lone_unit, pad_plate
+from fem.fields.stress import CornerStress, corner_stress, projected_pressure
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
@@ -84,7 +84,8 @@ class ArrayField:
     def stress(self) -> CornerStress:
         """Stress at the corners of the cell per unit amplitude, worked out when first asked for."""
         inside = self.interior
-        return corner_stress(inside.elements, inside.material, inside.moved_mm, inside.pressure_mpa)
+        of_mesh = inside.elements, inside.material, inside.moved_mm
+        return corner_stress(*of_mesh, None if inside.elements.is_box else projected_pressure(*of_mesh))
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
         """Load the pads.

@@ -13,12 +13,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import cell_grid
 from fem.array.unit_check import meshed_response
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
@@ -77,32 +75,35 @@ def by_mesh(design: SensorDesign) -> ArrayResponse:
 def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
     """The contrast to condensing one cell: copies of its grid side by side, factored as one body."""
     start = perf_counter()
-    cell = cell_grid(design, level)
+    x, y, z = cell_lines(design, level)
     rows, cols = design.array.rows, design.array.cols
-    basis = GridBasis(Grid(x=_tiled(cell.x, cols), y=_tiled(cell.y, rows), z=cell.z))
-    body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
-    pads = patch_means(basis, pad_squares(design))
-    electrodes = patch_means(basis, electrode_squares(design))
+    body, whole = BoxCell.of([_tiled(x, cols), _tiled(y, rows), z], [design.matrix_material]), (0, 0)
+    pads, electrodes = (
+        (body.integrals(some) / ((some[:, 2:] - some[:, :2]).prod(axis=1)[:, None])).tocsr()
+        for some in (pad_squares(design), electrode_squares(design))
+    )
+    forces = np.einsum("kn,ij->kinj", pads.toarray(), np.eye(3)).reshape(-1, pads.shape[1], 3)
+    matrix, loads = body.matrix(whole), body.gathered(forces, whole)
     assembled = perf_counter()
-    factor = Factor(body.matrix, definite=True)
+    factor = Factor(matrix, definite=True, upper=True)
     factored = perf_counter()
-    solution, residual = checked_solve(factor, body.loads(pads.T.toarray()))
-    influence = electrodes @ body.displacements(solution)
+    solution, residual = checked_solve(factor, loads)
+    moved = body.displacements(solution)  # (k, n, 3)
+    influence = (electrodes @ moved.transpose(1, 2, 0).reshape(pads.shape[1], -1)).reshape(-1, len(moved))
     return ArrayResponse(
         design=design,
         influence_mm_per_n=influence.reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
         residual=residual,
-        unknowns=body.matrix.shape[0],
+        unknowns=matrix.shape[0],
         seconds={"assemble": assembled - start, "factor": factored - assembled, "solve": perf_counter() - factored},
         method="whole grid",
     )
 
 
-def _tiled(half: FloatArray, count: int) -> FloatArray:
-    """Lines of so many cells side by side, centred, from those of half a cell [0, a]."""
-    cell = np.concatenate([-half[:0:-1], half])
-    steps = np.tile(np.diff(cell), count)
-    return np.concatenate([[0.0], np.cumsum(steps)]) - count * half[-1]
+def _tiled(line: FloatArray, count: int) -> FloatArray:
+    """Lines of so many cells side by side, centred, from those of a cell."""
+    steps = np.tile(np.diff(line), count)
+    return np.concatenate([[0.0], np.cumsum(steps)]) - count * line[-1]
 
 
 CONTENDERS = [
