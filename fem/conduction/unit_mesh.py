@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.boxes.lagrange import shape_functions
 from fem.conduction.hexahedra import Hexahedra, joined
 from fem.discretization.elasticity import IntArray
-from fem.discretization.lagrange import shape_functions
 from geometry.design import Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections

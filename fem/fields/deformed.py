@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Element, ElementHex2, ElementTetP2
 
-from fem.array.substructured import cell_grid, mirrored
+from fem.array.substructured import cell_lines, whole_lines
+from fem.boxes.lattice import VTK_PLACES
 from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
-from fem.discretization.grid import VTK_PLACES
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import FiniteArrayField, between_nodes, finite_array_field, finite_field, no_stress
 from fem.fields.stress import nodal_stress
@@ -212,9 +212,7 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
 def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
     design = array.design
-    grid = cell_grid(design, FINENESS)
-    x, y = mirrored(grid.x), mirrored(grid.y)
-    local = np.stack(np.meshgrid(x, y, grid.z, indexing="ij"), axis=-1)
+    local = np.stack(np.meshgrid(*whole_lines(cell_lines(design, FINENESS)), indexing="ij"), axis=-1)
     nx, ny, nz = (count - 1 for count in local.shape[:3])
     cols, rows = design.array.cols, design.array.rows
     shape = (cols * nx + 1, rows * ny + 1, nz + 1)

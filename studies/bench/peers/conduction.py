@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from fem.discretization.grid import Grid
 from scipy.interpolate import RegularGridInterpolator
 
 from dataset.resistance import pillar_lengths
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
-from fem.discretization.grid import Grid
 from fem.finite.gradients import PointGradients
 from fem.finite.solving import solve_finite
 from fem.scene.loads import DeadLoad, Load, StiffLoad
