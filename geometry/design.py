@@ -180,37 +180,18 @@ class SensorDesign:
     """Everything that defines a sensor; the default is the paper's."""
 
     resistivity_ohm_mm: float = positive(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
-    unit: Unit = field(
-        default_factory=Unit,
-        metadata={"meaning": "one sensing unit: three pillars between four electrodes"},
-    )
-    array: Array = field(
-        default_factory=Array,
-        metadata={"meaning": "the grid of units on one slab of cols·pitch × rows·pitch × height"},
-    )
-    pad: Pad = field(
-        default_factory=Pad,
-        metadata={"meaning": "the square on each unit's top through which it is loaded"},
-    )
-    electrics: Electrics = field(
-        default=Electrics(), metadata={"meaning": "how resistance follows deformation", "optional": True}
-    )
-    pillar_material: Material = field(
-        default_factory=Material,
-        metadata={"meaning": "the conductive rubber of the pillars (paper, table 1)"},
-    )
-    matrix_material: Material = field(
-        default_factory=Material,
-        metadata={"meaning": "the insulating rubber around them; the paper gives no value"},
-    )
+    unit: Unit = quantity(Unit(), "one sensing unit: three pillars between four electrodes")
+    array: Array = quantity(Array(), "the grid of units on one slab of cols·pitch × rows·pitch × height")
+    pad: Pad = quantity(Pad(), "the square on each unit's top through which it is loaded")
+    electrics: Electrics = quantity(Electrics(), "how resistance follows deformation", optional=True)
+    pillar_material: Material = quantity(Material(), "the conductive rubber of the pillars (paper, table 1)")
+    matrix_material: Material = quantity(Material(), "the insulating rubber around them; the paper gives no value")
 
     def __post_init__(self) -> None:
         require_sound(self)
         if self.pillar_material.model != self.matrix_material.model:
-            raise DesignError(
-                f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}: give "
-                "both the same model."
-            )
+            models = f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}"
+            raise DesignError(f"{models}: give both the same model.")
         pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
         if pitch_mm < footprint_mm:
             raise DesignError(
@@ -220,15 +201,13 @@ class SensorDesign:
         end_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
         if end_mm > pitch_mm / 2:
             raise DesignError(
-                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {end_mm:g} mm from the unit's "
-                f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
-                "shrink the pad or raise pitch_mm."
+                f"pad size_mm={self.pad.size_mm:g} with its offset ends {end_mm:g} mm from the unit's centre, half the "
+                f"pitch is {pitch_mm / 2:g} mm: pads may touch, not overlap; shrink the pad or raise pitch_mm."
             )
         if end_mm > self.pad_room_mm:
             raise DesignError(
-                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end at least "
-                f"{MIN_GAP * pitch_mm / 2:g} mm before its unit's share of the slab ({pitch_mm / 2:g} mm from the "
-                "centre); shrink the pad or raise pitch_mm."
+                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end within "
+                f"{self.pad_room_mm:g} mm of the unit's centre; shrink the pad or raise pitch_mm."
             )
 
     @property
@@ -243,11 +222,8 @@ class SensorDesign:
     @property
     def slab_mm(self) -> tuple[float, float, float]:
         """Extent of the matrix slab along x, y and z [mm]; x and y centred on the origin, z from 0."""
-        return (
-            self.array.cols * self.array.pitch_mm,
-            self.array.rows * self.array.pitch_mm,
-            self.unit.height_mm,
-        )
+        pitch_mm = self.array.pitch_mm
+        return self.array.cols * pitch_mm, self.array.rows * pitch_mm, self.unit.height_mm
 
     @property
     def is_homogeneous(self) -> bool:

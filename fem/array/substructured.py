@@ -21,8 +21,8 @@ from fem.array.response import ArrayResponse
 from fem.levels import richardson_factor
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
-from geometry.storage.kept import kept, read_arrays, write_arrays
 
 Answer = TypeVar("Answer")
 MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell

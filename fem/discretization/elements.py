@@ -7,9 +7,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from skfem import Basis, Element, ElementHex1, ElementHex2, ElementTetP1
+from skfem import Basis, Element, ElementHex1, ElementTetP1
 
 from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import ELEMENT, SKFEM_NODES
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are
@@ -32,10 +33,8 @@ class Elements:
 
     @classmethod
     def of_boxes(cls, boxes: Boxes) -> "Elements":
-        """Boxes of order 2."""
-        element = ElementHex2()
-        by_place = np.rint(element.doflocs * 2).astype(np.int64) @ np.array([9, 3, 1])  # from nodes that run z fastest
-        return cls(element, boxes.points_mm, boxes.nodes[:, by_place], boxes.region)
+        """Quadratic boxes."""
+        return cls(ELEMENT, boxes.points_mm, boxes.nodes[:, SKFEM_NODES], boxes.region)
 
     @property
     def is_box(self) -> bool:

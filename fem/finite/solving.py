@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import lattice_boxes
 from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.grid import lattice_boxes
 from fem.factor import FactorMemoryError
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.levels import Convergence

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.discretization.grid import VTK_PLACES, lattice_boxes
+from fem.boxes.lattice import VTK_PLACES, lattice_boxes
 from fem.factor import Factor, checked_solve
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, flipped_points, images, parities

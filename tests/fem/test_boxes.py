@@ -8,7 +8,7 @@ import pytest
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem
 
-from fem.discretization.lagrange import lobatto_points
+from fem.boxes.lagrange import lobatto_points
 from fem.factor import Factor
 from fem.methods.box_refinement import ORDER, first_mesh, marked
 from fem.methods.plan import make_plan
