@@ -59,7 +59,7 @@ VERSION = 3  #: raise when the same design gives another refined cell, so that c
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
-    "soft": ((1, 2, 5), (1, 3, 7), (2, 4, 8), (3, 6, 9)),
+    "soft": ((1, 2, 6), (1, 3, 7), (2, 4, 8), (3, 6, 9)),
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for meshes, whose levels divide the usual edges

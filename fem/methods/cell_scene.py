@@ -63,8 +63,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
         residual=max(residual, cell.residual),
         unknowns=cell.unknowns,
         error_estimate=estimate,
-        seconds=Stopwatch().seconds
-        | {"mesh": seconds["mesh"], "factor": seconds["condense"], "solve": seconds["couple"]},
+        seconds=Stopwatch().seconds | spent,
         steps=tuple(steps),
     )
 
