@@ -79,7 +79,7 @@ COMPARED_DEGREE = 5  #: of the ports with which levels are compared, at most: th
 PORT_ERROR = 0.7
 
 
-FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
+TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
@@ -110,10 +110,10 @@ def response_by_cells(
     Notes
     -----
     A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
-    below `FAR` of the tolerance: units farther than m from every rim answer alike.
+    below `TRUNCATION` of the tolerance: units farther than m from every rim answer alike.
     """
-    reach = influence_range(design, FAR * tolerance)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    radius = influence_range(design, TRUNCATION * tolerance)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
     refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
@@ -123,7 +123,7 @@ def response_by_cells(
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
+        influence_mm_per_n=expanded(influence.reshape(shape), design.array.rows, design.array.cols, radius),
         error_estimate=refined.error_estimate,
         residual=max(refined.cell.residual, misfit),
         unknowns=refined.cell.unknowns,
@@ -280,29 +280,29 @@ def influence_range(design: SensorDesign, share: float) -> int:
     return int(near[-1]) + 1
 
 
-def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
+def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatArray:
     """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
 
-    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
-    array's middle ones; what lies beyond `reach` is 0.
+    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `radius` from a rim answer like the smaller
+    array's middle ones; what lies beyond `radius` is 0.
     """
     small_rows, small_cols = influence.shape[:2]
     if (small_rows, small_cols) == (rows, cols):
         return influence
     whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
     for i in range(rows):
-        i_small = _alike(i, rows, small_rows)
-        i0, i1 = max(0, i - min(reach, i_small)), min(rows, i + min(reach, small_rows - 1 - i_small) + 1)
+        i_small = _representative(i, rows, small_rows)
+        i0, i1 = max(0, i - min(radius, i_small)), min(rows, i + min(radius, small_rows - 1 - i_small) + 1)
         for j in range(cols):
-            j_small = _alike(j, cols, small_cols)
-            j0, j1 = max(0, j - min(reach, j_small)), min(cols, j + min(reach, small_cols - 1 - j_small) + 1)
+            j_small = _representative(j, cols, small_cols)
+            j0, j1 = max(0, j - min(radius, j_small)), min(cols, j + min(radius, small_cols - 1 - j_small) + 1)
             di, dj = i_small - i, j_small - j
             whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
     return whole
 
 
-def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Influence of a smaller array, some middle units left out, from that of a larger one; `unrolled` undoes it."""
+def reduced(influence: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Influence of a smaller array, some middle units left out, from that of a larger one; `expanded` undoes it."""
     if influence.shape[:2] == (rows, cols):
         return influence
     small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
@@ -315,16 +315,14 @@ def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
     return small
 
 
-def alike(values: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `unrolled`."""
+def representatives(values: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `expanded`."""
     small_rows, small_cols = values.shape[:2]
-    places = np.ix_(
-        [_alike(i, rows, small_rows) for i in range(rows)], [_alike(j, cols, small_cols) for j in range(cols)]
-    )
-    return values[places]
+    along = [_representative(i, rows, small_rows) for i in range(rows)]
+    return values[np.ix_(along, [_representative(j, cols, small_cols) for j in range(cols)])]
 
 
-def _alike(index: int, count: int, small: int) -> int:
+def _representative(index: int, count: int, small: int) -> int:
     """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
     middle = small // 2
     return index if index <= middle else max(middle, small - (count - index))
