@@ -98,7 +98,7 @@ class PortModes:
         """Displacements of a parity, (n_modes·3, m), and how much of each any displacement has, (m, n_modes·3)."""
         share = np.eye(self.n_modes * 3)
         for axis in np.flatnonzero(parity):
-            number, signs = self.image(axis, parity)
+            number, signs = self.image(int(axis), parity)
             share = (share + signs[:, None] * share[number]) / 2  # the projection onto what is its own image
         size = share.diagonal()
         first = np.flatnonzero((np.abs(share).argmax(axis=1) == np.arange(len(share))) & (size > 0))  # of its images
@@ -223,8 +223,13 @@ class CellBody(Protocol):
     Its base is clamped, its side faces are free. Unknowns of a parity are those of a problem of the part.
     """
 
-    mirrors: tuple[Mirror, ...]
-    definite: bool  #: whether its matrices are
+    @property
+    def mirrors(self) -> tuple[Mirror, ...]:
+        """Planes beyond which the part lies."""
+
+    @property
+    def definite(self) -> bool:
+        """Whether its matrices are."""
 
     @property
     def points_mm(self) -> FloatArray:
