@@ -14,8 +14,9 @@ import scipy.sparse as sp
 
 from fem.array.coupled_cells import COLUMNS, CoupledArray
 from fem.array.interior import CellInterior, design_interior
+from fem.array.meshed import functionals, pad_plate
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_unit, rolled, unrolled
+from fem.array.substructured import MAX_TESTED, alike, influence_range, rolled, unrolled
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
     EXTRAPOLATED,
@@ -28,7 +29,7 @@ from fem.conduction.potentials import (
 from fem.conduction.second_order import second_derivatives
 from fem.discretization.elements import shape_gradients
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
@@ -80,9 +81,7 @@ def conducted_pillars(
     """
     reach = influence_range(design, FAR)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
-    alone = lone_unit(design)
-    rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
-    interior = design_interior(design, rectangles, progress)
+    interior = design_interior(design, functionals(design), pad_plate(design), progress)
     electrics = design.electrics
     piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
     progress("conduction")

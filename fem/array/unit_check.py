@@ -14,8 +14,9 @@ import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
+from fem.array.meshed import lone_unit
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import PADS, electrode_means, lone_unit, refined_cell, usual_tolerance
+from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
 from fem.factor import Factor, checked_solve
