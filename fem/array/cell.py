@@ -157,7 +157,7 @@ class CondensedCell:
         return True
 
     @property
-    def standing_alone(self) -> FloatArray:
+    def free_compliance(self) -> FloatArray:
         """Mean displacements of the rectangles per newton on them, with free side faces, (k·3, k·3) [mm/N]."""
         return self.compliance + self.transfer.T @ np.linalg.solve(self.stiffness, self.transfer)
 

@@ -19,7 +19,7 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import BoxCell, cell_lines, cell_mirrors, functionals, pad_plate
 from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
-from fem.array.substructured import PADS, electrode_means, influence_range, unrolled
+from fem.array.substructured import PADS, electrode_means, expanded, influence_range
 from fem.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
@@ -35,7 +35,9 @@ LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
 EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
-FAR = 1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
+TRUNCATION = (
+    1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
+)
 DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
 Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
@@ -116,13 +118,13 @@ def _derivatives(
 ) -> dict[str, FloatArray]:
     """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, n_upper, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
-    reach = influence_range(design, FAR)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    radius = influence_range(design, TRUNCATION)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     progress(f"coupling {rows} × {cols}")
     found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, electrode_means(design))
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return {
-        name: unrolled(du.reshape(shape), design.array.rows, design.array.cols, reach)
+        name: expanded(du.reshape(shape), design.array.rows, design.array.cols, radius)
         for name, du in zip(changes, found, strict=True)
     }
 

@@ -57,28 +57,29 @@ def read_refined(path: Path) -> RefinedCell:
 
 VERSION = 3  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
-#: stages of refinement: levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
+#: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
-    "soft": (((1, 2), 5), ((1, 2, 3), 7), ((2, 3, 4), 8), ((3, 4, 6), 9)),
-    "stiff": (((1, 2), 6), ((2, 3), 8), ((3, 4), 9), ((4, 6), 10)),
+    "soft": ((1, 2, 6), (1, 3, 7), (2, 4, 8), (3, 6, 9)),
+    "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for meshes, whose levels divide the usual edges
-MESH_STAGES = (((0.8, 1.0), 4), ((1.0, 1.4), 5), ((1.4, 2.0), 6))
+MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
-#: slowest convergence seen of grids, as level^(−rate), between levels far enough apart; 2.5 to 4 was measured (pads of
-#: 8 to 14 mm, pitches of 12 to 20 mm, ν from 0.3 to 0.499, heights of 6 to 14 mm)
+#: slowest convergence of grids as level^(−rate), 2.5 to 4 being measured, and of meshes (pads of 8 to 14 mm, pitches of
+#: 12 to 20 mm, ν from 0.3 to 0.499, heights of 6 to 14 mm). Levels 2 and 3 of soft pads may lie on either side of the
+#: limit, so that theirs are farther apart and not extrapolated
 RATE = {"grid": 2.5, "mesh": 2.0}
 #: fraction of the extrapolation's step kept as the error estimate of stiff pads, whose edges make convergence steady:
-#: 0.05 to 0.41 was left between levels 2 and 3 of the same cells. Soft pads' levels are not extrapolated
-EXTRAPOLATION_ERROR = 0.42
+#: 0.05 to 0.41 was left between levels 2 and 3 of the same cells
+EXTRAPOLATION_ERROR = 0.41
 COMPARED_DEGREE = 5  #: of the ports with which levels are compared, at most: the coarsest grid knows no more
 #: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
 #: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
 PORT_ERROR = 0.7
 
 
-FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
+TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
@@ -109,10 +110,10 @@ def response_by_cells(
     Notes
     -----
     A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
-    below `FAR` of the tolerance: units farther than m from every rim answer alike.
+    below `TRUNCATION` of the tolerance: units farther than m from every rim answer alike.
     """
-    reach = influence_range(design, FAR * tolerance)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    radius = influence_range(design, TRUNCATION * tolerance)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
     refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
@@ -122,7 +123,7 @@ def response_by_cells(
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
+        influence_mm_per_n=expanded(influence.reshape(shape), design.array.rows, design.array.cols, radius),
         error_estimate=refined.error_estimate,
         residual=max(refined.cell.residual, misfit),
         unknowns=refined.cell.unknowns,
@@ -169,14 +170,15 @@ def refined_cell(
         def answer(cell: CondensedCell) -> FloatArray:
             return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
 
-        for levels, degree in cell_stages(design, tolerance):
-            progress(f"cell, level {levels[-1]:g}")
+        for stage in cell_stages(design, tolerance):
+            coarse, fine, degree = stage
+            progress(f"cell, level {fine:g}")
             cell, _, (of_levels, of_ports) = cell_of_stage(
-                design, (levels, degree), functionals(design), pad_plate(design), answer, block_error, spent
+                design, stage, functionals(design), pad_plate(design), answer, block_error, spent
             )
             estimate = of_levels + of_ports
             steps.append(
-                f"levels {', '.join(f'{level:g}' for level in levels)}, ports of degree {degree}: {cell.unknowns} "
+                f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
                 f"unknowns in the cell, {cell.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the "
                 f"cell, {of_ports:.1e} of the ports"
             )
@@ -189,7 +191,7 @@ def refined_cell(
     return kept("cell.npz", cell_cache_key(design, tolerance), make, read_refined, write_refined)[0]
 
 
-Stage = tuple[tuple[float, ...], int]  #: levels, coarse ones first, and the degree of the ports
+Stage = tuple[float, float, int]  #: coarse and fine level, and the degree of the ports
 
 
 def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
@@ -225,34 +227,30 @@ def cell_of_stage(
 
     Notes
     -----
-    Cells under stiff pads get a Richardson extrapolation. The levels' error is else the largest that the difference of
-    the finest to any other means at the slowest rate; coarse grids' answers may cross the limit, so that two are not
-    enough. The ports' error is a fraction of what their highest degree changed.
+    Cells under stiff pads get a Richardson extrapolation, and a fraction of its step is their error. Others' is what
+    the difference of the levels means at the slowest rate. The ports' is a fraction of what their highest degree
+    changed.
     """
-    levels, degree = stage
+    coarse, fine, degree = stage
     extrapolates = design.is_homogeneous and design.pad.kind == "stiff"
     compared = degree if extrapolates else min(degree, COMPARED_DEGREE)
-    start, meshing, cells = perf_counter(), 0.0, {}
-    for level in levels:
-        own = degree if level == levels[-1] else compared
-        cells[level], meshed = condensed_cell(design, level, own, rectangles, plate)
-        meshing += meshed
+    start = perf_counter()
+    one, meshed_one = condensed_cell(design, coarse, compared, rectangles, plate)
+    two, meshed_two = condensed_cell(design, fine, degree, rectangles, plate)
     condensed = perf_counter()
-    rate, fine = RATE["grid" if design.is_homogeneous else "mesh"], levels[-1]
-    factors = {coarse: richardson_factor(coarse, fine, rate) for coarse in levels[:-1]}
-    cell = finest = cells.pop(fine)
-    if extrapolates:
-        ((coarse, other),) = cells.items()
-        cell = finest.extrapolated(other, factors[coarse])
-        cell = cell if cell.is_definite else finest  # the coarse level may not know the highest modes
+    factor = richardson_factor(coarse, fine, RATE["grid" if design.is_homogeneous else "mesh"])
+    cell = two.extrapolated(one, factor) if extrapolates else two
+    if not cell.is_definite:  # the coarse level may not know the highest modes
+        cell = two
     found = answer(cell)
-    if cell is not finest:
-        of_levels = EXTRAPOLATION_ERROR * difference(answer(finest), found)
+    if cell is not two:
+        of_levels = EXTRAPOLATION_ERROR * difference(answer(two), found)
     else:
-        best = found if compared == degree else answer(finest.of_degree(compared))
-        of_levels = max(factors[level] * difference(answer(other), best) for level, other in cells.items())
+        best = found if compared == degree else answer(two.of_degree(compared))
+        of_levels = factor * difference(answer(one), best)
     slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
     of_ports = PORT_ERROR * slenderness * difference(answer(cell.of_degree(degree - 1)), found)
+    meshing = meshed_one + meshed_two
     spent = {"mesh": meshing, "condense": condensed - start - meshing, "couple": perf_counter() - condensed}
     for name, own_seconds in spent.items():
         seconds[name] = seconds.get(name, 0.0) + own_seconds
@@ -282,29 +280,29 @@ def influence_range(design: SensorDesign, share: float) -> int:
     return int(near[-1]) + 1
 
 
-def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
+def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatArray:
     """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
 
-    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
-    array's middle ones; what lies beyond `reach` is 0.
+    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `radius` from a rim answer like the smaller
+    array's middle ones; what lies beyond `radius` is 0.
     """
     small_rows, small_cols = influence.shape[:2]
     if (small_rows, small_cols) == (rows, cols):
         return influence
     whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
     for i in range(rows):
-        i_small = _alike(i, rows, small_rows)
-        i0, i1 = max(0, i - min(reach, i_small)), min(rows, i + min(reach, small_rows - 1 - i_small) + 1)
+        i_small = _representative(i, rows, small_rows)
+        i0, i1 = max(0, i - min(radius, i_small)), min(rows, i + min(radius, small_rows - 1 - i_small) + 1)
         for j in range(cols):
-            j_small = _alike(j, cols, small_cols)
-            j0, j1 = max(0, j - min(reach, j_small)), min(cols, j + min(reach, small_cols - 1 - j_small) + 1)
+            j_small = _representative(j, cols, small_cols)
+            j0, j1 = max(0, j - min(radius, j_small)), min(cols, j + min(radius, small_cols - 1 - j_small) + 1)
             di, dj = i_small - i, j_small - j
             whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
     return whole
 
 
-def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Influence of a smaller array, some middle units left out, from that of a larger one; `unrolled` undoes it."""
+def reduced(influence: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Influence of a smaller array, some middle units left out, from that of a larger one; `expanded` undoes it."""
     if influence.shape[:2] == (rows, cols):
         return influence
     small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
@@ -317,16 +315,14 @@ def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
     return small
 
 
-def alike(values: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `unrolled`."""
+def representatives(values: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `expanded`."""
     small_rows, small_cols = values.shape[:2]
-    places = np.ix_(
-        [_alike(i, rows, small_rows) for i in range(rows)], [_alike(j, cols, small_cols) for j in range(cols)]
-    )
-    return values[places]
+    along = [_representative(i, rows, small_rows) for i in range(rows)]
+    return values[np.ix_(along, [_representative(j, cols, small_cols) for j in range(cols)])]
 
 
-def _alike(index: int, count: int, small: int) -> int:
+def _representative(index: int, count: int, small: int) -> int:
     """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
     middle = small // 2
     return index if index <= middle else max(middle, small - (count - index))

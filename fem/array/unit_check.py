@@ -86,7 +86,7 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
-    ours = refined.cell.standing_alone[electrode_means(design)][:, PADS]
+    ours = refined.cell.free_compliance[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
         cells=len(mesh.cells),

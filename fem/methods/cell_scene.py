@@ -53,17 +53,17 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
             design, stage, rectangles, plate, answer, lambda one, other: largest_error(one[0], other[0]), seconds
         )
         estimate = sum(errors)
-        steps.append(f"cells of level {stage[0][-1]:g}, ports of degree {stage[1]}: estimated error {estimate:.1e}")
+        steps.append(f"cells of level {stage[1]:g}, ports of degree {stage[2]}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break
+    spent = {"mesh": seconds["mesh"], "factor": seconds["condense"], "solve": seconds["couple"]}
     return Solution(
         probes=means,
         energy_mj=energy,
         residual=max(residual, cell.residual),
         unknowns=cell.unknowns,
         error_estimate=estimate,
-        seconds=Stopwatch().seconds
-        | {"mesh": seconds["mesh"], "factor": seconds["condense"], "solve": seconds["couple"]},
+        seconds=Stopwatch().seconds | spent,
         steps=tuple(steps),
     )
 
