@@ -30,7 +30,7 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-METHOD = 3  #: raise when the same settings give other samples
+METHOD = 4  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled
@@ -87,7 +87,7 @@ class GroupSolver:
     response : ArrayResponse
         Linear response of the same array, of stiff pads.
     settings : DatasetSettings
-        Only their protocol and their cap count. Protocols of light loads are answered by stored derivatives.
+        Only their protocol and their cap count.
     """
 
     def __init__(self, response: ArrayResponse, settings: DatasetSettings) -> None:
@@ -95,8 +95,7 @@ class GroupSolver:
         self.design, self.cap = response.design, settings.cap
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
-        light = pad_protocol(settings.protocol).is_light
-        self._solver = SampleSolver(self.design, influence, unwanted=self._is_far, by_derivatives=light)
+        self._solver = SampleSolver(self.design, influence, unwanted=self._is_far)
 
     def _strain(self, displacement_mm: FloatArray) -> FloatArray:
         lengths = pillar_lengths(displacement_mm, self.design.unit)

@@ -5,7 +5,7 @@ error (`solve_scene`), or the influence matrix of the array (`array_response`): 
 electrode. The rooms, in the order of the data: `scene/` (a scene and its file), `methods/` (open `solving.py` and
 `plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array), `contact/` (open
 `indentation.py` first: rigid shapes pressed into it), `discretization/` (meshes, elements and their matrices),
-`linear/` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures), `pictures/`
+`factor.py` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures), `pictures/`
 (the pictures).
 """
 
@@ -13,7 +13,7 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.patch import PatchError, patch_integrals, patch_means
-from fem.linear.linear_solver import SolverError
+from fem.factor import SolverError
 from fem.methods.solving import solve_scene
 from fem.scene.checks import SceneError
 from fem.scene.scene import Scene

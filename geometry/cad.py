@@ -12,7 +12,7 @@ from pathlib import Path
 from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
 
 from geometry.design import SensorDesign, Unit
-from geometry.layout import PILLARS, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import pillar_ends, pillar_sections, unit_centres
 from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
@@ -38,7 +38,7 @@ def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
 
 
 def pillar_solids(unit: Unit) -> list[Solid]:
-    """The z, x and y pillars in the unit's frame, each ending flush with z = 0 and z = h.
+    """The pillars in the unit's frame, each ending flush with z = 0 and z = h.
 
     The section is width × width perpendicular to the axis, so that a horizontal cut is width × width·l/h,
     longer along the tilt. Such a rectangle swept along the axis is the whole pillar, and V = S·l exactly.
@@ -80,7 +80,7 @@ def matrix_solid(design: SensorDesign) -> Solid:
 
 def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
     """Everything that makes up the sensor, by the name of its files."""
-    pillars = zip(PILLARS, pillar_solids(design.unit), strict=True)
+    pillars = zip(design.unit.layout.pillar_names, pillar_solids(design.unit), strict=True)
     return {f"pillar_{name}": pillar for name, pillar in pillars} | {
         "unit": unit_solid(design.unit),
         "array": array_solid(design),

@@ -3,12 +3,12 @@
 Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
 """
 
-import math
 import sys
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from geometry.errors import DesignError
+from geometry.layout import SONG2018, Layout, footprint, min_span
 
 
 def quantity(default: Any, meaning: str, optional: bool = False) -> Any:
@@ -45,33 +45,31 @@ def require_positive(values: Any, *names: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Unit:
-    """One sensing unit: an upright pillar z and two oblique pillars x and y between four electrodes."""
+    """One sensing unit: pillars between electrodes, as its layout says; the paper's by default."""
 
     span_mm: float = quantity(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
     height_mm: float = quantity(10.0, "height h of the pillars and of the slab; the top z = h is touched")
     pillar_width_mm: float = quantity(2.0, "side of a pillar's square section, perpendicular to its axis")
     electrode_mm: float = quantity(2.0, "side of the square electrodes")
+    layout: Layout = field(
+        default=SONG2018, metadata={"optional": True}
+    )  #: not in design files, which have the paper's
 
     def __post_init__(self) -> None:
         require_numbers(self)
         require_positive(self, "span_mm", "height_mm", "pillar_width_mm", "electrode_mm")
-        reach = (self.pillar_width_mm + self.oblique_width_mm) / 2
-        if self.span_mm <= max(reach, self.electrode_mm):
+        least_mm = min_span(self)
+        if self.span_mm <= least_mm:
             raise DesignError(
-                f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above "
-                f"{max(reach, self.electrode_mm):.4g} for pillar_width_mm={self.pillar_width_mm:g} and "
-                f"electrode_mm={self.electrode_mm:g}; widen the span or thin the pillars."
+                f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above {least_mm:.4g} "
+                f"for pillar_width_mm={self.pillar_width_mm:g} and electrode_mm={self.electrode_mm:g}; widen the span "
+                "or thin the pillars."
             )
-
-    @property
-    def oblique_width_mm(self) -> float:
-        """Width of an oblique pillar's horizontal section along its tilt [mm]: w·l/h, 2√2 for the paper's."""
-        return self.pillar_width_mm * math.hypot(self.span_mm, self.height_mm) / self.height_mm
 
     @property
     def footprint_mm(self) -> float:
         """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
-        return self.span_mm + max(self.oblique_width_mm, self.electrode_mm)
+        return footprint(self)
 
 
 PAD_KINDS = ("soft", "stiff")
@@ -110,7 +108,7 @@ class Pad:
             raise DesignError(f"kind={self.kind!r} must be one of {', '.join(PAD_KINDS)}; of the contact pad.")
 
 
-MODELS = ("linear", "neo-hookean")
+MODELS = ("linear", "neo-hookean", "mooney-rivlin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +120,7 @@ class Material:
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", "linear: small strain; neo-hookean: finite strain", optional=True)
+    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", optional=True)
     young_mpa: float = quantity(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
 
@@ -224,14 +222,14 @@ class SensorDesign:
                 f"pitch_mm={pitch_mm:g} is smaller than the unit, whose pillars take {footprint_mm:.4g} mm: "
                 f"raise pitch_mm to at least {footprint_mm:.4g} or shrink span_mm or pillar_width_mm."
             )
-        reach_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
-        if reach_mm > pitch_mm / 2:
+        end_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
+        if end_mm > pitch_mm / 2:
             raise DesignError(
-                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {reach_mm:g} mm from the unit's "
+                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {end_mm:g} mm from the unit's "
                 f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
                 "shrink the pad or raise pitch_mm."
             )
-        if reach_mm > self.pad_room_mm:
+        if end_mm > self.pad_room_mm:
             raise DesignError(
                 f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end at least "
                 f"{MIN_GAP * pitch_mm / 2:g} mm before its unit's share of the slab ({pitch_mm / 2:g} mm from the "

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
+from geometry.errors import DesignError, FileFormatError
+from geometry.layout import SONG2018
 from geometry.storage.files import write_text
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
@@ -16,17 +17,30 @@ BESIDE = ("tolerance", "twin")  #: tables of a design file that are not the desi
 
 
 def design_to_toml(design: SensorDesign) -> str:
-    """Text of a design file: one table per group of quantities, each key with its meaning as a comment."""
+    """Text of a design file: one table per group of quantities, each key with its meaning as a comment.
+
+    Raises
+    ------
+    FileFormatError
+        If the unit has another layout than the paper's: files cannot state one yet.
+    """
+    if design.unit.layout != SONG2018:
+        raise FileFormatError("a design file states no layout yet: this unit has another one than the paper's.")
     lines = ["# A TriPillar sensor design. Lengths in mm, moduli in MPa, resistivity in Ω mm.", ""]
     tables = []
     for spec in fields(design):
         value = getattr(design, spec.name)
         if is_dataclass(value):
             tables.append(f"\n[{spec.name}]  # {spec.metadata['meaning']}")
-            tables.extend(_key_line(value, key) for key in fields(value))
+            tables.extend(_key_line(value, key) for key in _keys(value))
         else:
             lines.append(_key_line(design, spec))
     return "\n".join([*lines, *tables, ""])
+
+
+def _keys(values: Any) -> list[Any]:
+    """Fields of a table that files hold: those with a meaning."""
+    return [spec for spec in fields(values) if "meaning" in spec.metadata]
 
 
 def _key_line(values: Any, spec: Any) -> str:
@@ -46,7 +60,7 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
 
 
 def _filled(kind: Any, table: dict[str, Any], place: str = "") -> Any:
-    specs = {spec.name: spec for spec in fields(kind)}
+    specs = {spec.name: spec for spec in _keys(kind)}
     inner = {
         key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]")
         for key in table
@@ -92,7 +106,7 @@ def whole_design(text: str, source: object) -> SensorDesign:
 
 def _missing(whole: Any, given: dict[str, Any], where: str = "") -> list[str]:
     found = []
-    for spec in fields(whole):
+    for spec in _keys(whole):
         value = getattr(whole, spec.name)
         if is_dataclass(value):
             found += _missing(value, given.get(spec.name, {}), f" in [{spec.name}]")

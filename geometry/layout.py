@@ -1,23 +1,113 @@
-"""Places of a design's unit centres, electrodes, pillars and pads as plain arrays (mm).
+"""Layout of a unit as data, and the places of a design's units, electrodes, pillars and pads as plain arrays (mm).
 
-Units run k = i·cols + j over rows i (along y) and columns j (along x); electrodes and pillars in the order of
-`ELECTRODES` and `PILLARS`.
+A layout names electrodes and the pillars between them; this file and `wiring.py` alone know one by heart, the paper's.
+Units run k = i·cols + j over rows i (along y) and columns j (along x); electrodes and pillars in the layout's order.
 """
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import SensorDesign, Unit
+from geometry.errors import DesignError
+
+if TYPE_CHECKING:
+    from geometry.design import SensorDesign, Unit
 
 FloatArray = NDArray[np.float64]
 
 AXES = ("x", "y", "z")  #: displacement, traction and force components
-ELECTRODES = ("U1", "U2")  #: upper electrodes, the paper's "2" and "7"
-PILLARS = ("z", "x", "y")  #: the paper's "1", "4" and "6", named after the force each senses
-PILLAR_TOP = (0, 0, 1)  #: upper electrode (index into ELECTRODES) at the top of each pillar
 
 
-def unit_centres(design: SensorDesign) -> FloatArray:
+@dataclass(frozen=True)
+class Electrode:
+    """A square on a unit's top or base."""
+
+    name: str
+    place: tuple[float, float]  #: of its middle along x and y from the unit's middle, in half spans
+
+
+@dataclass(frozen=True)
+class Pillar:
+    """A straight pillar between two electrodes."""
+
+    name: str
+    foot: str  #: name of the lower electrode
+    top: str  #: name of the upper one
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Electrodes of a unit and the pillars between them; `DesignError` if they make no unit."""
+
+    upper: tuple[Electrode, ...]
+    lower: tuple[Electrode, ...]
+    pillars: tuple[Pillar, ...]
+
+    def __post_init__(self) -> None:
+        once: list[tuple[str, list[Any]]] = [
+            ("electrodes are named", list(self.terminals)),
+            ("upper electrodes lie at", [one.place for one in self.upper]),
+            ("lower electrodes lie at", [one.place for one in self.lower]),
+            ("pillars are named", list(self.pillar_names)),
+            ("pillars join", [(one.foot, one.top) for one in self.pillars]),
+        ]
+        for kind, given in once:
+            for twice in {each for each in given if given.count(each) > 1}:
+                raise DesignError(f"two {kind} {twice}: give each its own.")
+        feet, tops = ({one.name: one.place for one in level} for level in (self.lower, self.upper))
+        for one in self.pillars:
+            if one.foot not in feet or one.top not in tops:
+                raise DesignError(
+                    f"pillar {one.name} joins {one.foot} and {one.top}: it must stand on one of {', '.join(feet)} and "
+                    f"end at one of {', '.join(tops)}."
+                )
+            if all(a != b for a, b in zip(feet[one.foot], tops[one.top], strict=True)):
+                raise DesignError(f"pillar {one.name} leans along x and along y: it may lean along one of them.")
+        idle = {*self.terminals} - {name for one in self.pillars for name in (one.foot, one.top)}
+        if idle or not self.pillars:
+            raise DesignError(f"no pillar joins {', '.join(sorted(idle)) or 'electrodes'}: each needs one.")
+
+    @cached_property
+    def upper_names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.upper)
+
+    @cached_property
+    def terminals(self) -> tuple[str, ...]:
+        """Names of all electrodes, the upper ones first."""
+        return tuple(one.name for one in (*self.upper, *self.lower))
+
+    @cached_property
+    def pillar_names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.pillars)
+
+    @cached_property
+    def pillar_terminals(self) -> tuple[tuple[int, int], ...]:
+        """Numbers, among `terminals`, of the electrodes at the top and at the foot of each pillar."""
+        return tuple((self.terminals.index(one.top), self.terminals.index(one.foot)) for one in self.pillars)
+
+    @cached_property
+    def pillar_top(self) -> tuple[int, ...]:
+        """Number of the upper electrode at the top of each pillar."""
+        return tuple(top for top, _ in self.pillar_terminals)
+
+
+#: the paper's unit: electrodes "2", "7", "3" and "5", pillars "1", "4" and "6", named after the force that each senses
+SONG2018 = Layout(
+    upper=(Electrode("U1", (-1.0, -1.0)), Electrode("U2", (-1.0, 1.0))),
+    lower=(Electrode("L1", (-1.0, -1.0)), Electrode("L2", (1.0, -1.0))),
+    pillars=(Pillar("z", "L1", "U1"), Pillar("x", "L2", "U1"), Pillar("y", "L1", "U2")),
+)
+ELECTRODES = SONG2018.upper_names  #: upper electrodes of the paper's unit
+PILLARS = SONG2018.pillar_names  #: its pillars
+PILLAR_TOP = SONG2018.pillar_top  #: number of the upper electrode at the top of each
+
+
+def unit_centres(design: "SensorDesign") -> FloatArray:
     """Centre of every unit on the base plane, shape (n_units, 2) [mm]."""
     rows, cols, pitch_mm = design.array.rows, design.array.cols, design.array.pitch_mm
     x = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
@@ -25,42 +115,75 @@ def unit_centres(design: SensorDesign) -> FloatArray:
     return np.stack([np.tile(x, rows), np.repeat(y, cols)], axis=1)
 
 
-def upper_electrodes(unit: Unit) -> FloatArray:
-    """Centres of U1 and U2 in the unit's frame, shape (2, 3) [mm]."""
-    s, h = unit.span_mm / 2, unit.height_mm
-    return np.array([[-s, -s, h], [-s, s, h]])
+def upper_electrodes(unit: "Unit") -> FloatArray:
+    """Centres of the upper electrodes in the unit's frame, shape (n_upper, 3) [mm]."""
+    return _at(unit, unit.layout.upper, unit.height_mm)
 
 
-def pillar_ends(unit: Unit) -> FloatArray:
-    """Bottom and top of the z, x and y pillars in the unit's frame, shape (3, 2, 3) [mm]."""
-    s = unit.span_mm / 2
-    L1, L2 = np.array([-s, -s, 0.0]), np.array([s, -s, 0.0])
-    U1, U2 = upper_electrodes(unit)
-    return np.array([[L1, U1], [L2, U1], [L1, U2]])
+def lower_electrodes(unit: "Unit") -> FloatArray:
+    """Centres of the lower electrodes in the unit's frame, shape (n_lower, 3) [mm]."""
+    return _at(unit, unit.layout.lower, 0.0)
 
 
-def rest_lengths(unit: Unit) -> FloatArray:
-    """Undeformed length of the z, x and y pillars, shape (3,) [mm]; 10, 10√2, 10√2 for the paper's."""
+def _at(unit: "Unit", electrodes: tuple[Electrode, ...], z_mm: float) -> FloatArray:
+    return np.array([[unit.span_mm / 2 * along for along in one.place] + [z_mm] for one in electrodes])
+
+
+def pillar_ends(unit: "Unit") -> FloatArray:
+    """Bottom and top of the pillars in the unit's frame, shape (n_pillars, 2, 3) [mm]."""
+    tops, feet = np.array(unit.layout.pillar_terminals).T
+    electrodes = np.vstack([upper_electrodes(unit), lower_electrodes(unit)])
+    return np.stack([electrodes[feet], electrodes[tops]], axis=1)
+
+
+def rest_lengths(unit: "Unit") -> FloatArray:
+    """Undeformed length of the pillars, shape (n_pillars,) [mm]; 10, 10√2, 10√2 for the paper's."""
     bottom, top = pillar_ends(unit).transpose(1, 0, 2)
     return np.linalg.norm(top - bottom, axis=1)
 
 
-def pillar_volumes(unit: Unit) -> FloatArray:
-    """Volume of the z, x and y pillars, V = S·l exactly, shape (3,) [mm³]."""
+def pillar_volumes(unit: "Unit") -> FloatArray:
+    """Volume of the pillars, V = S·l exactly, shape (n_pillars,) [mm³]."""
     return unit.pillar_width_mm**2 * rest_lengths(unit)
 
 
-def pillar_sections(unit: Unit) -> FloatArray:
-    """Extent along x and y of the horizontal sections of the z, x and y pillars, shape (3, 2) [mm]."""
-    w, ow = unit.pillar_width_mm, unit.oblique_width_mm
-    return np.array([[w, w], [ow, w], [w, ow]])
+def pillar_sections(unit: "Unit") -> FloatArray:
+    """Extent along x and y of the pillars' horizontal sections, shape (n_pillars, 2) [mm].
+
+    Perpendicular to its axis a pillar is w × w; along its tilt the horizontal section is wider, w·l/h.
+
+    >>> from geometry.design import Unit
+    >>> pillar_sections(Unit()).round(3).tolist()
+    [[2.0, 2.0], [2.828, 2.0], [2.0, 2.828]]
+    """
+    w, h = unit.pillar_width_mm, unit.height_mm
+    runs = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
+    return np.array([[w * math.hypot(run, h) / h if run else w for run in both] for both in runs])
 
 
-def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
+def footprint(unit: "Unit") -> float:
+    """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
+    pillars = np.abs(pillar_ends(unit)[..., :2]) + pillar_sections(unit)[:, None] / 2
+    electrodes = np.abs(pillar_ends(unit)[..., :2]) + unit.electrode_mm / 2
+    return 2 * float(max(pillars.max(), electrodes.max()))
+
+
+def min_span(unit: "Unit") -> float:
+    """Span at which ends of two pillars, or two electrodes, meet, for sections as they are now [mm]."""
+    ends, sections, found = pillar_ends(unit)[..., :2] / unit.span_mm, pillar_sections(unit), [0.0]
+    for one, other in combinations(range(len(ends)), 2):
+        for apart in np.abs(ends[one] - ends[other]):
+            for room in ((sections[one] + sections[other]) / 2, np.full(2, unit.electrode_mm)):
+                found += [float((room[apart > 0] / apart[apart > 0]).min())] if apart.any() else []
+    return max(found)
+
+
+def pillar_shares(unit: "Unit", x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
     """Share of each box between lines (nx + 1,), (ny + 1,), (nz + 1,) of the unit's frame that its pillars fill.
 
     Shape (nx, ny, nz). By 8 Gauss points along z of every box: exact where no pillar's face crosses its uprights.
 
+    >>> from geometry.design import Unit
     >>> around_z = np.array([-6.0, -4.0]), np.array([-6.0, -4.0])
     >>> round(float(pillar_shares(Unit(), *around_z, np.array([4.0, 6.0]))[0, 0, 0]), 9)
     1.0
@@ -70,9 +193,9 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
     ends = pillar_ends(unit)[:, :, :2]
     middle = ends[:, 0, None, None] + (z / unit.height_mm)[..., None] * (ends[:, 1] - ends[:, 0])[:, None, None]
     half = pillar_sections(unit)[:, None, None] / 2
-    sections = np.stack([middle - half, middle + half])  # (2, 3, nz, 8, 2): low and high corners of each pillar's
+    sections = np.stack([middle - half, middle + half])  # (2, n_pillars, nz, 8, 2): low and high corners of each
 
-    def filled(*pillars: int) -> FloatArray:
+    def filled(pillars: tuple[int, ...]) -> FloatArray:
         """Area of the boxes that all of some pillars cover, its mean along z."""
         low, high = sections[0, pillars].max(axis=0), sections[1, pillars].min(axis=0)
         low, high = (np.moveaxis(ends, -1, 0) for ends in (low, high))
@@ -82,17 +205,25 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
         )
         return np.einsum("xzq,yzq,q->xyz", *along, weights / 2)
 
-    whole = filled(0) + filled(1) + filled(2) - filled(0, 1) - filled(0, 2) - filled(1, 2) + filled(0, 1, 2)
+    # of the union: what one pillar covers less what two do, and so on, as far as any are in one place
+    whole, sign = np.zeros((len(x_mm) - 1, len(y_mm) - 1, len(z_mm) - 1)), 1.0
+    groups: list[tuple[int, ...]] = [(k,) for k in range(len(ends))]
+    while groups:
+        areas = {group: filled(group) for group in groups}
+        for area in areas.values():
+            whole += sign * area
+        groups = [(*group, k) for group, area in areas.items() if area.any() for k in range(group[-1] + 1, len(ends))]
+        sign = -sign
     return whole / (np.diff(x_mm)[:, None, None] * np.diff(y_mm)[:, None])
 
 
-def electrode_squares(design: SensorDesign) -> FloatArray:
-    """Upper electrodes as rectangles of the top face, shape (n_units·2, 4): x0, y0, x1, y1 [mm]."""
+def electrode_squares(design: "SensorDesign") -> FloatArray:
+    """Upper electrodes as rectangles of the top face, shape (n_units·n_upper, 4): x0, y0, x1, y1 [mm]."""
     centres = unit_centres(design)[:, None, :] + upper_electrodes(design.unit)[None, :, :2]
     return _squares(centres.reshape(-1, 2), design.unit.electrode_mm)
 
 
-def pad_squares(design: SensorDesign) -> FloatArray:
+def pad_squares(design: "SensorDesign") -> FloatArray:
     """Contact pads as rectangles of the top face, shape (n_units, 4): x0, y0, x1, y1 [mm]."""
     offset = np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
     return _squares(unit_centres(design) + offset, design.pad.size_mm)

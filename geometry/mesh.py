@@ -18,8 +18,9 @@ from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
-from geometry.storage.files import cache_folder, digest, keep, scratch, vtk_content, write_bytes
-from geometry.storage.seal import BLANK, require_intact, say_made_anew, sealed
+from geometry.storage.files import digest, scratch, vtk_content, write_bytes
+from geometry.storage.kept import kept
+from geometry.storage.seal import BLANK, require_intact, sealed
 from geometry.surface import Surface, check_surface
 
 if TYPE_CHECKING:
@@ -130,19 +131,11 @@ def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = Fal
 
 def cached_mesh(cache_key: str, task: Callable[[], MeshTask], needed: bool = False) -> tuple[TetMesh, Path, bool]:
     """The mesh that is cached by a key, or one made of a task; returns and errors as of `sensor_mesh`."""
-    path = cache_folder() / f"mesh-{cache_key}.vtu"
-    try:
-        mesh = read_mesh(path)
-        if mesh.cache_key == cache_key:
-            return mesh, path, True
-    except FileFormatError:
-        say_made_anew(path)
-    mesh = replace(tetrahedralized(task()), cache_key=cache_key)
-    if needed:
-        write_mesh(mesh, path)
-    else:
-        keep(lambda path: write_mesh(mesh, path), path)
-    return mesh, path, False
+
+    def make() -> TetMesh:
+        return replace(tetrahedralized(task()), cache_key=cache_key)
+
+    return kept("mesh.vtu", cache_key, make, read_mesh, write_mesh, needed)
 
 
 def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
@@ -260,10 +253,10 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
     return points, cells
 
 
-def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, reach_mm: float) -> FloatArray:
+def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
     """Points with every face that lies along a side of a prism moved onto that side.
 
-    A face (three point numbers) belongs to a side if all its points are within reach of it. Only faces count, not
+    A face (three point numbers) belongs to a side if all its points are within the slack of it. Only faces count, not
     single points, so points inside the body stay where they are.
     """
     upright = points.copy()
@@ -271,7 +264,7 @@ def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, re
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
     (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
     for axis, plane in ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high)):
-        along = faces[(np.abs(upright[faces, axis] - plane) <= reach_mm).all(axis=1)]
+        along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
         snapped[along, axis] = plane
         moved[along] = True
     snapped[:, :2] += prism.axis_at(snapped[:, 2])

@@ -13,8 +13,9 @@ insulating silicone (section 2.2), but gives no drawing. This mould is one way t
 
 Why it opens: every vertical line meets a unit in a single piece. So oblique pillars are no undercut for a lid
 that is lifted straight up: below each is a ramp of one part, above it a wedge of the other. The one exception
-is the heel of the y pillar, which juts out by (oblique width − width)/2 under the wall of its trough; rubber
-bends past these 0.41 mm, and a plug above them would be thinner than a printer's nozzle.
+is the heel of a pillar that leans from an upright one's foot, which juts out by (oblique width − width)/2 under the
+wall of its trough; rubber bends past these 0.41 mm, and a plug above them would be thinner than a printer's nozzle.
+All this is checked for the paper's layout alone.
 
 Parts are drawn closed, in the sensor's coordinates; print the lid upside down. None has been printed yet.
 """
@@ -22,12 +23,13 @@ Parts are drawn closed, in the sensor's coordinates; print the lid upside down. 
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
 from geometry.errors import DesignError
-from geometry.layout import upper_electrodes
+from geometry.layout import pillar_ends, pillar_sections, upper_electrodes
 from geometry.storage.files import require_folder
 
 
@@ -103,17 +105,24 @@ def _lid(design: SensorDesign, mould: Mould) -> Solid:
 
 
 def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
-    """The space above the x and the y pillar up to z = h, beside the z pillar: two right-angled prisms.
+    """The space above each oblique pillar up to z = h, beside an upright one at its foot: right-angled prisms.
 
     `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.
     """
-    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
-    side, end = w / 2 - clearance_mm, s + ow / 2 - clearance_mm
-    # Corners (distance from the z pillar's axis, z). The x pillar's upper face falls from (ow/2, h) to
-    # (s + ow/2, 0); the y pillar's rises from (-ow/2, 0) to (s - ow/2, h) and is cut off at the z pillar.
-    above_x = [(ow / 2, h), (end, h), (end, h * clearance_mm / s)]
-    above_y = [(w / 2, h), (s - ow / 2, h), (w / 2, h * (w + ow) / (2 * s))]
-    corner = Location((-s / 2, -s / 2, 0.0))
-    wedge_x = prism([(r, -side, z) for r, z in above_x], (0.0, 2 * side, 0.0))
-    wedge_y = prism([(-side, r, z) for r, z in above_y], (2 * side, 0.0, 0.0))
-    return [wedge_x.moved(corner), wedge_y.moved(corner)]
+    h, half, sections, wedges = unit.height_mm, unit.pillar_width_mm / 2, pillar_sections(unit), []
+    runs = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2]
+    upright_at = {one.foot for one, run in zip(unit.layout.pillars, runs, strict=True) if not run.any()}
+    for pillar, (foot, _), run, section in zip(unit.layout.pillars, pillar_ends(unit), runs, sections, strict=True):
+        if not run.any():
+            continue
+        axis = int(run[1] != 0)
+        s, b, side, sign = abs(run[axis]), section[axis] / 2, half - clearance_mm, np.sign(run[axis])
+        # corners (distance from the foot's middle, z): the pillar's upper face rises from (-b, 0) to (s - b, h)
+        start = half if pillar.foot in upright_at else clearance_mm - b
+        corners = [(start, h), (s - b, h), (start, h * (start + b) / s)]
+        outline, along = np.zeros((3, 3)), np.zeros(3)
+        outline[:, [axis, 2]] = corners
+        outline[:, axis] *= sign
+        outline[:, 1 - axis], along[1 - axis] = -side, 2 * side
+        wedges.append(prism((outline + foot).tolist(), along.tolist()))
+    return wedges

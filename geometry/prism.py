@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, Unit
 from geometry.layout import FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
 
 Pair = tuple[float, float]
@@ -74,9 +74,9 @@ class Prism:
             return False
         # the offset of the axes is linear in z, so each axis overlaps over one interval of z
         at_low, at_high = (self.axis_at(np.array([z]))[0] - other.axis_at(np.array([z]))[0] for z in (low, high))
-        reach = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
+        halves = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
         first, last = 0.0, 1.0
-        for start, end, half in zip(at_low, at_high, reach, strict=True):
+        for start, end, half in zip(at_low, at_high, halves, strict=True):
             if start == end:
                 if not abs(start) < half:
                     return False
@@ -93,16 +93,19 @@ def slab_prism(design: SensorDesign) -> Prism:
 
 
 def pillar_prisms(design: SensorDesign) -> list[Prism]:
-    """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
-    shapes = list(zip(pillar_ends(design.unit), pillar_sections(design.unit), strict=True))
+    """The pillars of every unit; those of a unit overlap at common electrodes."""
+    return [one for centre in unit_centres(design) for one in unit_prisms(design.unit, (*centre, 0.0))]
+
+
+def unit_prisms(unit: Unit, centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
+    """The pillars of one unit."""
     return [
         Prism(
-            base_mm=tuple((centre + base).tolist()),
-            top_mm=tuple((centre + top).tolist()),
+            base_mm=tuple((centre_mm + base).tolist()),
+            top_mm=tuple((centre_mm + top).tolist()),
             section_mm=tuple(section.tolist()),
         )
-        for centre in np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        for (base, top), section in shapes
+        for (base, top), section in zip(pillar_ends(unit), pillar_sections(unit), strict=True)
     ]
 
 

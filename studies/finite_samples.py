@@ -17,8 +17,8 @@ from dataset.resistance import pillar_strains
 from fem.array.solving import array_response
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
 from fem.finite.preloads import Lines, PreloadedArray
-from fem.finite.system import FiniteSystem
 from fem.scene.loads import Load, StiffLoad
+from fem.system import System
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import FloatArray, unit_centres
 
@@ -34,7 +34,7 @@ def reference(array: PreloadedArray, influence: FloatArray, force_n: FloatArray)
         StiffLoad(center_mm=(float(x), float(y)), size_mm=(size, size), force_n=(float(f[0]), float(f[1]), float(f[2])))
         for (x, y), f in zip(unit_centres(array.design), force_n, strict=True)
     ]
-    state = find_equilibrium(FiniteSystem(array.body, loads)).state
+    state = find_equilibrium(System(array.body, loads)).state
     moved = array.electrodes(state.shift[None], state.rotation[None])[0].ravel()
     return (moved + (influence - array.influence) @ (array.forces_of @ moved)).reshape(-1, 2, 3)
 

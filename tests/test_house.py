@@ -24,7 +24,6 @@ ROOMS = {
     "geometry": ["storage"],
     "fem": [
         "scene",
-        "linear",
         "discretization",
         "conduction",
         "finite",

@@ -22,7 +22,7 @@ from fem.discretization.grid import Grid, GridBasis, grid_body
 from fem.discretization.mirrors import QUARTER, Parity, flipped_rectangles, images, parities, sign
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, without_plate
-from fem.linear.linear_solver import checked_solve, factorized, schur_product
+from fem.factor import Factor, checked_solve, schur_product
 from geometry.layout import FloatArray
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
@@ -400,14 +400,14 @@ def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
 
 def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """S, L and C of `condense`, and the residual of some of the solves: the first rectangle's, or a plate's motions."""
-    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
+    factor = Factor(parts.K_II, definite=body.n_pressure == 0)
     n, loads = parts.modes.shape[1], parts.loads
     rhs = np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]])
     product = schur_product(factor, rhs)
     S = parts.modes.T @ (parts.K_BB @ parts.modes) - product[:n, :n]
     L = parts.modes.T @ loads[parts.outer] - product[:n, n:]
     C = product[n:, n:]
-    _, residual = checked_solve(parts.K_II, factor, rhs[:, parts.n_ports :][:, :3])
+    _, residual = checked_solve(factor, rhs[:, parts.n_ports :][:, :3])
     if parts.has_plate:
         S, L, C, *_ = without_plate(S, L, C, parts.n_ports)
     return (S + S.T) / 2, L, (C + C.T) / 2, residual

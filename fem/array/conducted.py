@@ -19,7 +19,6 @@ from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_uni
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
     EXTRAPOLATED,
-    PILLAR_TERMINALS,
     Conductor,
     pillars_per_mm,
     strain_derivatives,
@@ -29,7 +28,7 @@ from fem.conduction.potentials import (
 from fem.conduction.second_order import second_derivatives
 from fem.discretization.elements import shape_gradients
 from geometry.design import SensorDesign
-from geometry.layout import PILLAR_TOP, FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
+from geometry.layout import FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
@@ -67,7 +66,7 @@ def conducted_pillars(
     ----------
     design : SensorDesign
         Its electrics say how resistivity follows strain.
-    influence_mm_per_n : array, shape (rows, cols, 2, 3, rows, cols, 3)
+    influence_mm_per_n : array, shape (rows, cols, n_upper, 3, rows, cols, 3)
         Of the electrodes, as `ArrayResponse` holds it: the part that eq. 1 has of the resistances is taken from it.
     progress : function
         Called with the name of each step as it begins.
@@ -75,7 +74,7 @@ def conducted_pillars(
     Raises
     ------
     DesignError
-        If the unit's oblique pillars touch each other.
+        As of `fem.conduction.unit_mesh.unit_hexahedra`.
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
     """
@@ -98,8 +97,8 @@ def conducted_pillars(
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
     seen = _of_unit_loads(interior, rows, cols, np.vstack([first, modes.functionals, electrodes]))
-    accurate = rolled(influence_mm_per_n, rows, cols).reshape(rows * cols, 6, -1)
-    rest = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0]
+    accurate = rolled(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
+    rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
     scale = np.tile([SHEAR, SHEAR, 1.0], rows * cols)
     polynomials = [
@@ -107,15 +106,15 @@ def conducted_pillars(
             square_mm2[p],
             rest[p],
             unit[p],
-            (unit[3 : 3 + n_modes], second[p]),
-            accurate[k].reshape(2, 3, -1)[PILLAR_TOP[p]],
-            unit[3 + n_modes :].reshape(2, 3, -1)[PILLAR_TOP[p]],
+            (unit[n_pillars : n_pillars + n_modes], second[p]),
+            accurate[k, top],
+            unit[n_pillars + n_modes :].reshape(-1, 3, 3 * rows * cols)[top],
             scale,
         )
         for k, unit in enumerate(seen)
-        for p in range(3)
+        for p, top in enumerate(design.unit.layout.pillar_top)
     ]
-    signs = np.array([sign for _, sign in polynomials]).reshape(rows, cols, 3, -1)
+    signs = np.array([sign for _, sign in polynomials]).reshape(rows, cols, n_pillars, -1)
     influence = np.array([B for B, _ in polynomials]).reshape(*signs.shape, rows, cols, 3)
     wide = design.array.rows, design.array.cols
     rest_mm = np.zeros((*wide, *signs.shape[2:]))
@@ -193,7 +192,7 @@ class _Modes:
         slopes = conductor.gradients(conductor.potentials(K))[some]
         weight = mesh.weight_mm3[some] * np.sum(
             [np.linalg.norm(slopes[..., i], axis=1) * np.linalg.norm(slopes[..., j], axis=1)
-             for i, j in PILLAR_TERMINALS], axis=0)  # fmt: skip
+             for i, j in mesh.pairs], axis=0)  # fmt: skip
         n = interior.cell.stiffness.shape[0] + 3
         gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
         rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
@@ -213,11 +212,11 @@ class _Modes:
 def _first_derivatives(
     interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity
 ) -> FloatArray:
-    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (3, n_amplitudes)."""
+    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes)."""
     n = interior.cell.stiffness.shape[0] + 3
     found = []
     for conductor in conductors:
-        at_rest = pillars_per_mm(conductor.conductances())
+        at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
         slopes = _slopes(interior, conductor.mesh.points_mm)
         nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each

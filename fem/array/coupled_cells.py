@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import EDGES, FACES, CondensedCell, PortModes
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
 COLUMNS = 128  #: load cases solved for at a time
@@ -28,7 +28,7 @@ class CoupledArray:
         number = np.arange(self._dofs.size)
         self._gather = sp.csr_matrix((np.ones(len(number)), (self._dofs.ravel(), number)), shape=(self._n, len(number)))
         self._matrix = self._assembled()
-        self._factor = factorized(self._matrix, definite=True)
+        self._factor = Factor(self._matrix, definite=True)
 
     @property
     def n_cells(self) -> int:
@@ -55,7 +55,7 @@ class CoupledArray:
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
         rhs = self._gathered(self.cell.reach @ forces)
-        q, residual = checked_solve(self._matrix, self._factor, rhs, self._product)
+        q, residual = checked_solve(self._factor, rhs, self._product)
         return q[self._dofs], residual
 
     def influence(self, loads: Sequence[int], observed: Sequence[int]) -> tuple[FloatArray, float]:

@@ -12,7 +12,7 @@ from fem.discretization.elasticity import ElasticBody
 from fem.discretization.elements import Elements
 from fem.discretization.grid import GridBasis, grid_body, grid_stiffness
 from fem.discretization.plate import Plate, without_plate
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.mesh import sensor_mesh, suited_settings
@@ -53,9 +53,9 @@ def cell_interior(
     """
     parts = condensation(body, ports, rectangles, plate)
     n = parts.modes.shape[1]
-    factor = factorized(parts.K_II, definite=body.n_pressure == 0)
+    factor = Factor(parts.K_II, definite=body.n_pressure == 0)
     rhs = np.hstack([-(parts.K_IB @ parts.modes), parts.loads[parts.inner]])
-    inner, residual = checked_solve(parts.K_II, factor, rhs)
+    inner, residual = checked_solve(factor, rhs)
     solution = np.zeros((body.matrix.shape[0], rhs.shape[1]))
     solution[parts.inner] = inner
     solution[parts.outer, :n] = parts.modes

@@ -12,7 +12,7 @@ import numpy as np
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, ELECTRODES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 
@@ -36,9 +36,9 @@ class ConductedPillars:
     Eq. 1 is of this form, too: three components, the vector between the electrodes, all signs 1.
     """
 
-    rest_mm: FloatArray  #: d, (rows, cols, 3, n_components): of the pillars z, x, y
-    influence_mm_per_n: FloatArray  #: B, (rows, cols, 3, n_components, rows, cols, 3)
-    sign: FloatArray  #: s, (rows, cols, 3, n_components), 1 or −1
+    rest_mm: FloatArray  #: d, (rows, cols, n_pillars, n_components)
+    influence_mm_per_n: FloatArray  #: B, (rows, cols, n_pillars, n_components, rows, cols, 3)
+    sign: FloatArray  #: s, (rows, cols, n_pillars, n_components), 1 or −1
     error_estimate: float  #: relative, of the resistances at rest
 
     @property
@@ -51,7 +51,7 @@ class ArrayResponse:
     """Influence matrix of an array."""
 
     design: SensorDesign
-    influence_mm_per_n: FloatArray  #: (rows, cols, 2, 3, rows, cols, 3), see INFLUENCE_DIMS; axes x, y, z
+    influence_mm_per_n: FloatArray  #: (rows, cols, n_upper, 3, rows, cols, 3), see INFLUENCE_DIMS; axes x, y, z
     residual: float  #: largest relative residual of the solves
     unknowns: int  #: size of the largest linear system
     seconds: dict[str, float]  #: by step
@@ -71,7 +71,8 @@ def write_response(response: ArrayResponse, path: Path) -> None:
     """Write a response file, whole or not at all."""
     import xarray as xr
 
-    coordinates = {"electrode": list(ELECTRODES), "axis": list(AXES), "load_axis": list(AXES)}
+    layout = response.design.unit.layout
+    coordinates = {"electrode": list(layout.upper_names), "axis": list(AXES), "load_axis": list(AXES)}
     attributes = {
         "design": design_to_toml(response.design),
         "recipe": response.cache_key,
@@ -84,7 +85,7 @@ def write_response(response: ArrayResponse, path: Path) -> None:
     } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
     variables: dict[str, Any] = {"influence_mm_per_n": (INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
     if response.conducted is not None:
-        coordinates["pillar"] = list(PILLARS)
+        coordinates["pillar"] = list(layout.pillar_names)
         attributes["conduction_error_estimate"] = response.conducted.error_estimate
         variables |= {
             name: (dims, getattr(response.conducted, name.removeprefix("conducted_")), {"units": units})

@@ -19,9 +19,9 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import (
-    ELECTRODE_MEANS,
     PADS,
     cell_grid,
+    electrode_means,
     influence_range,
     is_mirrored,
     lone_unit,
@@ -34,10 +34,10 @@ from fem.discretization.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
-from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pad_squares, pillar_shares
-from geometry.storage.files import cache_folder, digest, keep
+from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares, pillar_shares
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 from geometry.storage.netcdf import read_netcdf, write_netcdf
-from geometry.storage.seal import say_made_anew
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
 VERSION = 2  #: raise when the same design gives other derivatives, so that cached ones are not reused
@@ -64,7 +64,7 @@ class ResponseSensitivities:
     design: SensorDesign
     parameters: tuple[str, ...]  #: keys of the design, see `geometry.tolerances`; those alone that bend the body
     deviation: FloatArray  #: (k,): standard deviation of each before anything is measured, in its key's unit
-    influence_mm_per_n: FloatArray  #: (k, rows, cols, 2, 3, rows, cols, 3): ∂B/∂θ [mm/N per the key's unit]
+    influence_mm_per_n: FloatArray  #: (k, rows, cols, n_upper, 3, rows, cols, 3): ∂B/∂θ [mm/N per the key's unit]
     cache_key: str = ""  #: hash of what it was made from
 
     @property
@@ -75,12 +75,12 @@ class ResponseSensitivities:
     def with_tolerances(self, deviation: Mapping[str, float]) -> Self:
         """The same with other standard deviations; what is known exactly (0) is left out."""
         known = [deviation.get(name, usual) for name, usual in zip(self.parameters, self.deviation, strict=True)]
-        kept = np.flatnonzero(known)
+        uncertain = np.flatnonzero(known)
         return replace(
             self,
-            parameters=tuple(self.parameters[k] for k in kept),
-            deviation=np.array(known)[kept],
-            influence_mm_per_n=self.influence_mm_per_n[kept],
+            parameters=tuple(self.parameters[k] for k in uncertain),
+            deviation=np.array(known)[uncertain],
+            influence_mm_per_n=self.influence_mm_per_n[uncertain],
         )
 
 
@@ -100,41 +100,37 @@ def response_sensitivities(
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = digest("sensitivities", VERSION, response_cache_key(design, settings))
-    path = cache_folder() / f"sensitivities-{cache_key}.nc"
-    try:
-        kept = read_sensitivities(path)
-        if kept.cache_key == cache_key:
-            return replace(kept, design=design), path, True
-    except FileFormatError:
-        say_made_anew(path)
-    response, _, _ = array_response(design, settings, progress)
-    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
-    derivatives = _derivatives(design, deviations, progress)
-    by_scale = -response.influence_mm_per_n
-    if PILLARS_YOUNG in derivatives:
-        by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
-    derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
-    sensitivities = ResponseSensitivities(
-        design=design,
-        parameters=tuple(deviations),
-        deviation=np.array(list(deviations.values())),
-        influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
-        cache_key=cache_key,
-    )
-    keep(lambda path: write_sensitivities(sensitivities, path), path)
-    return sensitivities, path, False
+
+    def make() -> ResponseSensitivities:
+        response, _, _ = array_response(design, settings, progress)
+        deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
+        derivatives = _derivatives(design, deviations, progress)
+        by_scale = -response.influence_mm_per_n
+        if PILLARS_YOUNG in derivatives:
+            by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
+        derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
+        return ResponseSensitivities(
+            design=design,
+            parameters=tuple(deviations),
+            deviation=np.array(list(deviations.values())),
+            influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
+            cache_key=cache_key,
+        )
+
+    found, path, reused = kept("sensitivities.nc", cache_key, make, read_sensitivities, write_sensitivities)
+    return replace(found, design=design), path, reused
 
 
 def _derivatives(
     design: SensorDesign, deviations: Mapping[str, float], progress: Callable[[str], None]
 ) -> dict[str, FloatArray]:
-    """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, 2, 3, rows, cols, 3)."""
+    """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, n_upper, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
     reach = influence_range(design, FAR)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
     progress(f"coupling {rows} × {cols}")
-    found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, ELECTRODE_MEANS)
-    shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
+    found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, electrode_means(design))
+    shape = (rows, cols, -1, 3, rows, cols, 3)
     return {
         name: unrolled(du.reshape(shape), design.array.rows, design.array.cols, reach)
         for name, du in zip(changes, found, strict=True)
@@ -231,17 +227,21 @@ def _moved(quarter: Grid, design: SensorDesign, side: SensorDesign, is_quarter: 
 def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:
     """Cells of one rubber with a plate off the middle along x and along y, to either side.
 
-    All are images of one, whose plate is off along x; its electrodes are seen with their images in x = 0.
+    All are images of one, whose plate is off along x: in x = 0, with x and y exchanged, and both. Its electrodes are
+    seen at their places in each.
     """
     pad, *electrodes = _rectangles(off_x)
-    seen = np.vstack([pad, electrodes, flipped_rectangles(np.array(electrodes), QUARTER[:1])])
-    above = _condensed(design, off_x, seen)
-    below = above.mirrored(0, np.array([0, 3, 4, 1, 2]))
-    own, exchanged = np.arange(3), np.array([0, 1, 3, 2, 4])  # y for x takes U2 to U1's image
-    cells = ((above, by), (below, -by))
+    exchanged = np.array(electrodes)[:, [1, 0, 3, 2]]
+    places = [each for own in (np.array(electrodes), exchanged) for each in (own, flipped_rectangles(own, QUARTER[:1]))]
+    seen, number = np.unique(np.vstack([pad, *places]), axis=0, return_inverse=True)
+    cell = _condensed(design, off_x, seen)
+    own, image, across, both = np.column_stack([np.full(4, number[0]), number[1:].reshape(4, -1)])
     return {
-        OFF_X: [(cell.seeing(own), by) for cell, by in cells],
-        OFF_Y: [(cell.exchanged(exchanged).seeing(own), by) for cell, by in cells],
+        OFF_X: [(cell.seeing(own), by), (cell.mirrored(0, image), -by)],
+        OFF_Y: [
+            (cell.exchanged(across), by),
+            (cell.mirrored(0, both).exchanged(np.arange(len(both))), -by),
+        ],
     }
 
 
@@ -251,7 +251,7 @@ def write_sensitivities(sensitivities: ResponseSensitivities, path: Path) -> Non
 
     coordinates = {
         "parameter": list(sensitivities.parameters),
-        "electrode": list(ELECTRODES),
+        "electrode": list(sensitivities.design.unit.layout.upper_names),
         "axis": list(AXES),
         "load_axis": list(AXES),
     }

@@ -11,9 +11,9 @@ from fem.array.conducted import conducted_pillars
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign
-from geometry.errors import DesignError, FileFormatError
-from geometry.storage.files import cache_folder, digest, keep
-from geometry.storage.seal import say_made_anew
+from geometry.errors import DesignError
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 
 VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
@@ -63,16 +63,12 @@ def array_response(
     if design.electrics.is_conduction:
         _require_cells(design, settings)
     cache_key = response_cache_key(design, settings)
-    path = cache_folder() / f"response-{cache_key}.nc"
-    try:
-        response = read_response(path)
-        if response.cache_key == cache_key:
-            return replace(response, design=design), path, True
-    except FileFormatError:
-        say_made_anew(path)
-    response = replace(_solved(design, settings, progress), cache_key=cache_key)
-    keep(lambda path: write_response(response, path), path)
-    return response, path, False
+
+    def make() -> ArrayResponse:
+        return replace(_solved(design, settings, progress), cache_key=cache_key)
+
+    response, path, reused = kept("response.nc", cache_key, make, read_response, write_response)
+    return replace(response, design=design), path, reused
 
 
 def _solved(design: SensorDesign, settings: ResponseSettings, progress: Callable[[str], None]) -> ArrayResponse:

@@ -5,14 +5,11 @@ mesh of tetrahedra. Either way the array itself is never meshed. A refined cell 
 that spare arrays of the same cell its mesh and its condensation.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from skfem import MeshTet
@@ -26,11 +23,10 @@ from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, gr
 from fem.discretization.plate import Plate
 from fem.discretization.richardson import richardson_factor
 from geometry.design import Electrics, SensorDesign
-from geometry.errors import FileFormatError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-from geometry.storage.files import cache_folder, digest, keep, write_bytes
-from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
+from geometry.storage.files import digest
+from geometry.storage.kept import kept, read_arrays, write_arrays
 
 MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
 
@@ -47,28 +43,19 @@ class RefinedCell:
 def write_refined(refined: RefinedCell, path: Path) -> None:
     """Write a refined cell, whole or not at all."""
     cell = refined.cell
-    matrices = {name: getattr(cell, name) for name in MATRICES}
     numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
-    content = BytesIO()
-    np.savez(content, **matrices, **asdict(cell.ports), numbers=numbers, steps=np.array(refined.steps))
-    write_bytes(path, *sealed(content.getbuffer(), LAST_LINE))
+    arrays = {name: getattr(cell, name) for name in MATRICES}
+    write_arrays(arrays | asdict(cell.ports) | {"numbers": numbers, "steps": np.array(refined.steps)}, path)
 
 
-def read_refined(path: Path) -> RefinedCell | None:
-    """A cell that `write_refined` wrote; None if it is missing or damaged, which is said: it is refined again."""
-    try:
-        require_intact(path, "delete it", required=True)
-        with path.open("rb") as file, np.load(file) as opened:
-            kept = dict(opened)
-        matrices = {name: kept[name] for name in MATRICES}
-        unknowns, residual, error_estimate = kept["numbers"].tolist()
-        ports = PortModes(float(kept["half_mm"]), float(kept["height_mm"]), int(kept["side"]), int(kept["up"]))
-        steps = tuple(kept["steps"].tolist())
-    except (FileFormatError, OSError, KeyError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error):
-        say_made_anew(path)
-        return None
+def read_refined(path: Path) -> RefinedCell:
+    """A cell that `write_refined` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
+    found = read_arrays(path)
+    unknowns, residual, error_estimate = found["numbers"].tolist()
+    ports = PortModes(float(found["half_mm"]), float(found["height_mm"]), int(found["side"]), int(found["up"]))
+    matrices = {name: found[name] for name in MATRICES}
     cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
-    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=steps)
+    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
 
 
 VERSION = 2  #: raise when the same design gives another refined cell, so that cached ones are not reused
@@ -105,8 +92,7 @@ class Weights(NamedTuple):
 #: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
 WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 0.0, 0.3, 0.7)}
 FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
-#: numbers of a cell's functionals: forces on its pad, mean displacements of its electrodes
-PADS, ELECTRODE_MEANS = range(3), range(3, 3 + 3 * len(ELECTRODES))
+PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
 
@@ -144,9 +130,9 @@ def response_by_cells(
     refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
     progress(f"coupling {rows} × {cols}")
-    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, ELECTRODE_MEANS)
+    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, electrode_means(design))
     seconds["couple"] += perf_counter() - start
-    shape = (rows, cols, len(ELECTRODES), 3, rows, cols, 3)
+    shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
         influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
@@ -156,6 +142,11 @@ def response_by_cells(
         seconds=seconds,
         steps=refined.steps,
     )
+
+
+def electrode_means(design: SensorDesign) -> range:
+    """Numbers of a cell's functionals that are mean displacements of its upper electrodes."""
+    return range(3, 3 + 3 * len(design.unit.layout.upper))
 
 
 def usual_tolerance(design: SensorDesign) -> float:
@@ -181,22 +172,21 @@ def refined_cell(
 
     Parameters and errors as of `response_by_cells`; seconds of meshing, condensing and coupling are added to `seconds`.
     """
-    path = cache_folder() / f"cell-{cell_cache_key(design, tolerance)}.npz"
-    refined = read_refined(path) if cached else None
-    if refined is not None:
-        return refined
-    seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
-    steps = []
-    for stage in cell_stages(design, tolerance):
-        progress(f"cell, level {stage[1]:g}")
-        cell, estimate, step = _cell_of_stage(design, stage, seconds)
-        steps.append(step)
-        if estimate <= tolerance:
-            break
-    refined = RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
-    if cached:
-        keep(lambda path: write_refined(refined, path), path)
-    return refined
+    spent = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
+
+    def make() -> RefinedCell:
+        steps = []
+        for stage in cell_stages(design, tolerance):
+            progress(f"cell, level {stage[1]:g}")
+            cell, estimate, step = _cell_of_stage(design, stage, spent)
+            steps.append(step)
+            if estimate <= tolerance:
+                break
+        return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
+
+    if not cached:
+        return make()
+    return kept("cell.npz", cell_cache_key(design, tolerance), make, read_refined, write_refined)[0]
 
 
 def cell_stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
@@ -228,7 +218,7 @@ def _cell_of_stage(
     rows, cols = min(MAX_TESTED, design.array.rows), min(MAX_TESTED, design.array.cols)
 
     def array_of(cell: CondensedCell) -> FloatArray:
-        return CoupledArray(cell, rows, cols).influence(PADS, ELECTRODE_MEANS)[0]
+        return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
 
     if design.is_homogeneous:
         cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE[design.pad.kind]))
@@ -278,7 +268,7 @@ def influence_range(design: SensorDesign, share: float) -> int:
 def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
     """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
 
-    The smaller one's has shape (r, c, 2, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
+    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
     array's middle ones; what lies beyond `reach` is 0.
     """
     small_rows, small_cols = influence.shape[:2]

@@ -15,16 +15,15 @@ from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector
 from skfem.helpers import ddot, div, sym_grad
 
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import ELECTRODE_MEANS, PADS, lone_unit, refined_cell, usual_tolerance
+from fem.array.substructured import PADS, electrode_means, lone_unit, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
-from geometry.layout import ELECTRODES, electrode_squares, pad_squares
+from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-from geometry.storage.files import cache_folder, digest, keep
-from geometry.storage.seal import say_made_anew
+from geometry.storage.files import digest
+from geometry.storage.kept import kept
 
 VERSION = 1  #: raise when the same mesh gives another solution, so that cached ones are not reused
 
@@ -77,17 +76,16 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     progress("mesh")
     mesh, mesh_path, meshed_before = sensor_mesh(alone, suited_settings(alone))
     bent = replace(alone, resistivity_ohm_mm=1.0)
-    path = cache_folder() / f"unit-{digest('unit', VERSION, bent, mesh.content_hash)}.nc"
-    try:
-        unit, solved_before = read_response(path), True
-    except FileFormatError:
-        say_made_anew(path)
+    cache_key = digest("unit", VERSION, bent, mesh.content_hash)
+
+    def make() -> ArrayResponse:
         progress("Taylor-Hood")
-        unit, solved_before = meshed_response(alone, mesh), False
-        keep(lambda path: write_response(unit, path), path)
+        return replace(meshed_response(alone, mesh), cache_key=cache_key)
+
+    unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
-    ours = refined.cell.standing_alone[ELECTRODE_MEANS][:, PADS]
+    ours = refined.cell.standing_alone[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
         cells=len(mesh.cells),
@@ -138,13 +136,13 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     T = tied(K.shape[0], plates)
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
-    x, residual = checked_solve(K, factorized(K), T.T @ f)
+    x, residual = checked_solve(Factor(K), T.T @ f)
     u = np.zeros((displacement.N, f.shape[1]))
     u[free] = (T @ x)[: len(free)]
     rows, cols = design.array.rows, design.array.cols
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=(electrodes @ u).reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
+        influence_mm_per_n=(electrodes @ u).reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=residual,
         unknowns=K.shape[0],
         mesh_hash=mesh.content_hash,

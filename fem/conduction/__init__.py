@@ -1,15 +1,13 @@
 """Electric conduction in the pillars of a unit, at rest and deformed.
 
-Goes in: a unit and a field of deformation gradients. Comes out: conductances between its four electrodes with an
+Goes in: a unit and a field of deformation gradients. Comes out: conductances between its electrodes with an
 estimate of their error. Open `potentials.py` first.
 """
 
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
-from fem.conduction.potentials import PILLAR_TERMINALS, TERMINALS, Conductances, Deformation, unit_conductances
+from fem.conduction.potentials import Conductances, Deformation, unit_conductances
 
 __all__ = [
-    "PILLAR_TERMINALS",
-    "TERMINALS",
     "Conductances",
     "Deformation",
     "Piezoresistivity",

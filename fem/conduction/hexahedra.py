@@ -27,6 +27,7 @@ class Hexahedra:
     elements: IntArray  #: (n_elements, (order + 1)³): nodes of each
     terminals: tuple[IntArray, ...]  #: nodes on each terminal
     constraint: sp.csr_matrix  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
+    pairs: tuple[tuple[int, int], ...] = ((0, 1),)  #: terminals at both ends of each pillar
 
     @cached_property
     def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -14,15 +14,13 @@ import scipy.sparse as sp
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
 from fem.conduction.hexahedra import Hexahedra
 from fem.conduction.unit_mesh import unit_hexahedra
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Unit
 from geometry.layout import FloatArray
 
 #: points (n, 3) [mm] at rest, in the unit's frame, to deformation gradients ∂x/∂X (n, 3, 3)
 Deformation = Callable[[FloatArray], FloatArray]
 
-TERMINALS = ("U1", "U2", "L1", "L2")  #: electrodes of a unit
-PILLAR_TERMINALS = ((0, 2), (0, 3), (1, 2))  #: numbers of those at the ends of the z, x and y pillars
 MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit at rest
 #: the same where strain varies across the pillars, or electrodes are narrower than these and have edges on all sides
 MESHES_ACROSS = ((2, 1), (3, 2))
@@ -65,7 +63,7 @@ class Conductor:
         free = np.flatnonzero(~phi.any(axis=1))
         rows = stiffness[free]
         K = rows[:, free].tocsr()
-        phi[free, :-1], _ = checked_solve(K, factorized(K, definite=True).solve, -(rows @ phi[:, :-1]))
+        phi[free, :-1], _ = checked_solve(Factor(K, definite=True), -(rows @ phi[:, :-1]))
         phi[free, -1] = 1 - phi[free, :-1].sum(axis=1)
         return phi
 
@@ -94,8 +92,8 @@ def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity 
 
     Returns
     -------
-    array, shape (3, n_points, 3, 3)
-        Of the z, x and y pillars, by ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
+    array, shape (n_pillars, n_points, 3, 3)
+        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
     """
     mesh = conductor.mesh
     K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
@@ -103,7 +101,7 @@ def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity 
     slopes, matrix = conductor.gradients(phi), phi.T @ (K @ phi)
     piezo = piezoresistivity or Piezoresistivity()
     derivatives = []
-    for i, j in PILLAR_TERMINALS:
+    for i, j in mesh.pairs:
         one, other = slopes[..., i], slopes[..., j]
         dot = (one * other).sum(axis=1)[:, None, None]
         cross = one[:, :, None] * other[:, None, :]
@@ -116,24 +114,25 @@ def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Conductances:
-    """Conductances between a unit's electrodes U1, U2, L1 and L2, times the resistivity at rest."""
+    """Conductances between a unit's n electrodes, the upper ones first, times the resistivity at rest."""
 
-    matrix_mm: FloatArray  #: (4, 4): currents into the electrodes by their potentials; symmetric, rows sum to 0
-    error_estimate: FloatArray  #: relative, of the resistances of the z, x and y pillars, (3,)
+    matrix_mm: FloatArray  #: (n, n): currents into the electrodes by their potentials; symmetric, rows sum to 0
+    error_estimate: FloatArray  #: relative, of the resistances of the pillars, (n_pillars,)
+    pairs: tuple[tuple[int, int], ...]  #: electrodes at both ends of each pillar
 
     @property
     def pillars_per_mm(self) -> FloatArray:
-        """Resistances of the z, x and y pillars over the resistivity, (3,), as an ideal crossbar reads them.
+        """Resistances of the pillars over the resistivity, (n_pillars,), as an ideal crossbar reads them.
 
-        One electrode at 1 V, the current into the other, both others and that one at 0 V: R = −1/Gᵢⱼ.
+        One electrode at 1 V, the current into the other, all others and that one at 0 V: R = −1/Gᵢⱼ.
         """
-        return pillars_per_mm(self.matrix_mm)
+        return pillars_per_mm(self.matrix_mm, self.pairs)
 
 
-def pillars_per_mm(matrix_mm: FloatArray) -> FloatArray:
-    """Resistances of the z, x and y pillars over the resistivity (..., 3), from conductances (..., 4, 4)."""
-    upper, lower = np.array(PILLAR_TERMINALS).T
-    return np.asarray(-1 / matrix_mm[..., upper, lower])
+def pillars_per_mm(matrix_mm: FloatArray, pairs: tuple[tuple[int, int], ...]) -> FloatArray:
+    """Resistances of pillars over the resistivity, (..., n_pillars), from conductances (..., n, n)."""
+    one, other = np.array(pairs).T
+    return np.asarray(-1 / matrix_mm[..., one, other])
 
 
 def unit_conductances(
@@ -151,18 +150,19 @@ def unit_conductances(
     Raises
     ------
     DesignError
-        If the oblique pillars touch each other, or a pillar is deformed inside out.
+        As of `unit_hexahedra`, and if a pillar is deformed inside out.
 
     Notes
     -----
     From two meshes, extrapolated; what that adds to a pillar's resistance is the estimate of its error.
     """
-    conductors = unit_conductors(unit, strained=deformation is not None)
+    conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
     matrix = fine + EXTRAPOLATED * (fine - coarse)
     return Conductances(
         matrix_mm=matrix,
-        error_estimate=np.abs(pillars_per_mm(matrix) / pillars_per_mm(fine) - 1),
+        error_estimate=np.abs(pillars_per_mm(matrix, pairs) / pillars_per_mm(fine, pairs) - 1),
+        pairs=pairs,
     )
 
 

@@ -5,7 +5,7 @@ conductances squared. The conductivity between the points is interpolated, so th
 is linear in the conductivity at the points.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -35,11 +35,11 @@ class ReducedConduction:
 
     points_mm: FloatArray  #: (n, 3), at rest in the unit's frame
     stiffness: FloatArray  #: (6 n, pairs of potentials i ≤ j), by `PARTS` of the conductivity at each point
-    n_potentials: int  #: the first three are of U1, U2 and L1 at rest
-    share: FloatArray  #: (4, 4): conductances at rest of the two finest meshes, extrapolated, over the reduced ones
+    n_potentials: int  #: the first are of all electrodes but the last at rest
+    share: FloatArray  #: (n, n): conductances at rest of the two finest meshes, extrapolated, over the reduced ones
 
     def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
-        """Conductances (..., 4, 4) between U1, U2, L1, L2 times ρ [mm] from ∂x/∂X (..., n, 3, 3) at `points_mm`.
+        """Conductances (..., n, n) between the electrodes times ρ [mm] from ∂x/∂X (..., n_points, 3, 3) at `points_mm`.
 
         Raises
         ------
@@ -49,18 +49,19 @@ class ReducedConduction:
         flat = F.reshape(-1, *F.shape[-3:])
         sigma = pulled_back(flat, piezoresistivity)
         parts = np.stack([sigma[..., a, b] for a, b in PARTS], axis=-1).reshape(len(flat), len(self.stiffness))
-        return (self._reduced(parts) * self.share).reshape(*F.shape[:-3], 4, 4)
+        return (self._reduced(parts) * self.share).reshape(*F.shape[:-3], *self.share.shape)
 
     def _reduced(self, parts: FloatArray) -> FloatArray:
         n = self.n_potentials
         K = np.empty((len(parts), n, n))
         i, j = np.triu_indices(n)
         K[:, i, j] = K[:, j, i] = parts @ self.stiffness
-        G = K[:, :3, :3] - K[:, :3, 3:] @ np.linalg.solve(K[:, 3:, 3:], K[:, 3:, :3])
-        whole = np.zeros((len(parts), 4, 4))
-        whole[:, :3, :3] = G
-        whole[:, 3, :3] = whole[:, :3, 3] = -G.sum(axis=1)
-        whole[:, 3, 3] = G.sum(axis=(1, 2))
+        m = len(self.share) - 1  # the last electrode's potentials are 1 less the others'
+        G = K[:, :m, :m] - K[:, :m, m:] @ np.linalg.solve(K[:, m:, m:], K[:, m:, :m])
+        whole = np.zeros((len(parts), m + 1, m + 1))
+        whole[:, :m, :m] = G
+        whole[:, m, :m] = whole[:, :m, m] = -G.sum(axis=1)
+        whole[:, m, m] = G.sum(axis=(1, 2))
         return whole
 
 
@@ -73,33 +74,30 @@ def reduced_conduction(unit: Unit) -> ReducedConduction:
     points = _points(unit)
     to_points = _interpolation(local)
     rest = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-    at_rest = conductor.potentials(rest)[:, :3]
+    at_rest = conductor.potentials(rest)[:, :-1]
     changes = []
     for number in range(SNAPSHOTS):
         F = random_deformation(np.random.default_rng(number), pillar, local)
-        changes.append(conductor.potentials(conductor.stiffness(pulled_back(F)))[:, :3] - at_rest)
+        changes.append(conductor.potentials(conductor.stiffness(pulled_back(F)))[:, :-1] - at_rest)
     snapshots = np.hstack(changes)
     energies, modes = np.linalg.eigh(snapshots.T @ (rest @ snapshots))
     missing = np.cumsum(energies) / energies.sum()
     kept = missing > DROPPED
     basis = np.hstack([at_rest, snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])
     stiffness = _stiffness(conductor, basis, pillar, to_points)
-    made = ReducedConduction(points_mm=points, stiffness=stiffness, n_potentials=basis.shape[1], share=np.ones((4, 4)))
-    own = made.conductances(np.broadcast_to(np.eye(3), (len(points), 3, 3)))
-    return ReducedConduction(
-        points_mm=points,
-        stiffness=stiffness,
-        n_potentials=basis.shape[1],
-        share=unit_conductances(unit).matrix_mm / own,
+    exact = unit_conductances(unit).matrix_mm
+    made = ReducedConduction(
+        points_mm=points, stiffness=stiffness, n_potentials=basis.shape[1], share=np.ones(exact.shape)
     )
+    return replace(made, share=exact / made.conductances(np.broadcast_to(np.eye(3), (len(points), 3, 3))))
 
 
 def _stiffness(conductor: Conductor, basis: FloatArray, pillar: FloatArray, to_points: FloatArray) -> FloatArray:
     slopes, weight = conductor.gradients(basis), conductor.mesh.weight_mm3
     i, j = np.triu_indices(basis.shape[1])
-    n = to_points.shape[1]
-    stiffness = np.zeros((3, n, len(PARTS), len(i)))
-    for number in range(3):
+    n, n_pillars = to_points.shape[1], pillar.max() + 1
+    stiffness = np.zeros((n_pillars, n, len(PARTS), len(i)))
+    for number in range(n_pillars):
         own = np.flatnonzero(pillar == number)
         shares = (to_points[own] * weight[own, None]).T
         for part, (a, b) in enumerate(PARTS):
@@ -107,11 +105,11 @@ def _stiffness(conductor: Conductor, basis: FloatArray, pillar: FloatArray, to_p
             if a != b:
                 products += slopes[own, b][:, i] * slopes[own, a][:, j]
             stiffness[number, :, part] = shares @ products
-    return stiffness.reshape(3 * n * len(PARTS), -1)
+    return stiffness.reshape(n_pillars * n * len(PARTS), -1)
 
 
 def _places(unit: Unit, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pillar of each point, 0 to 2, and its place in it in [-1, 1] along x, y and z."""
+    """The number of each point's pillar, and its place in it in [-1, 1] along x, y and z."""
     pillar, local = np.full(len(points_mm), -1), np.zeros((len(points_mm), 3))
     for number, ((base, top), section) in enumerate(zip(pillar_ends(unit), pillar_sections(unit), strict=True)):
         share = points_mm[:, 2] / unit.height_mm
@@ -149,7 +147,7 @@ def random_deformation(generator: np.random.Generator, pillar: FloatArray, local
     across = np.column_stack([np.ones(len(local)), local[:, :2] / 5, local[:, 0] * local[:, 1] / 10])
     terms = (along[:, :, None] * across[:, None]).reshape(len(local), -1)
     F = np.empty((len(local), 3, 3))
-    for number in range(3):
+    for number in range(pillar.max() + 1):
         own = pillar == number
         size = STRAIN * generator.uniform()
         H = size * np.einsum("mt,tab->mab", terms[own], generator.standard_normal((terms.shape[1], 3, 3)))

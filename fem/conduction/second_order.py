@@ -4,8 +4,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from fem.conduction.conductivity import Piezoresistivity
-from fem.conduction.potentials import PILLAR_TERMINALS, Conductor
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.conduction.potentials import Conductor
+from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
 
@@ -24,8 +24,8 @@ def second_derivatives(
 
     Returns
     -------
-    array, shape (3, m, m)
-        S of the z, x and y pillars, symmetric.
+    array, shape (n_pillars, m, m)
+        S of each pillar, symmetric.
 
     Notes
     -----
@@ -43,8 +43,8 @@ def second_derivatives(
     slopes, weight = conductor.gradients(phi), mesh.weight_mm3
     free = np.flatnonzero(~((phi == 0) | (phi == 1)).all(axis=1))
     S, tau = gradient + gradient.swapaxes(1, 2), np.trace(gradient, axis1=1, axis2=2)  # (n, 3, 3, m), (n, m)
-    stretched = [np.einsum("nabm,nb->nam", S, slopes[..., t]) for t in range(4)]
-    turned = [np.einsum("nabm,nb->nam", gradient, slopes[..., t]) for t in range(4)]
+    stretched = [np.einsum("nabm,nb->nam", S, slope) for slope in np.moveaxis(slopes, -1, 0)]
+    turned = [np.einsum("nabm,nb->nam", gradient, slope) for slope in np.moveaxis(slopes, -1, 0)]
     n_elements, n = mesh.elements.shape
     gather = sp.csr_matrix((np.ones(mesh.elements.size), (mesh.elements.ravel(), np.arange(mesh.elements.size))))
     gather = (mesh.constraint.T @ gather)[free]
@@ -54,13 +54,13 @@ def second_derivatives(
         flux = weight[:, None, None] * ((1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t])
         return np.asarray(gather @ (by_element @ flux.reshape(n_elements, -1, m)).reshape(-1, m))
 
-    residuals = [residual(t) for t in range(4)]
+    residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
     inner = K[free][:, free].tocsr()
-    solved, _ = checked_solve(inner, factorized(inner, definite=True).solve, np.hstack(residuals[:2]))
-    answers = np.hsplit(solved, 2)  # of the upper electrodes
+    solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
+    answers = np.hsplit(solved, n_first)  # of the pillars' first ends
     at_rest = phi.T @ (K @ phi)
     found = []
-    for i, j in PILLAR_TERMINALS:
+    for i, j in mesh.pairs:
         dot = weight * (slopes[..., i] * slopes[..., j]).sum(axis=1)
         across = np.einsum("na,nam->nm", slopes[..., i], stretched[j])
 

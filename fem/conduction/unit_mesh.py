@@ -1,12 +1,14 @@
-"""Hexahedra of a unit's three pillars, crowding where the current density is singular.
+"""Hexahedra of a unit's pillars, crowding where the current density is singular.
 
-The upper half of the upright pillar and the pillar x lie between y = −w/2 and w/2 of their common electrode U1: their
-union is a plane figure, swept along y. It is cut into quadrilaterals along lines that end at the electrodes' edges and
-in the crotch. The lower half with the pillar y is its mirror image (x, y, z) -> (y, x, h − z).
+At an electrode meet at most one upright and one oblique pillar, which lie between −w/2 and w/2 across: their union is a
+plane figure, swept across. It is cut into quadrilaterals along lines that end at the electrodes' edges and in the
+crotch. A figure holds an upright pillar to half its height, an oblique one to its other end, but also to half its
+height where it shares that end with another pillar.
 """
 
-from functools import partial
-from itertools import pairwise
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import combinations, pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,15 +19,33 @@ from fem.discretization.elasticity import IntArray
 from fem.discretization.lagrange import shape_functions
 from geometry.design import Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, upper_electrodes
+from geometry.layout import FloatArray, lower_electrodes, pillar_ends, pillar_sections, upper_electrodes
+from geometry.prism import unit_prisms
 
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
+Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """Pillars that meet at an electrode. X runs along the oblique one's lean, Y across, t away from the electrode."""
+
+    terminal: int  #: the electrode's number
+    upright: int | None  #: numbers of the pillars
+    oblique: int | None
+    axis: int = 0  #: along which the oblique one leans
+    sign: float = 1.0  #: its lean away from the electrode
+    far: int | None = None  #: electrode at the oblique pillar's other end, where the figure goes that far
+
+    def turned(self, local: FloatArray) -> FloatArray:
+        """Values (..., 2) along X and Y along x and y."""
+        return np.stack([self.sign * local[..., 0], local[..., 1]][:: 1 - 2 * self.axis], axis=-1)
 
 
 def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) -> Hexahedra:
-    """The pillars of a unit in its own frame; terminals are U1, U2, L1 and L2.
+    """The pillars of a unit in its own frame; terminals are its electrodes, the upper ones first.
 
     Parameters
     ----------
@@ -40,56 +60,130 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     Raises
     ------
     DesignError
-        If the pillars x and y touch each other: their union is then no swept figure.
+        If pillars touch that share no electrode, or several oblique ones share one: they are then no swept figures.
 
     Notes
     -----
-    Both halves meet in the middle of the upright pillar, where the lines of one cross those of the other: the values
-    there follow one polynomial of the elements' order, which suits both.
+    Figures meet where a pillar is cut in the middle of its height, where the lines of one may cross those of the other:
+    the values there follow one polynomial of the elements' order, which suits both.
     """
-    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
-    if not s > w + ow:
-        raise DesignError(
-            f"conduction takes units whose oblique pillars do not touch: span_mm={s:g} must be above {w + ow:.4g} for "
-            f"pillar_width_mm={w:g}; widen the span, thin the pillars or take eq. 1."
-        )
-    e, half = unit.electrode_mm / 2, w / 2
-    quads, across = _figure(unit, levels), _across(half, e, max(levels - 2, 0), strained)
-    corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
-    corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
-    corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    slack = 1e-6 * w
-
-    def on_end(places: FloatArray, x: float, z: float) -> NDArray[np.bool_]:
-        return np.asarray((np.abs(places - (x, 0.0, z)) <= (e + slack, e + slack, slack)).all(axis=1))
-
-    part = joined(corners.reshape(-1, 8, 3), order, [lambda at: on_end(at, 0.0, 0.0), lambda at: on_end(at, s, h)])
-    n, (top, bottom), nodes = len(part.nodes_mm), part.terminals, part.nodes_mm
-    middle = np.flatnonzero((np.abs(nodes[:, 2] - h / 2) < slack) & (nodes[:, 0] <= half + slack))
-    corner = upper_electrodes(unit)[0, :2]
-    upper, lower = np.array([*corner, h]), np.array([*corner, 0.0])
+    h, half, layout = unit.height_mm, unit.pillar_width_mm / 2, unit.layout
+    electrodes, slack = np.vstack([upper_electrodes(unit), lower_electrodes(unit)]), 1e-6 * unit.pillar_width_mm
+    corners: list[FloatArray] = []
+    nodes: list[FloatArray] = []
+    elements, n = [], 0
+    terminals: list[IntArray] = [np.zeros(0, dtype=np.int64)] * len(electrodes)
+    ties: dict[int, Tie] = {}
+    swept = cache(partial(_swept, unit, order, levels, strained))
+    for joint in _joints(unit):
+        run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
+        part = swept(joint.upright is not None, run, joint.far is not None)
+        X, Y, t = part.nodes_mm.T
+        at, up = electrodes[joint.terminal], 1.0 if joint.terminal >= len(layout.upper) else -1.0
+        for local, placed in ((part.corners_mm, corners), (part.nodes_mm, nodes)):
+            placed.append(at + np.concatenate([joint.turned(local[..., :2]), up * local[..., 2:]], axis=-1))
+        elements.append(part.elements + n)
+        terminals[joint.terminal] = part.terminals[0] + n
+        if joint.far is not None:
+            terminals[joint.far] = part.terminals[1] + n
+        halves = {} if joint.upright is None else {joint.upright: (0.0, half)}
+        if joint.oblique is not None and joint.far is None:
+            halves[joint.oblique] = (run / 2, pillar_sections(unit)[joint.oblique, joint.axis] / 2)
+        for pillar, (middle, width) in halves.items():
+            cut = np.flatnonzero((np.abs(t - h / 2) < slack) & (np.abs(X - middle) <= width + slack))
+            place = joint.turned(np.column_stack([(X[cut] - middle) / width, Y[cut] / half]))
+            ties.setdefault(pillar, []).append((cut + n, place))
+        n += len(part.nodes_mm)
     return Hexahedra(
         order=order,
-        corners_mm=np.concatenate([upper + part.corners_mm * (1, 1, -1), lower + part.corners_mm[..., [1, 0, 2]]]),
-        nodes_mm=np.concatenate([upper + nodes * (1, 1, -1), lower + nodes[:, [1, 0, 2]]]),
-        elements=np.concatenate([part.elements, part.elements + n]),
-        terminals=(top, bottom + n, top + n, bottom),
-        constraint=_constraint(order, nodes[middle, :2] / half, middle, n),
+        corners_mm=np.concatenate(corners),
+        nodes_mm=np.concatenate(nodes),
+        elements=np.concatenate(elements),
+        terminals=tuple(terminals),
+        pairs=layout.pillar_terminals,
+        constraint=_constraint(order, list(ties.values()), n),
     )
 
 
-def _constraint(order: int, places: FloatArray, middle: IntArray, n: int) -> sp.csr_matrix:
-    """Both halves' values on the middle of the upright pillar from one polynomial of (order + 1)² values."""
-    X, Y = (_lagrange(order, places[:, d]) for d in (0, 1))
-    halves = [np.einsum("ni,nj->nij", *pair).reshape(len(middle), -1) for pair in ((X, Y), (Y, X))]
-    free = np.setdiff1d(np.arange(n), middle)
-    one = sp.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))
-    held = [
-        sp.csr_matrix((half.ravel(), (np.repeat(middle, half.shape[1]), np.tile(np.arange(half.shape[1]), len(half)))),
-                      shape=(n, half.shape[1]))
-        for half in halves
-    ]  # fmt: skip
-    return sp.bmat([[one, None, held[0]], [None, one, held[1]]], format="csr")
+def _joints(unit: Unit) -> list[Joint]:
+    """The electrodes about which figures lie; refusals as of `unit_hexahedra`."""
+    layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
+    leans, pairs = ends[:, 1] - ends[:, 0], layout.pillar_terminals
+    runs = np.abs(leans).max(axis=1)
+    at = [[k for k, pair in enumerate(pairs) if number in pair] for number in range(len(layout.terminals))]
+    for number, own in enumerate(at):
+        uprights, obliques = ([k for k in own if leans[k].any() == lean] for lean in (False, True))
+        if len(obliques) > 1:
+            raise DesignError(
+                f"conduction takes one oblique pillar at an electrode, {layout.terminals[number]} has {len(obliques)}: "
+                "take eq. 1."
+            )
+        if not obliques:
+            joints.append(Joint(terminal=number, upright=uprights[0], oblique=None))
+            continue
+        top, foot = pairs[obliques[0]]
+        other, lean = (foot, -leans[obliques[0]]) if number == top else (top, leans[obliques[0]])
+        if not uprights and (len(at[other]) > 1 or number == foot):
+            continue  # the figure at its other end holds it
+        axis = int(lean[1] != 0)
+        joints.append(
+            Joint(
+                terminal=number,
+                upright=uprights[0] if uprights else None,
+                oblique=obliques[0],
+                axis=axis,
+                sign=float(np.sign(lean[axis])),
+                far=other if len(at[other]) == 1 else None,
+            )
+        )
+    # an oblique pillar must part from an upright one above the middle of its height, and touch no other
+    least_mm, prisms = unit.pillar_width_mm + float(pillar_sections(unit).max()), unit_prisms(unit)
+    both = [runs[one.oblique] for one in joints if None not in (one.upright, one.oblique)]
+    close = min(both, default=np.inf) <= least_mm
+    for (one, a), (two, b) in combinations(zip(prisms, pairs, strict=True), 2):
+        close |= not {*a} & {*b} and one.cuts(two, 0.0)
+    if close:
+        raise DesignError(
+            f"conduction takes units whose oblique pillars do not touch: span_mm={unit.span_mm:g} must be above "
+            f"{least_mm:.4g} for pillar_width_mm={unit.pillar_width_mm:g}; widen the span, thin the pillars or take "
+            "eq. 1."
+        )
+    return joints
+
+
+def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float, whole: bool) -> Hexahedra:
+    """A joint's figure swept across, in X, Y and t; terminals are the electrode and that at the oblique's other end."""
+    h, half, e = unit.height_mm, unit.pillar_width_mm / 2, unit.electrode_mm / 2
+    across = _across(half, e, max(levels - 2, 0), strained)
+    if not run:
+        columns = _across(half, e, levels, strained)
+        depth = _between(0.0, h / 2, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
+        quads = _cells(np.broadcast_to(columns, (len(depth), len(columns))), depth)
+    else:
+        quads = _figure(unit, levels, upright, run, h if whole else h / 2)
+    corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
+    corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
+    corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
+    slack = 2e-6 * half
+
+    def on_end(places: FloatArray, x: float, t: float) -> NDArray[np.bool_]:
+        return np.asarray((np.abs(places - (x, 0.0, t)) <= (e + slack, e + slack, slack)).all(axis=1))
+
+    return joined(corners.reshape(-1, 8, 3), order, [lambda at: on_end(at, 0.0, 0.0), lambda at: on_end(at, run, h)])
+
+
+def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
+    """Both sides' values on every cut from one polynomial of (order + 1)² values; all other nodes are free."""
+    free = np.setdiff1d(np.arange(n), [node for tie in ties for nodes, _ in tie for node in nodes])
+    columns = [sp.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))]
+    for tie in ties:
+        nodes, places = np.concatenate([nodes for nodes, _ in tie]), np.concatenate([place for _, place in tie])
+        values = np.einsum("ni,nj->nij", *(_lagrange(order, places[:, d]) for d in (0, 1))).reshape(len(nodes), -1)
+        row, column = np.indices(values.shape)
+        columns.append(
+            sp.csr_matrix((values.ravel(), (nodes[row.ravel()], column.ravel())), shape=(n, column[0, -1] + 1))
+        )
+    return sp.hstack(columns, format="csr")
 
 
 def _lagrange(order: int, x: FloatArray) -> FloatArray:
@@ -108,19 +202,19 @@ def _across(half: float, electrode: float, levels: int, strained: bool) -> Float
 
 
 def _between(
-    start: float, end: float, reach: float, at_start: int = 0, at_end: int = 0, longest: float = np.inf
+    start: float, end: float, scale: float, at_start: int = 0, at_end: int = 0, longest: float = np.inf
 ) -> FloatArray:
     """Lines from start to end, crowding by `RATIO` toward the ends that ask for levels.
 
-    Lines are `reach` times powers of `RATIO` away from such an end, and no further apart than `longest`.
+    Lines are `scale` times powers of `RATIO` away from such an end, and no further apart than `longest`.
     """
     length = end - start
     lines = [0.0, length]
     room = length * (0.5 if at_start and at_end else 0.9)
     for levels, place in ((at_start, lambda d: d), (at_end, lambda d: length - d)):
-        steps = reach * RATIO ** np.arange(levels + 1.0)
+        steps = scale * RATIO ** np.arange(levels + 1.0)
         lines += [place(step) for step in steps if levels and step < room]
-    if at_start and at_end and reach >= length / 2:
+    if at_start and at_end and scale >= length / 2:
         lines.append(length / 2)
     filled = [np.zeros(1)]
     for low, high in pairwise(np.unique(lines)):
@@ -129,19 +223,25 @@ def _between(
     return start + np.concatenate(filled)
 
 
-def _figure(unit: Unit, levels: int) -> FloatArray:
-    """Quadrilaterals of the plane figure, shape (n, 2, 2, 2): corners by X and depth t, then X and t [mm].
+def _figure(unit: Unit, levels: int, upright: bool, run: float, length: float) -> FloatArray:
+    """Quadrilaterals of an oblique pillar's figure, shape (n, 2, 2, 2): corners by X and depth t, then X and t [mm].
 
-    X runs from the axis of the upright pillar toward the other end of the pillar x, t down from the top.
+    X runs from the electrode's middle toward the oblique pillar's other end, which is `run` away at the depth of the
+    other electrodes; the figure holds the pillar to the depth `length`, and an upright one to half the height.
     """
-    s, h, w = unit.span_mm, unit.height_mm, unit.pillar_width_mm
-    a, b, c, e = s / h, unit.oblique_width_mm / 2, w / 2, unit.electrode_mm / 2
-    first, crotch = (b - c) / a, (b + c) / a  # depths at which the pillar x leaves the upright one's sides
+    h, w = unit.height_mm, unit.pillar_width_mm
+    a, b, c, e = run / h, w * np.hypot(run, h) / h / 2, w / 2, unit.electrode_mm / 2
     rimmed = levels if e < b * (1 - 1e-6) else 0
-    right = e if rimmed else c  # where the line to the crotch starts
-    lines = partial(_between, reach=w / 2)
+    lines = partial(_between, scale=w / 2)
     down = partial(lines, longest=LONGEST * w)
+    oblique_columns = _oblique_columns(b, e, w / 2, levels, rimmed)
+    at_end = (rimmed if upright else levels) if length == h else 0
+    if not upright:
+        below = down(0.0, length, at_start=levels, at_end=at_end)
+        return _cells(-b + a * below[:, None] + 2 * b * oblique_columns, below)
 
+    first, crotch = (b - c) / a, (b + c) / a  # depths at which the oblique pillar leaves the upright one's sides
+    right = e if rimmed else c  # where the line to the crotch starts
     depth = np.concatenate([lines(0.0, first, at_start=rimmed), down(first, crotch, at_end=levels)[1:]])
     left_of = np.where(depth <= first, -b + a * depth, -c)
     right_of = right + (c - right) * depth / crotch
@@ -150,26 +250,25 @@ def _figure(unit: Unit, levels: int) -> FloatArray:
     if rimmed:
         columns = np.concatenate([lines(-b, -e, at_end=levels), columns[1:]])
     columns = (columns - columns[0]) / np.ptp(columns)
-    upright = left_of[:, None] + (right_of - left_of)[:, None] * columns
-    oblique_columns = _oblique_columns(b, e, w / 2, levels, rimmed)
-    oblique = right_of[:, None] + (b + a * depth - right_of)[:, None] * oblique_columns
-    quads = [_cells(upright, depth), _cells(oblique, depth)]
+    uprights = left_of[:, None] + (right_of - left_of)[:, None] * columns
+    obliques = right_of[:, None] + (b + a * depth - right_of)[:, None] * oblique_columns
+    quads = [_cells(uprights, depth), _cells(obliques, depth)]
 
     below = down(crotch, h / 2, at_start=levels)
     quads.append(_cells(np.broadcast_to(-c + 2 * c * columns, (len(below), len(columns))), below))
-    below = down(crotch, h, at_start=levels, at_end=rimmed)
+    below = down(crotch, length, at_start=levels, at_end=at_end)
     quads.append(_cells(-b + a * below[:, None] + 2 * b * oblique_columns, below))
     return np.concatenate(quads)
 
 
-def _oblique_columns(b: float, e: float, reach: float, levels: int, rimmed: int) -> FloatArray:
-    """Lines across the pillar x as shares of its width: at the edges of its lower electrode, and toward the crotch."""
+def _oblique_columns(b: float, e: float, scale: float, levels: int, rimmed: int) -> FloatArray:
+    """Lines across an oblique pillar as shares of its width, at its far electrode's edges and toward the crotch."""
     if not rimmed:
-        return _between(0.0, 2 * b, reach, at_start=levels) / (2 * b)
+        return _between(0.0, 2 * b, scale, at_start=levels) / (2 * b)
     lines = [
-        _between(0.0, b - e, reach, at_start=levels, at_end=levels),
-        _between(b - e, b + e, reach, at_start=levels, at_end=levels),
-        _between(b + e, 2 * b, reach, at_start=levels),
+        _between(0.0, b - e, scale, at_start=levels, at_end=levels),
+        _between(b - e, b + e, scale, at_start=levels, at_end=levels),
+        _between(b + e, 2 * b, scale, at_start=levels),
     ]
     return np.concatenate([lines[0], lines[1][1:], lines[2][1:]]) / (2 * b)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.linear.linear_solver import SolverError
+from fem.factor import SolverError
 from geometry.layout import FloatArray
 
 TOLERANCE = 1e-4

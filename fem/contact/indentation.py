@@ -54,7 +54,7 @@ class Contact:
     displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
     gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
     force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
-    electrode_mm: FloatArray  #: (rows, cols, 2, 3): mean displacement of U1 and U2 along x, y, z
+    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes
 
     @cached_property
     def pressure_mpa(self) -> FloatArray:

@@ -73,7 +73,7 @@ class PatchCompliance:
         return up * self.moved_mm(up * force_n)
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
-        """Mean displacement of the upper electrodes, (rows, cols, 2, 3) [mm], by forces (3, ny, nx) [N]."""
+        """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
         rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
         near = self.surface.on_electrodes[..., rows, columns]
         shape = near.shape[:4]
@@ -81,7 +81,7 @@ class PatchCompliance:
         return self._electrodes_of_layer(force_n).reshape(shape) + rest.reshape(shape).astype(np.float64)
 
     def _electrodes_of_layer(self, force_n: FloatArray) -> FloatArray:
-        """Mean displacement of the electrodes of the endless layer, (n_units·2, 3), from the table."""
+        """Mean displacement of the electrodes of the endless layer, (n_units·n_upper, 3), from the table."""
         surface, patch = self.surface, self.patch
         squares = electrode_squares(surface.design)
         middles = (squares[:, :2] + squares[:, 2:]) / 2

@@ -6,12 +6,10 @@ square tiles. Both have the same mesh and the same ports, so that what these lea
 upper electrodes come likewise from a table of the layer and the difference.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from io import BytesIO
+from functools import partial
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,11 +19,11 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.substructured import condensed_cell, elastic_body, lone_unit
 from geometry.design import Pad, SensorDesign
-from geometry.errors import DesignError, FileFormatError
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares
+from geometry.errors import DesignError
+from geometry.layout import FloatArray, electrode_squares
 from geometry.mesh import sensor_mesh, suited_settings
-from geometry.storage.files import cache_folder, digest, keep, write_bytes
-from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
+from geometry.storage.files import digest
+from geometry.storage.kept import kept, read_arrays, write_arrays
 
 VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
 TILES_PER_HEIGHT = 4.0
@@ -44,7 +42,7 @@ class SurfaceCompliance:
 
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
-    on_electrodes: FloatArray  #: (rows, cols, 2, 3, 3, ny, nx): the same of electrodes
+    on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
     table: FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
@@ -81,13 +79,11 @@ def surface_compliance(
     require_bare(design)
     plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
     cache_key = digest("surface", VERSION, plain)
-    path = cache_folder() / f"surface-{cache_key}.npz"
-    found = _read(design, path, cache_key)
-    if found is not None:
-        return found, path, True
-    made = replace(_solved(plain, progress), design=design, cache_key=cache_key)
-    keep(lambda path: _write(made, path), path)
-    return made, path, False
+
+    def make() -> SurfaceCompliance:
+        return replace(_solved(plain, progress), design=design, cache_key=cache_key)
+
+    return kept("surface.npz", cache_key, make, partial(_read, design), _write)
 
 
 def tiles_per_pitch(design: SensorDesign) -> int:
@@ -131,14 +127,14 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
     on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8)
     ny, nx = rows * tiles, cols * tiles
-    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, len(ELECTRODES), 3, rows, cols, tiles, tiles, 3)
+    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
     on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7)
     progress("electrodes")
     table, step_mm = _electrode_table(design)
     return SurfaceCompliance(
         design=design,
         on_tiles=on_tiles.reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes=on_electrodes.reshape(rows, cols, len(ELECTRODES), 3, 3, ny, nx),
+        on_electrodes=on_electrodes.reshape(rows, cols, -1, 3, 3, ny, nx),
         table=table,
         step_mm=step_mm,
     )
@@ -211,23 +207,14 @@ ARRAYS = ("on_tiles", "on_electrodes", "table")
 
 
 def _write(made: SurfaceCompliance, path: Path) -> None:
-    content = BytesIO()
     arrays = {name: getattr(made, name) for name in ARRAYS}
-    np.savez(content, **arrays, step_mm=made.step_mm, cache_key=made.cache_key)
-    write_bytes(path, *sealed(content.getbuffer(), LAST_LINE))
+    write_arrays(arrays | {"step_mm": made.step_mm, "cache_key": made.cache_key}, path)
 
 
-def _read(design: SensorDesign, path: Path, cache_key: str) -> SurfaceCompliance | None:
-    """A compliance that `_write` wrote; None if it is missing or damaged, which is said."""
-    try:
-        require_intact(path, "delete it", required=True)
-        with path.open("rb") as file, np.load(file) as opened:
-            kept = dict(opened)
-        arrays = {name: kept[name] for name in ARRAYS}
-        step_mm, stated = float(kept["step_mm"]), str(kept["cache_key"])
-    except (FileFormatError, OSError, KeyError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error):
-        say_made_anew(path)
-        return None
-    return (
-        SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=stated) if stated == cache_key else None
+def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
+    """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
+    found = read_arrays(path)
+    arrays = {name: found[name] for name in ARRAYS}
+    return SurfaceCompliance(
+        design=design, **arrays, step_mm=float(found["step_mm"]), cache_key=str(found["cache_key"])
     )

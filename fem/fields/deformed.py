@@ -28,7 +28,14 @@ from fem.scene.solution import (
     Field,
 )
 from geometry.design import Unit
-from geometry.layout import FloatArray, pillar_ends, pillar_sections, unit_centres, upper_electrodes
+from geometry.layout import (
+    FloatArray,
+    lower_electrodes,
+    pillar_ends,
+    pillar_sections,
+    unit_centres,
+    upper_electrodes,
+)
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
 ACROSS = 12  #: squares along a pad's side
@@ -114,10 +121,9 @@ def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress
 
 
 def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Quads:
-    """The three pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
+    """The pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
 
-    The first is smaller by `apart_mm` all around, the second by twice as much, the third by three times: no two of
-    their faces coincide.
+    The first is smaller by `apart_mm` all around, the second by twice as much: no two of their faces coincide.
     """
     both = zip(pillar_ends(unit), pillar_sections(unit), strict=True)
     return joined([
@@ -145,10 +151,9 @@ def column_surface(ends: FloatArray, section: FloatArray, slices: int, around: i
 
 
 def electrode_surface(unit: Unit) -> Quads:
-    """The four electrodes of a unit, U1, U2, L1, L2, in its own frame."""
-    upper = upper_electrodes(unit)
-    lower = pillar_ends(unit)[:2, 0]
-    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in (*upper, *lower)])
+    """The electrodes of a unit in its own frame, the upper ones first."""
+    places = (*upper_electrodes(unit), *lower_electrodes(unit))
+    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in places])
 
 
 def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Quads:

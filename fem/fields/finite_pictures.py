@@ -100,7 +100,7 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
 def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_mm: FloatArray) -> FiniteArrayField:
     """An array under forces (n_units, 3) [N] on its stiff pads, on the solver's coarse grid.
 
-    Its electrodes lie within 1 % of their answer (n_units, 2, 3) [mm].
+    Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
     """
     grid, u = solver.on_coarse_grid(force_n, displacement_mm)
     lines = tuple(np.sort(np.concatenate([line, (line[1:] + line[:-1]) / 2])) for line in grid.lines)

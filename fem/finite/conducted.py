@@ -9,7 +9,7 @@ from fem.conduction.reduced import ACROSS, ALONG, reduced_conduction
 from fem.finite.gradients import PointGradients
 from fem.finite.preloads import PreloadedArray
 from geometry.design import SensorDesign
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes, unit_centres
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
 
@@ -27,7 +27,7 @@ class PillarReader:
 
     def gradients_on(self, array: PreloadedArray) -> PointGradients:
         """Displacement gradients at the points that this reader needs, from the nodes of an array's grid."""
-        return PointGradients(array.body.grid, self._points)
+        return PointGradients(array.body.boxes, self._points)
 
     def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances over eq. 1's.
@@ -36,12 +36,12 @@ class PillarReader:
         ----------
         gradient : array, shape (m, k·n, 3, 3)
             ∂u/∂X of m states, as `gradients_on` gives them.
-        electrode_mm : array, shape (m, k, 2, 3)
+        electrode_mm : array, shape (m, k, n_upper, 3)
             Displacements of the same states, for eq. 1.
 
         Returns
         -------
-        array, shape (m, k, 3)
+        array, shape (m, k, n_pillars)
             1 in states that are no answers.
         array, shape (m,)
             Which states are: on every level of a pillar some point has kept its volume.
@@ -52,16 +52,16 @@ class PillarReader:
         """
         F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
         bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
-        along = (top - bottom) + electrode_mm[good][..., PILLAR_TOP, :]
-        ratios = np.ones((*electrode_mm.shape[:2], 3))
-        per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo))
+        along = (top - bottom) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
+        ratios = np.ones((*electrode_mm.shape[:2], len(self.unit.layout.pillars)))
+        per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
         ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
         return ratios, good
 
 
 def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
-    by_level = F.reshape(*F.shape[:2], 3, ACROSS**2, ALONG, 3, 3)
+    by_level = F.reshape(*F.shape[:2], -1, ACROSS**2, ALONG, 3, 3)
     kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
     count = kept.sum(axis=3, keepdims=True)
     mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)

@@ -3,8 +3,8 @@
 import numpy as np
 import scipy.sparse as sp
 
-from fem.discretization.grid import Grid
-from fem.discretization.lagrange import shape_functions
+from fem.boxes.boxes import Boxes
+from fem.boxes.lagrange import shape_functions
 from geometry.layout import FloatArray
 
 
@@ -13,13 +13,13 @@ class PointGradients:
 
     Parameters
     ----------
-    grid : Grid
+    grid : Boxes
         Without lean.
     points_mm : array, shape (n, 3)
         At rest; those outside are taken for the nearest ones inside.
     """
 
-    def __init__(self, grid: Grid, points_mm: FloatArray) -> None:
+    def __init__(self, grid: Boxes, points_mm: FloatArray) -> None:
         node = np.zeros((len(points_mm), 27), dtype=np.int64)
         values, slopes = [], []
         for axis, line in enumerate(grid.lines):

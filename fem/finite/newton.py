@@ -11,16 +11,15 @@ No change takes more than a part of an element's volume: J → 0 at the edges of
 Newton's method on a logarithm converges from the steep side only.
 """
 
-from dataclasses import dataclass, field
-from itertools import product
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from fem.finite.system import FiniteSystem, Misfit, State
-from fem.linear.factors import SolverError
-from fem.linear.refactored import RepeatedFactor
+from fem.factor import Factor, FactorMemoryError, SolverError
+from fem.mirrors import parities
 from fem.scene.loads import FollowerLoad
+from fem.system import Misfit, State, System
 from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
@@ -78,16 +77,14 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(
-    system: FiniteSystem, factor: RepeatedFactor | None = None, first_step: float = 1.0
-) -> Equilibrium:
+def find_equilibrium(system: System, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
     ----------
-    system : FiniteSystem
-    factor : RepeatedFactor, optional
-        Of the system's pattern, to use again; it is left with the last tangent.
+    system : System
+    factor : Factor, optional
+        Of the system's tangents, to use again; it is left with the last tangent.
     first_step : float
         Share of the load to try first.
 
@@ -96,7 +93,7 @@ def find_equilibrium(
     UnreachableLoadError
         With the load that was reached, the place that gave way, and what would help.
     """
-    factor = factor or RepeatedFactor(system.pattern)
+    factor = factor or system.new_factor()
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
@@ -141,7 +138,7 @@ class _Tried:
     converged: bool
 
 
-def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, path: _Path) -> _Tried:
+def _equilibrium_at(system: System, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
@@ -151,14 +148,17 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
         if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             return _Tried(state, misfit, iteration, False)
         try:
-            blocks, parts = system.tangent(state, share, misfit.held)
-            factor.factor(blocks)
+            blocks, parts = system.tangent(state, share, misfit.reactions)
+            factor.factor(system.matrix(blocks))
+        except FactorMemoryError:
+            raise
         except SolverError:
             return _Tried(state, misfit, iteration, False)
         change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
         if not path.slope:
             path.slope.append(_slope(system, factor, state))
-        pressures = misfit.pressures - state.p + parts.pressure_change(system.nodal_change(state.rotation, change))
+        nodal = system.nodal_change(state.rotation, change)
+        pressures = misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
         least = KEPT_VOLUME * system.body.strain(state.u[None]).J
         for damping in DAMPING ** np.arange(DAMPINGS):
             trial = system.moved(state, change * damping, pressures * damping)
@@ -169,7 +169,7 @@ def _equilibrium_at(system: FiniteSystem, factor: RepeatedFactor, state: State, 
     return _Tried(state, misfit, MAX_ITERATIONS, converged)
 
 
-def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share: float, misfit: Misfit) -> bool:
+def _is_stable(system: System, factor: Factor, state: State, share: float, misfit: Misfit) -> bool:
     """Whether no mode beyond squeezed elements is unstable; True if the solver does not count, as of pressures.
 
     Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
@@ -177,17 +177,17 @@ def _is_stable(system: FiniteSystem, factor: RepeatedFactor, state: State, share
     if factor.n_negative is None:
         return True
     squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
-    others = [system.moves_of(parity) for parity in product((1, -1), repeat=len(system.mirrors))]
-    judge = None
-    for moves in others if factor.n_negative else others[1:]:
-        judge = judge or RepeatedFactor(system.pattern)
-        judge.factor(system.tangent(state, share, misfit.held, squeezed, moves)[0])
+    every = parities(tuple(replace(mirror, parities=(1, -1)) for mirror in system.mirrors))
+    blocks, judge = None, system.new_factor()
+    for parity in every if factor.n_negative else every[1:]:
+        blocks = system.tangent(state, share, misfit.reactions, squeezed)[0] if blocks is None else blocks
+        judge.factor(system.matrix(blocks, parity))
         if judge.n_negative:
             return False
     return True
 
 
-def _judgement(system: FiniteSystem, factor: RepeatedFactor, misfit: Misfit) -> dict[str, Any]:
+def _judgement(system: System, factor: Factor, misfit: Misfit) -> dict[str, Any]:
     """`is_stable` and `stability` of a state that was taken."""
     if factor.n_negative is None:
         return {"is_stable": None, "stability": "stability not checked"}
@@ -197,22 +197,22 @@ def _judgement(system: FiniteSystem, factor: RepeatedFactor, misfit: Misfit) -> 
     return {"is_stable": True}
 
 
-def _own_displacement(system: FiniteSystem, state: State) -> float:
+def _own_displacement(system: System, state: State) -> float:
     """f · u of the full loads that have a potential [mJ]."""
     return float((system.dead * state.u).sum() + (system.force_n * state.shift).sum())
 
 
-def _slope(system: FiniteSystem, factor: RepeatedFactor, state: State) -> float:
+def _slope(system: System, factor: Factor, state: State) -> float:
     """d(f · u) / d(share) by the last tangent."""
     loads = system.loads_on(state, 1.0).reshape(-1, 1)
     return float((loads * factor.solve(loads)).sum())
 
 
-def _refusal(system: FiniteSystem, share: float, worst: "_Tried") -> UnreachableLoadError:
+def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadError:
     least, element = system.body.least_j(worst.state.u)
     x, y, z = system.body.centres_mm[element]
     mend = "bond a stiff plate to the patch, or take a smaller load"
-    if system.plates.count and not system.dead.any() and not len(system.faces.faces):
+    if system.plates.count and not system.dead.any() and not len(system.faces.nodes):
         mend = "take a smaller load or a stiffer rubber"
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
@@ -227,9 +227,8 @@ def _refusal(system: FiniteSystem, share: float, worst: "_Tried") -> Unreachable
     )
 
 
-def solve_rest(system: FiniteSystem, factor: RepeatedFactor) -> FloatArray:
+def solve_rest(system: System, factor: Factor) -> FloatArray:
     """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
     state = system.rest()
-    blocks, _ = system.tangent(state, 0.0, np.zeros_like(state.u))
-    factor.factor(blocks)
-    return factor.solve(system.loads_on(state, 1.0).reshape(-1, 1)).reshape(-1, 3)
+    factor.factor(system.matrix(system.rest_tangent()))
+    return factor.solve(system.loads_on(state).reshape(-1, 1)).reshape(-1, 3)

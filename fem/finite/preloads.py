@@ -1,19 +1,19 @@
 """An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.discretization.grid import Grid
+from fem.boxes.boxes import Boxes
+from fem.factor import Factor
 from fem.finite.relaxation import Relaxation, Relaxed
-from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, load_series
-from fem.finite.system import FiniteSystem, at_state
-from fem.linear.refactored import RepeatedFactor
+from fem.rubber.body import RubberBody
 from fem.scene.loads import Load, StiffLoad
+from fem.system import System
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
@@ -21,7 +21,7 @@ MAX_ITERATIONS = 16  #: with one tangent
 RENEWALS = 2  #: of the tangent, of samples that have not settled then
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
-#: displacements (m, k, 2, 3) of electrodes to booleans (m,): of samples that need no answer
+#: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
 Unwanted = Callable[[FloatArray], NDArray[np.bool_]]
 
 
@@ -33,7 +33,7 @@ class Lines:
     pad: tuple[float, ...]
     height: tuple[float, ...]
 
-    def grid(self, design: SensorDesign) -> Grid:
+    def boxes(self, design: SensorDesign) -> Boxes:
         """The whole slab, with lines along the pads' edges and between units."""
         pitch, size, height = design.array.pitch_mm, design.pad.size_mm, design.unit.height_mm
         lines = []
@@ -43,7 +43,7 @@ class Lines:
             own += [high + (pitch - high) * share for share in self.gap]
             unit = np.unique(np.round(own, 9))
             lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
-        return Grid(x=lines[0], y=lines[1], z=height * np.array([0.0, *self.height]))
+        return Boxes.between([*lines, height * np.array([0.0, *self.height])])
 
 
 class PreloadedArray:
@@ -58,11 +58,11 @@ class PreloadedArray:
 
     def __init__(self, design: SensorDesign, lines: Lines) -> None:
         self.design = design
-        self.body = RubberBody(lines.grid(design), [design.matrix_material])
+        self.body = RubberBody.of(lines.boxes(design), [replace(design.matrix_material, model="neo-hookean")])
         offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
         self.arm = (
             upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
-        )  #: of the electrodes on their plates, (2, 3)
+        )  #: of the electrodes on their plates, (n_upper, 3)
         self._bases: dict[float, BaseState] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
@@ -77,7 +77,7 @@ class PreloadedArray:
             self._bases[preload_mpa] = BaseState.of(self._system(preload_mpa))
         return self._bases[preload_mpa]
 
-    def _system(self, preload_mpa: float) -> FiniteSystem:
+    def _system(self, preload_mpa: float) -> System:
         pad = self.design.pad
         loads: list[Load] = [
             StiffLoad(
@@ -87,15 +87,15 @@ class PreloadedArray:
             )
             for x, y in unit_centres(self.design)
         ]
-        return FiniteSystem(self.body, loads)
+        return System(self.body, loads)
 
     def electrodes(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Displacements (m, k, 2, 3) [mm] of the electrodes under plates of these motions."""
+        """Displacements (m, k, n_upper, 3) [mm] of the electrodes under plates of these motions."""
         return np.asarray(shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, self.arm) - self.arm)
 
     @cached_property
     def influence(self) -> FloatArray:
-        """Linear displacement of the electrodes per newton on each pad, (6 k, 3 k) [mm/N]."""
+        """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
         k, rest = self.design.n_units, self._bases.get(0.0) or BaseState.of(self._system(0.0))
         moves, spins = rest.compliance()[:, : 3 * k].T.reshape(3 * k, 2, k, 3).swapaxes(0, 1)
         spins = spins / rest.system.plates.half_mm[:, None]
@@ -103,7 +103,7 @@ class PreloadedArray:
 
     @cached_property
     def forces_of(self) -> FloatArray:
-        """Forces (3 k) that move the linear array most nearly by displacements (6 k), as a matrix [N/mm]."""
+        """Forces (3 k) that move the linear array most nearly by displacements (3 n_upper k), as a matrix [N/mm]."""
         return np.asarray(np.linalg.pinv(self.influence))
 
     def linear_field(self, force_n: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ class PreloadedArray:
         """
         found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted)
         for number in np.flatnonzero((found.change > tolerance) & np.isfinite(found.change)):
-            own, sample = at_state(found.state, int(number)), slice(number, number + 1)
+            own, sample = found.state.part(int(number)), slice(number, number + 1)
             for _ in range(RENEWALS):
                 if unwanted(self.electrodes(found.state.shift[sample], found.state.rotation[sample]))[0]:
                     break
@@ -138,7 +138,7 @@ class PreloadedArray:
                 found.iterations[number] += last.iterations[0]
                 if last.change[0] <= tolerance:
                     break
-                own = at_state(last.state, 0)
+                own = last.state.part(0)
         return found
 
     def _relaxed(
@@ -157,8 +157,8 @@ class PreloadedArray:
     def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> tuple[FloatArray, FloatArray]:
         """Series of the electrodes and of the nodes under forces (m, k, 3) [N], see `series.py`.
 
-        Terms of the electrodes' displacements (orders + 1, m, k, 2, 3) [mm], and the sum of those of the nodes (m,
-        n_nodes, 3) [mm].
+        Terms of the electrodes' displacements (orders + 1, m, k, n_upper, 3) [mm], and the sum of those of the nodes
+        (m, n_nodes, 3) [mm].
 
         The first one is the preload's own. With R = (I + 2 q₀ [v] + 2 [v]²) R₀ and v = Σ sⁱ vᵢ the order n of an
         electrode at a from its plate's middle moves by cₙ + 2 vₙ × a + 2 Σ vᵢ × (vₙ₋ᵢ × a) up to n = 3, but for the
@@ -177,8 +177,8 @@ class PreloadedArray:
         return np.array(terms), base.state.u + found.u.sum(axis=0)
 
     @cached_property
-    def _factor(self) -> RepeatedFactor:
-        return RepeatedFactor(next(iter(self._bases.values())).system.pattern)
+    def _factor(self) -> Factor:
+        return next(iter(self._bases.values())).system.new_factor()
 
 
 def _over(base: BaseState, force_n: FloatArray) -> FloatArray:

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.finite.rubber_body import N_PRESSURES
 from fem.finite.series import BaseState, quaternion_rotations
-from fem.finite.system import State
+from fem.system import State
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -69,14 +68,14 @@ class Relaxation:
         u = np.zeros((len(x), self.body.n_nodes, 3))
         u[:, self.system.free] = blocks[:, : self.n]
         u[:, self.system.plates.node] = self.system.plates.displacements(shift, turn)
-        p = x[:, self.n_motions :].reshape(len(x), -1, N_PRESSURES)
+        p = x[:, self.n_motions :].reshape(len(x), -1, self.body.n_pressures)
         return State(u=u, p=p, shift=shift, turn=turn)
 
     def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
         """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
         state, parts = self.state(x), self.base.parts
         strain = self.body.strain(state.u)
-        missing = self.body.dilated(strain.dilation) - state.p
+        missing = self.body.pressures(strain.theta) - state.p
         with np.errstate(divide="ignore", invalid="ignore"):
             forces = self.body.divergence(self.body.stress(strain, state.p)) + parts.pressed(missing)
         unbalanced = -self.system.gathered(forces, state.rotation)

@@ -14,18 +14,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.boxes.boxes import Boxes
 from fem.conduction.reduced import REDUCED_ERROR
-from fem.discretization.grid import Grid
-from fem.finite import light
 from fem.finite.conducted import PillarReader
 from fem.finite.gradients import PointGradients
-from fem.finite.light import LightResponse
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.storage.files import cache_folder, digest
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
 TOLERANCE = 5e-4  #: relative change of the pads' motion by an iteration at which a sample ends
@@ -64,9 +61,6 @@ class SampleSolver:
     design : SensorDesign
     influence_mm_per_n : array, shape (k, 2, 3, k, 3), optional
         Linear response of the electrodes by a much finer grid, per newton on each pad; None leaves each grid its own.
-    by_derivatives : bool
-        Answer samples that `LightResponse` takes by stored derivatives. These are found once and kept in the cache; it
-        takes as long as hundreds of samples.
     unwanted : function, optional
         Displacements (m, k, 2, 3) to booleans (m,): of samples that need no answer, such as those far beyond a cap of
         strain. These are given up before they have settled; they are the slowest.
@@ -74,13 +68,12 @@ class SampleSolver:
     Raises
     ------
     DesignError
-        If the array has two rubbers.
+        If the array has two rubbers, or one of another law than the neo-Hookean.
 
     Notes
     -----
     Where the design's electrics are conduction, displacement gradients in the pillars are the coarse grid's with the
-    difference of both series, and what that makes of the resistances is extrapolated as displacements are. Stored
-    derivatives know no gradients, and are not used.
+    difference of both series, and what that makes of the resistances is extrapolated as displacements are.
     """
 
     def __init__(
@@ -88,14 +81,17 @@ class SampleSolver:
         design: SensorDesign,
         influence_mm_per_n: FloatArray | None = None,
         unwanted: Unwanted | None = None,
-        by_derivatives: bool = False,
     ) -> None:
         if not design.is_homogeneous:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
+        if design.matrix_material.model == "mooney-rivlin":
+            raise DesignError(
+                "model='mooney-rivlin' is for scenes: the power series of samples know neo-Hookean rubber only; write "
+                "model = 'neo-hookean'."
+            )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self.coarse, self.fine = PreloadedArray(design, COARSE), PreloadedArray(design, FINE)
         self._reader = PillarReader(design) if design.electrics.is_conduction else None
-        self.light = self._light() if by_derivatives and self._reader is None else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces on the pads.
@@ -121,16 +117,8 @@ class SampleSolver:
         moved, estimate, change = np.empty((m, k, 2, 3)), np.empty(m), np.zeros(m)
         iterations = np.zeros(m, dtype=np.int64)
         ratio, ratio_error = np.ones((m, k, 3)), np.zeros(m)
-        is_light = np.zeros(m, dtype=bool) if self.light is None else self.light.takes(force_n)
-        if self.light is not None and is_light.any():
-            flat, second, third = self.light.displacements(force_n[is_light])
-            moved[is_light] = flat.reshape(-1, k, 2, 3)
-            series = light.TRUNCATED * third**2 / np.maximum(second, 1e-300)
-            estimate[is_light] = np.hypot(LEFT * self.light.grid_error * second, series) / np.maximum(
-                np.linalg.norm(flat, axis=1), 1e-300
-            )
         for level in PRELOADS_MPA:
-            mine = np.flatnonzero((preload == level) & ~is_light)
+            mine = np.flatnonzero(preload == level)
             for first in range(0, len(mine), AT_ONCE):
                 own = mine[first : first + AT_ONCE]
                 answer = self._together(level, force_n[own])
@@ -145,22 +133,8 @@ class SampleSolver:
             ratio_error=ratio_error,
         )
 
-    def _light(self) -> LightResponse:
-        influence = np.zeros(0) if self._influence is None else self._influence
-        key = digest("light response", light.VERSION, COARSE, FINE, self.design, influence)
-
-        def corrected(coarse: FloatArray, fine: FloatArray) -> FloatArray:
-            if self._influence is not None:
-                more = [rows @ C.T for rows, C in zip((coarse, fine), self._corrections, strict=True)]
-                coarse, fine = coarse + more[0], fine + more[1]
-            return np.asarray(fine + EXTRAPOLATED * (fine - coarse))
-
-        return light.kept_response(
-            cache_folder() / f"light-{key}.npz", lambda: LightResponse.of(self.coarse, self.fine, corrected)
-        )
-
-    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Grid, FloatArray]:
-        """For pictures: the coarse grid and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
+    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
+        """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
 
         Small linear ones are added that bring the electrodes to their answer (k, 2, 3) [mm], as nearly as forces can.
         """
@@ -168,7 +142,7 @@ class SampleSolver:
         found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
         missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
         more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
-        return self.coarse.body.grid, found.state.u[0] + more
+        return self.coarse.body.boxes, found.state.u[0] + more
 
     def _nearest_preloads(self, force_n: FloatArray) -> FloatArray:
         """Of `PRELOADS_MPA` those nearest to the middle of the pressures of samples (m, k, 3) [N], (m,)."""

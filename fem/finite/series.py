@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.finite.loads import skew
+from fem.factor import Factor
 from fem.finite.newton import find_equilibrium
-from fem.finite.rubber_body import N_POINTS, N_PRESSURES, PRESSURES, Strain, TangentParts, bilinear_cofactors, cofactors
-from fem.finite.system import FiniteSystem, State
-from fem.linear.refactored import RepeatedFactor
+from fem.plates import skew
+from fem.rubber.body import Tangent
+from fem.rubber.law import Strain, bilinear_cofactors, cofactors
+from fem.system import State, System
 from geometry.layout import FloatArray
 
 Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
@@ -26,15 +27,15 @@ Stop = Callable[[Terms, Terms], bool]  #: whether shifts and half spins of the p
 class BaseState:
     """An equilibrium about which series are expanded: the loads of a system, and its factored tangent."""
 
-    system: FiniteSystem
+    system: System
     state: State
-    factor: RepeatedFactor
-    parts: TangentParts  #: of the tangent
+    factor: Factor
+    parts: Tangent  #: of the tangent
     strain: Strain
     plate_forces: FloatArray  #: internal forces of the bonded nodes, (n, 3) [N]
 
     @classmethod
-    def of(cls, system: FiniteSystem) -> "BaseState":
+    def of(cls, system: System) -> "BaseState":
         """The equilibrium of a system under its own loads, which may be 0.
 
         Raises
@@ -48,15 +49,15 @@ class BaseState:
             raise ValueError(
                 "series are expanded about dead loads and forces on plates only: moments and pressures turn."
             )
-        factor = RepeatedFactor(system.pattern)
+        factor = system.new_factor()
         return cls.about(system, find_equilibrium(system, factor).state, factor)
 
     @classmethod
-    def about(cls, system: FiniteSystem, state: State, factor: RepeatedFactor) -> "BaseState":
+    def about(cls, system: System, state: State, factor: Factor) -> "BaseState":
         """Any state with its tangent, which `factor` is left with; series want an equilibrium."""
         misfit = system.misfit(state, 1.0)
-        blocks, parts = system.tangent(state, 1.0, misfit.held)
-        factor.factor(blocks)
+        blocks, parts = system.tangent(state, 1.0, misfit.reactions)
+        factor.factor(system.matrix(blocks))
         internal, _, _ = system.body.internal_forces(state.u[None])
         return cls(
             system=system,
@@ -123,8 +124,8 @@ class _Expansion:
     def __init__(self, base: BaseState, m: int) -> None:
         self.base, self.system, self.body = base, base.system, base.system.body
         self.m, self.k = m, base.system.plates.count
-        self.mu = self.body.mu_mpa
-        strain, pressure = base.strain, base.state.p @ PRESSURES.T
+        self.mu, self.functions = self.body.law.mu_mpa, self.body.reference.pressures.T
+        strain, pressure = base.strain, base.state.p @ self.functions
         self.F: Terms = [strain.F]
         self.cof: Terms = [strain.cof]
         self.J: Terms = [strain.J]
@@ -195,9 +196,9 @@ class _Expansion:
         return np.add.reduceat(moments, self.system.plates.starts, axis=1) / self.system.plates.half_mm[:, None]
 
     def _no_terms(self) -> tuple[FloatArray, ...]:
-        at_points = (self.m, self.body.n_elements, N_POINTS)
+        at_points = (self.m, self.body.n_elements, len(self.body.reference.weights))
         H, scalar = np.zeros((3, 3, *at_points)), np.zeros(at_points)
-        pressure = np.zeros((self.m, self.body.n_elements, N_PRESSURES))
+        pressure = np.zeros((self.m, self.body.n_elements, self.body.n_pressures))
         return H, H.copy(), scalar, scalar.copy(), pressure, scalar.copy(), H.copy()
 
     def _known_terms(self, order: int, held: FloatArray) -> tuple[FloatArray, ...]:
@@ -216,8 +217,8 @@ class _Expansion:
         for j in range(1, order):
             total += J[j] * self.inverse[order - j]
         inverse = -self.inverse[0] * total
-        pressure = self.body.dilated(D)
-        s = pressure @ PRESSURES.T - self.mu * inverse
+        pressure = self.body.pressures(D)
+        s = pressure @ self.functions - self.mu * inverse
         stress = self.mu * H + self.s[0] * C + s * cof[0]
         for j in range(1, order):
             stress += self.s[j] * cof[order - j]
@@ -228,12 +229,12 @@ class _Expansion:
         H, C, D, inverse, pressure, s, stress = known
         dF = self.body.gradient(u)
         dJ = np.einsum("ij...,ij...->...", self.cof[0], dF)
-        dp = self.body.dilated(dJ)
+        dp = self.body.pressures(dJ)
         if last:
             return pressure + dp
         dC = bilinear_cofactors(self.F[0], dF)
         d_inverse = -(self.inverse[0] ** 2) * dJ
-        ds = dp @ PRESSURES.T - self.mu * d_inverse
+        ds = dp @ self.functions - self.mu * d_inverse
         stress += self.mu * dF + self.s[0] * dC + ds * self.cof[0]
         self.F.append(H + dF)
         self.cof.append(C + dC)

@@ -1,35 +1,32 @@
 """Scenes at finite strain: grids, probes and the estimate of their error. Open this file first."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, lattice_boxes
-from fem.discretization.lagrange import line_values
-from fem.discretization.mirrors import Mirror
-from fem.discretization.richardson import richardson_factor
-from fem.finite.mirrored import loads_above, unfolded
+from fem.boxes.boxes import Boxes
+from fem.boxes.lines import Attractor, graded_lines
+from fem.discretization.grid import lattice_boxes
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
-from fem.finite.rubber_body import RubberBody
-from fem.finite.system import FiniteSystem
-from fem.linear.refactored import RepeatedFactor
-from fem.scene.scene import Probe, Scene, regions_at
+from fem.levels import Convergence
+from fem.mirrors import Mirror
+from fem.rubber.body import RubberBody
+from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
     FiniteSolution,
-    Probes,
     Solution,
     Stopwatch,
-    largest_error,
 )
+from fem.system import System
 from geometry.layout import FloatArray
 
-RATE = 2.0  #: power of the level by which probes under tractions converge, assumed in the estimate
-#: the same under plates, whose edges are singular, measured at small strain on levels 2 to 5; answers are extrapolated
-PLATE_RATE = 2.45
-CAUTION_OF_TWO = 2.0  #: on the estimate of the first two grids under plates: 1.9 to 3 times too small at 1 to 3 MPa
+#: least and greatest rate at which probes are taken to converge with the level; 1.9 to 3.1 was observed under tractions
+#: and on slender pillars, 2.45 at small strain under plates, whose answers are extrapolated
+RATES = (1.5, 2.5)
 LEVELS = (1, 2, 3, 4)  #: of refinement
 MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 GB
 ALWAYS, MAX_WORK = 2, 300_000  #: level from which on a finer grid's unknowns times the last iterations are limited
@@ -67,30 +64,27 @@ def solve_finite(
     -----
     The grid does not follow prisms that lean: its Gauss points take the rubber of their place, and near such prisms
     coarse grids are some percent too stiff or too soft. With `linear` only the difference of finite and small strain
-    is the grid's, u = u_linear + (u_finite − u_small)_grid, and it errs little. Its error is taken as its last change.
+    is the grid's, u = u_linear + (u_finite − u_small)_grid, and it errs little.
 
-    Under plates alone answers are extrapolated from the last two grids. The error is then taken as what that added,
-    or as what it changed since the grids before, whichever is less.
+    The error is estimated from three grids by the rate at which they converge, see `fem.levels`. Under plates alone
+    answers are the limit to which the last two grids tend.
     """
     inside = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
     watch = Stopwatch()
-    loads, axes = loads_above(scene, mirrors), [mirror.axis for mirror in mirrors]
-    copies = 2 ** len(mirrors)
     is_extrapolated = linear is None and len(scene.stiff_loads) == len(scene.loads)
-    found: list[Probes] = []
-    answers: list[Probes] = []
+    found = Convergence(RATES, is_extrapolated)
     steps: list[str] = []
     estimate, missing_mj = np.inf, 0.0
     last: tuple[Equilibrium, int] | None = None
     for before, level in pairwise((0, *LEVELS)):
-        grid = finite_grid(scene, level, mirrors)
-        unknowns = 3 * int(np.prod([2 * n + 1 for n in grid.shape]))
+        boxes = finite_boxes(scene, level, mirrors)
+        unknowns = 3 * boxes.n_nodes
         if last is not None and (
             unknowns > MAX_UNKNOWNS or (before > ALWAYS and unknowns * last[0].iterations > MAX_WORK)
         ):
             break
-        body = RubberBody(grid, [scene.material], inside)
-        system = FiniteSystem(body, loads, axes)
+        body = RubberBody.of(boxes, [scene.material, *(rubber for _, rubber in inside)])
+        system = System(body, scene.loads, tuple(mirrors))
         watch.spent("assemble")
         try:
             equilibrium = find_equilibrium(system)
@@ -102,25 +96,16 @@ def solve_finite(
             break
         watch.spent("solve")
         last = equilibrium, system.n_unknowns
-        whole, u = unfolded(grid, equilibrium.state.u, mirrors)
-        found.append(probes_of(scene, whole, u))
+        u = equilibrium.state.u
+        answer = {probe.name: system.seen(probe, u) for probe in scene.probes}
         if linear is not None:
-            change = solve_rest(system, RepeatedFactor(system.pattern))
+            change = solve_rest(system, system.new_factor())
             moved = system.nodal_change(system.rest().rotation, change)
-            small = probes_of(scene, *unfolded(grid, moved, mirrors))
-            found[-1] = {name: linear.probes[name] + u - small[name] for name, u in found[-1].items()}
-            missing_mj = linear.energy_mj - 0.5 * copies * float((system.loads_on(system.rest(), 1.0) * change).sum())
-        answers.append(found[-1])
-        if before and is_extrapolated:
-            share = richardson_factor(before, level, PLATE_RATE)
-            answers[-1] = {name: u + share * (u - found[-2][name]) for name, u in found[-1].items()}
-            caution = CAUTION_OF_TWO if len(found) == 2 else 1.0
-            changes = [caution * largest_error(found[-1], answers[-1])]
-            changes += [largest_error(answers[-2], answers[-1])] if len(answers) > 2 else []
-            estimate = min(changes)
-        elif before:
-            share = 1.0 if inside else richardson_factor(before, level, RATE)
-            estimate = share * largest_error(found[-2], found[-1]) + (linear.error_estimate if linear else 0.0)
+            small = {probe.name: system.seen(probe, moved) for probe in scene.probes}
+            answer = {name: linear.probes[name] + u - small[name] for name, u in answer.items()}
+            missing_mj = linear.energy_mj - 0.5 * system.copies * float((system.loads_on(system.rest()) * change).sum())
+        found.add(level, answer)
+        estimate = found.estimate + (linear.error_estimate if linear else 0.0)
         steps.append(
             f"level {level}: {system.n_unknowns} unknowns, {equilibrium.iterations} iterations in {equilibrium.steps} "
             f"steps, smallest J {equilibrium.least_j:.3g}; estimated error {estimate:.1e}"
@@ -131,9 +116,9 @@ def solve_finite(
     assert last is not None
     equilibrium, unknowns = last
     return FiniteSolution(
-        probes=answers[-1],
-        energy_mj=copies * equilibrium.stored_mj + missing_mj,
-        work_mj=copies * equilibrium.work_mj + missing_mj,
+        probes=dict(found.answer),
+        energy_mj=system.copies * equilibrium.stored_mj + missing_mj,
+        work_mj=system.copies * equilibrium.work_mj + missing_mj,
         residual=equilibrium.residual,
         least_j=equilibrium.least_j,
         iterations=equilibrium.iterations,
@@ -142,14 +127,27 @@ def solve_finite(
         error_estimate=estimate,
         seconds=watch.seconds,
         steps=tuple(steps),
-        field=_field(scene, whole, u) if with_field else None,
+        field=_field(scene, *unfolded(boxes, u, mirrors)) if with_field else None,
     )
 
 
-def _field(scene: Scene, grid: Grid, u: FloatArray) -> Field:
+def unfolded(boxes: Boxes, u: FloatArray, mirrors: Sequence[Mirror]) -> tuple[Boxes, FloatArray]:
+    """The boxes of the whole body and its displacements (n_nodes, 3), from those of the part above the planes."""
+    lattice = u.reshape(*[boxes.order * n + 1 for n in boxes.shape], 3)
+    lines = list(boxes.lines)
+    for mirror in mirrors:
+        axis = mirror.axis
+        lines[axis] = np.concatenate([2 * mirror.position_mm - lines[axis][:0:-1], lines[axis]])
+        below = np.flip(lattice, axis).take(np.arange(lattice.shape[axis] - 1), axis)
+        lattice = np.concatenate([below * np.where(np.arange(3) == axis, -1.0, 1.0), lattice], axis)
+    whole = Boxes.between(lines, boxes.order, boxes.lean)
+    return whole, np.ascontiguousarray(lattice.reshape(-1, 3))
+
+
+def _field(scene: Scene, boxes: Boxes, u: FloatArray) -> Field:
     """A state (n_nodes, 3) for pictures; cells count to the rubber at their middles."""
     regions = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
-    points, (_, cells) = GridBasis(grid).doflocs.T, lattice_boxes(grid.lines)
+    points, (_, cells) = boxes.points_mm, lattice_boxes(boxes.lines)
     return Field(
         points_mm=points,
         cells=cells,
@@ -160,8 +158,8 @@ def _field(scene: Scene, grid: Grid, u: FloatArray) -> Field:
     )
 
 
-def finite_grid(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Grid:
-    """Grid with lines along the loads' edges, crowding there and at the body's faces, and along prisms of other rubber.
+def finite_boxes(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Boxes:
+    """Boxes with lines along loads' edges and prisms of other rubber, crowding at the loads and the body's faces.
 
     It cannot follow the sides of prisms that lean. Of a scene with mirrors it has the part above their planes.
     """
@@ -194,22 +192,6 @@ def finite_grid(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Gri
     ends = [place[2] for prism in other for place in (prism.base_mm, prism.top_mm)]
     attractors = [Attractor(height, length, TOP), Attractor(0.0, length, BASE)]
     z = graded_lines([0.0, height, *np.clip(ends, 0.0, height)], attractors, level)
-    return Grid(x=lines[0], y=lines[1], z=z, lean=lean)
-
-
-def probes_of(scene: Scene, grid: Grid, u: FloatArray) -> Probes:
-    """Displacement of a scene's probes in a state (n_nodes, 3)."""
-    return {probe.name: _seen(probe, grid, u) for probe in scene.probes}
-
-
-def _seen(probe: Probe, grid: Grid, u: FloatArray) -> FloatArray:
-    if probe.kind == "mean":
-        integral = GridBasis(grid).patch_integrals(np.array([probe.rectangle]))
-        return np.asarray(integral @ u)[0] / integral.sum()
-    x, y, z = probe.position_mm or (0.0, 0.0, 0.0)
-    place = (x - grid.lean[0] * z, y - grid.lean[1] * z, z)
-    X, Y, Z = (
-        line_values(line, 2, np.clip(np.array([at]), line[0], line[-1]))[0]
-        for line, at in zip(grid.lines, place, strict=True)
-    )
-    return np.einsum("i,j,k,ijkc->c", X, Y, Z, u.reshape(len(X), len(Y), len(Z), 3), optimize=True)
+    boxes = Boxes.between([*lines, z], lean=lean)
+    middles = (boxes.low + boxes.high) / 2 @ boxes.shear.T
+    return replace(boxes, region=regions_at(middles, [(prism, scene.material) for prism in other]))

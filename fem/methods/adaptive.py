@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from fem.discretization.richardson import errors_by_indicators
-from fem.linear.factors import FactorMemoryError, SolverError
+from fem.factor import FactorMemoryError, SolverError
 from fem.scene.scene import Scene
 from fem.scene.solution import Field, Solution, Stopwatch
 from geometry.layout import FloatArray

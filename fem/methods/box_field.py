@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fem.discretization.grid import VTK_PLACES, Grid, GridBasis, grid_body, grid_stiffness, lattice_boxes
 from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
 from fem.discretization.plate import folded_plates, tied
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON, Field
@@ -146,7 +146,7 @@ def picture_field(scene: Scene, plan: Plan) -> Field:
             plates.append((np.searchsorted(body.free, at_plate), motions))
         T = tied(body.matrix.shape[0], plates)
         matrix = (T.T @ body.matrix @ T).tocsr() if plates else body.matrix
-        x, _ = checked_solve(matrix, factorized(matrix, definite=True), T.T @ body.loads(forces.reshape(-1, 1)))
+        x, _ = checked_solve(Factor(matrix, definite=True), T.T @ body.loads(forces.reshape(-1, 1)))
         parts.append((parity, body.displacements(T @ x).reshape(-1, 3)))
     halves, cells = lattice_boxes(grid.lines)
     return unfolded_field(scene, plan, crossings(halves), cells, parts)

@@ -15,7 +15,7 @@ from fem.discretization.box_system import BoxSystem, Condensed, Kind
 from fem.discretization.grid import lattice_boxes
 from fem.discretization.indicator import dual_weights
 from fem.discretization.plate import tied
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
@@ -64,14 +64,14 @@ class SplitBoxes:
         matrix = (T.T @ system.matrix @ T).tocsr() if plates else system.matrix
         forces, rows = system.loads(), system.probe_rows()
         watch.spent("assemble")
-        factor = factorized(matrix, definite=True)
+        factor = Factor(matrix, definite=True)
         watch.spent("factor")
-        x, residual = checked_solve(matrix, factor, T.T @ forces[:, None])
+        x, residual = checked_solve(factor, T.T @ forces[:, None])
         u = (T @ x)[:, 0]
         probes = rows @ u
         weights, scales = dual_weights(probes)
         unit = np.tensordot(weights, rows, ((1, 2), (0, 1))).T
-        x, _ = checked_solve(matrix, factor, np.ascontiguousarray(T.T @ unit))
+        x, _ = checked_solve(factor, np.ascontiguousarray(T.T @ unit))
         duals = T @ x
         del factor
         indicators = system.indicators(u, duals, scales)

@@ -22,7 +22,7 @@ from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
 from fem.discretization.richardson import MIN_MESHES
 from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
@@ -74,16 +74,16 @@ class BisectedTetrahedra:
         motions = tied(body.matrix.shape[0], plates)
         matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
         watch.spent("assemble")
-        factor = factorized(matrix)
+        factor = Factor(matrix)
         watch.spent("factor")
 
         pushing = motions.T @ body.loads(forces)
-        reduced, residual = checked_solve(matrix, factor, pushing)
+        reduced, residual = checked_solve(factor, pushing)
         x = motions @ reduced
         u = body.displacements(x)
         probes = np.asarray(rows @ u.reshape(-1, 3))
         duals, scales, shapes = _dual_loads(scene, rows, probes)
-        y, dual_residual = checked_solve(matrix, factor, motions.T @ body.loads(duals))
+        y, dual_residual = checked_solve(factor, motions.T @ body.loads(duals))
         y = motions @ y
         z = body.displacements(y)
         watch.spent("solve")

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from fem.scene.checks import LARGEST_MPA, SceneError, is_finite, require_extents, require_vectors, shown
+from geometry.layout import FloatArray
 from geometry.prism import Pair, Triple
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
@@ -35,6 +36,21 @@ class _OnRectangle:
         """The same load, a share as large."""
         own = {one.name: getattr(self, one.name) for one in fields(self) if not one.name.endswith("_mm")}
         return replace(self, **{name: (np.array(value) * share).tolist() for name, value in own.items()})
+
+    def plus(self, other: Self) -> Self:
+        """The sum of two loads on one rectangle."""
+        own = [one.name for one in fields(self) if not one.name.endswith("_mm")]
+        return replace(self, **{name: np.add(getattr(self, name), getattr(other, name)).tolist() for name in own})
+
+    def image(self, rectangle: FloatArray, signs: FloatArray, axial: FloatArray) -> Self:
+        """The load as mirrors show it: on another rectangle, its vectors times signs (3,), moments times `axial`."""
+        x0, y0, x1, y1 = rectangle.tolist()
+        own = {name: (values * np.array(getattr(self, name))).tolist() for name, values in self._signs(signs, axial)}
+        return replace(self, center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0), **own)
+
+    def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
+        """By what each quantity is multiplied in an image."""
+        return [("traction_mpa", signs)]
 
     @property
     def rectangle(self) -> Rectangle:
@@ -78,6 +94,9 @@ class FollowerLoad(_OnRectangle):
             )
         object.__setattr__(self, "pressure_mpa", float(self.pressure_mpa))
 
+    def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
+        return [("traction_mpa", signs[:2]), ("pressure_mpa", signs[2])]
+
 
 @dataclass(frozen=True, kw_only=True)
 class StiffLoad(_OnRectangle):
@@ -90,6 +109,9 @@ class StiffLoad(_OnRectangle):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_vectors(self, {"force_n": 3, "moment_nmm": 3}, LARGEST_MPA)
+
+    def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
+        return [("force_n", signs), ("moment_nmm", axial)]
 
     @property
     def spread(self) -> tuple[DeadLoad, ...]:

@@ -84,7 +84,7 @@ class Sensor:
 
     @property
     def pillars(self) -> list[Prism]:
-        """The z, x and y pillars of every unit; those of a unit overlap at common electrodes."""
+        """The pillars of every unit; those of a unit overlap at common electrodes."""
         return pillar_prisms(self.design)
 
 

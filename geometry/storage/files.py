@@ -7,14 +7,13 @@ wanted key is not made again.
 import errno
 import hashlib
 import json
-import logging
 import os
 import shutil
 import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -166,14 +165,6 @@ def _require_folder(path: Path, folder: Path) -> None:
         raise FileFormatError(f"{path}: {nearest} is not a folder: give another place.")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise NotWrittenError(f"{path}: {nearest} may not be written to: give another place.")
-
-
-def keep(write: Callable[[Path], None], path: Path) -> None:
-    """Write a file of the cache; where that fails one line says so, and what was computed is not lost for it."""
-    try:
-        write(path)
-    except (OSError, FileFormatError) as error:
-        logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
 
 
 def explained(error: OSError, path: Path | None = None) -> str:

@@ -19,7 +19,7 @@ from fem.array.substructured import cell_grid
 from fem.array.unit_check import meshed_response
 from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.patch import patch_means
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
@@ -84,9 +84,9 @@ def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
     pads = patch_means(basis, pad_squares(design))
     electrodes = patch_means(basis, electrode_squares(design))
     assembled = perf_counter()
-    factor = factorized(body.matrix, definite=True)
+    factor = Factor(body.matrix, definite=True)
     factored = perf_counter()
-    solution, residual = checked_solve(body.matrix, factor, body.loads(pads.T.toarray()))
+    solution, residual = checked_solve(factor, body.loads(pads.T.toarray()))
     influence = electrodes @ body.displacements(solution)
     return ArrayResponse(
         design=design,

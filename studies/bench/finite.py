@@ -18,11 +18,11 @@ import numpy as np
 import typer
 
 from fem.finite.newton import find_equilibrium
-from fem.finite.rubber_body import RubberBody
-from fem.finite.solving import finite_grid, probes_of
-from fem.finite.system import FiniteSystem
+from fem.finite.solving import finite_boxes
 from fem.methods.solving import solve_scene
+from fem.rubber.body import RubberBody
 from fem.scene.scene import Block, Scene
+from fem.system import System
 from geometry.design import Material
 from geometry.storage.files import write_json
 from studies.bench.harness import (
@@ -81,13 +81,14 @@ def by_default(scene: Scene, tolerance: float) -> Solved:
 def on_one_grid(scene: Scene, level: int, by_felupe: bool = False) -> Solved:
     """One grid of the default path, the whole body, by our Newton's method or by FElupe's."""
     start = perf_counter()
-    body = RubberBody(finite_grid(scene, level), [scene.material])
-    system = FiniteSystem(body, list(scene.loads))
+    body = RubberBody.of(finite_boxes(scene, level), [scene.material])
+    system = System(body, scene.loads)
     if by_felupe:
         u = felupe_displacements(body, list(scene.loads), system.rest(), steps=1)
     else:
         u = find_equilibrium(system).state.u
-    return Solved(probes_of(scene, body.grid, u), system.n_unknowns, {"solve": perf_counter() - start})
+    probes = {probe.name: system.seen(probe, u) for probe in scene.probes}
+    return Solved(probes, system.n_unknowns, {"solve": perf_counter() - start})
 
 
 def _graded(scene: Scene, n: float) -> Any:
@@ -131,9 +132,9 @@ def by_half(level: int, order: int, law: Law) -> Solved:
     """NGSolve on half of the body, Taylor-Hood hexahedra on the lines of one of our grids."""
 
     def mesh(half: Scene, _: float) -> Any:
-        grid = finite_grid(SCENE, level)
-        y = grid.y - HALF.outline.section_mm[1]
-        return ngsolve_peer.structured(half, (grid.x, y[y > -1e-9], grid.z))
+        x, y, z = finite_boxes(SCENE, level).lines
+        y = y - HALF.outline.section_mm[1]
+        return ngsolve_peer.structured(half, (x, y[y > -1e-9], z))
 
     return solve_finite_by_ngsolve(HALF, level, mesh, order, "mixed", law, mirror="left")
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.finite.mirrored import loads_above, unfolded
+from fem.boxes.boxes import Boxes
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
-from fem.finite.rubber_body import RubberBody
-from fem.finite.solving import finite_grid, probes_of
-from fem.finite.system import FiniteSystem
+from fem.finite.solving import finite_boxes
 from fem.methods.solving import solve_scene
+from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.scene.scene import Block, Pillar, Probe, Scene
 from fem.scene.solution import FiniteSolution, largest_error
+from fem.system import System
 from geometry.design import Material
 from geometry.layout import FloatArray
 from geometry.prism import Triple
@@ -62,14 +62,13 @@ def ten_grids(kind: str, mpa: float) -> Judged:
     """Greatest less least answer on grids of level 2 with inner lines shifted but for loads' edges, over the mean."""
     scene = pressed_block(KINDS[kind](mpa))
     found, plan = solve_scene(scene)
-    loads, axes = loads_above(scene, plan.mirrors), [mirror.axis for mirror in plan.mirrors]
-    grid, random = finite_grid(scene, 2, plan.mirrors), np.random.default_rng(17)
+    boxes, random = finite_boxes(scene, 2, plan.mirrors), np.random.default_rng(17)
     sunk, residual = [], 0.0
     for _ in range(GRIDS):
-        lines = [shifted_line(line, CENTER[0] + SIZE[0] / 2, random) for line in grid.lines]
-        other = replace(grid, x=lines[0], y=lines[1], z=lines[2])
-        equilibrium = find_equilibrium(FiniteSystem(RubberBody(other, [RUBBER]), loads, axes))
-        sunk.append(probes_of(scene, *unfolded(other, equilibrium.state.u, plan.mirrors))["pad"])
+        lines = [shifted_line(line, CENTER[0] + SIZE[0] / 2, random) for line in boxes.lines]
+        system = System(RubberBody.of(Boxes.between(lines), [RUBBER]), scene.loads, plan.mirrors)
+        equilibrium = find_equilibrium(system)
+        sunk.append(system.seen(scene.probes[0], equilibrium.state.u))
         residual = max(residual, equilibrium.residual)
     spread = float(np.linalg.norm(np.ptp(sunk, axis=0)) / np.linalg.norm(np.mean(sunk, axis=0)))
     # every grid is off by about the estimate, to either side at worst

@@ -13,7 +13,7 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS, condensed_cell, lone_unit
 from fem.discretization.elasticity import taylor_hood
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
@@ -208,7 +208,7 @@ def flat_cells(smallest_deg: float, nu: float) -> Judged:
     facets = FacetBasis(mesh, ElementTetP2(), intorder=2)
     normals = np.stack([LinearForm(lambda v, w, i=i: v * w.n[i]).assemble(facets) for i in range(3)], axis=1)
     rhs = body.loads((normals @ stress).reshape(-1, 1))
-    x, residual = checked_solve(body.matrix, factorized(body.matrix), rhs)
+    x, residual = checked_solve(Factor(body.matrix), rhs)
     found = body.displacements(x).reshape(-1, 3)
     exact = np.outer(body.basis.doflocs[2], gradient[:, 2])
     error = float(np.abs(found - exact).max() / np.abs(exact).max())

@@ -9,7 +9,7 @@ import pytest
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem
 from fem.discretization.lagrange import lobatto_points
-from fem.linear.linear_solver import factorized
+from fem.factor import Factor
 from fem.methods.box_refinement import ORDER, first_mesh, marked
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
@@ -235,7 +235,7 @@ def test_column_without_cross_contraction_follows_hooke_on_any_boxes(order):
     inside = Probe(name="inside", kind="point", position_mm=(1.3, 0.4, 1.9))
     scene = Scene(body=body, material=Material(young_mpa=2.0, poisson=0.0), loads=(load,), probes=(inside,))
     system = BoxSystem(scene, (), (), random_mesh(0, rounds=3), {}, order)
-    u = factorized(system.matrix, definite=True).solve(system.loads()[:, None])[:, 0]
+    u = Factor(system.matrix, definite=True).solve(system.loads()[:, None])[:, 0]
     np.testing.assert_allclose(system.probe_rows() @ u, [[0.0, 0.0, -0.2 * 1.9 / 2.0]], atol=1e-7)  # inside: float32
     assert system.loads() @ u / 2 == pytest.approx(0.2**2 * 27 / 2 / 2.0, rel=1e-10)
 

@@ -11,7 +11,7 @@ from fem.discretization import mirrors
 from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.mirrors import flipped_points, images, parities
 from fem.discretization.patch import patch_means
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Material
 
 RUBBER = [Material()]
@@ -113,7 +113,7 @@ def test_an_array_of_one_is_the_cell_but_for_what_its_side_faces_may_do(whole_ce
     """Polynomial side faces stiffen a cell, less and less as their degree rises: energy converges from below."""
     force = patch_means(whole_cell.basis, RECTANGLES[:1]).T.toarray()
     rhs = whole_cell.loads(force)
-    u, _ = checked_solve(whole_cell.matrix, factorized(whole_cell.matrix, definite=True), rhs)
+    u, _ = checked_solve(Factor(whole_cell.matrix, definite=True), rhs)
     free = np.diag(rhs.T @ u)
     missing = []
     for degree in (2, 4, 6):
@@ -142,9 +142,7 @@ def test_two_coupled_cells_are_one_body_twice_as_long():
     found, _ = coupled.influence(range(3), range(3))
     both = np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])])
     means = patch_means(long_body.basis, both)
-    u, _ = checked_solve(
-        long_body.matrix, factorized(long_body.matrix, definite=True), long_body.loads(means.T.toarray())
-    )
+    u, _ = checked_solve(Factor(long_body.matrix, definite=True), long_body.loads(means.T.toarray()))
     expected = means @ long_body.displacements(u)
     assert np.allclose(found.reshape(6, 6), expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
 

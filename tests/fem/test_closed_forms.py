@@ -24,7 +24,7 @@ from fem.array.closed_forms import (
 from fem.array.response import read_response, write_response
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.patch import patch_integrals
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 
@@ -219,7 +219,7 @@ def pushed_block(core, outer, layers, squares):
     mesh = MeshTet.init_tensor(across, across, np.array(layers, dtype=float))
     body = taylor_hood(mesh, [USUAL], np.zeros(mesh.nelements, dtype=int))
     means = sp.kron(patch_integrals(body.basis, squares), sp.eye_array(3), format="csr")  # times area
-    solution, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
+    solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
     return (means @ body.displacements(solution)).reshape(3, 3, 3) / np.array([64.0, 16.0, 16.0])[:, None, None]
 
 

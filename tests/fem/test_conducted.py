@@ -27,7 +27,7 @@ def resistances(conductor: Conductor, H: np.ndarray, piezo: Piezoresistivity) ->
     resistivity += (piezo.along - piezo.across) * C @ E
     K = conductor.stiffness((1 + np.trace(H, axis1=1, axis2=2))[:, None, None] * np.linalg.inv(resistivity))
     phi = conductor.potentials(K)
-    return pillars_per_mm(phi.T @ (K @ phi))
+    return pillars_per_mm(phi.T @ (K @ phi), conductor.mesh.pairs)
 
 
 @pytest.fixture(scope="module")

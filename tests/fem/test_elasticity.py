@@ -8,7 +8,7 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from fem.discretization.elasticity import ElasticBody, SparsePattern, shear_blocks, taylor_hood
 from fem.discretization.patch import patch_integrals
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 
@@ -25,7 +25,7 @@ def solved_with(body: ElasticBody, prescribed: np.ndarray, forces: np.ndarray, k
     start = np.concatenate([u[body.free], np.zeros(body.n_pressure)])
     rhs = np.concatenate([forces[body.free], np.zeros(body.n_pressure)]) - K @ start
     x = start.copy()
-    x[~of_free] = factorized(K[~of_free][:, ~of_free].tocsr())(rhs[~of_free, None])[:, 0]
+    x[~of_free] = Factor(K[~of_free][:, ~of_free].tocsr()).solve(rhs[~of_free, None])[:, 0]
     u[body.free] = x[: len(body.free)]
     return u
 
@@ -128,7 +128,7 @@ def _pressed_block(nu: float, n: int) -> float:
     mesh = box_mesh((n, n, n), (10.0, 10.0, 10.0))
     body = taylor_hood(mesh, [Material(poisson=nu)], one_region(mesh))
     row = sp.kron(patch_integrals(body.basis, np.array([[3.0, 3.0, 7.0, 7.0]])), [[0.0, 0.0, 1.0]])
-    x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(-row.T.toarray()))
+    x, _ = checked_solve(Factor(body.matrix), body.loads(-row.T.toarray()))
     return -float((row @ body.displacements(x))[0, 0] / 16.0)
 
 
@@ -147,7 +147,7 @@ def test_a_stiffer_region_sinks_less():
     for materials in ([Material(), Material()], [Material(), Material(young_mpa=610.0)]):
         body = taylor_hood(mesh, materials, lower)
         row = sp.kron(patch_integrals(body.basis, np.array([[0.0, 0.0, 10.0, 10.0]])), [[0.0, 0.0, 1.0]])
-        x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(-row.T.toarray()))
+        x, _ = checked_solve(Factor(body.matrix), body.loads(-row.T.toarray()))
         rows.append(-float((row @ body.displacements(x))[0, 0]))
     soft, half_stiff = rows
     assert 0.2 * soft < half_stiff < 0.6 * soft

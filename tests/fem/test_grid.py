@@ -6,7 +6,7 @@ from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
 from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Material
 
 LINES = {"x": np.array([0.0, 1.0, 3.0]), "y": np.array([0.0, 2.0, 2.5]), "z": np.array([0.0, 1.5, 4.0])}
@@ -60,6 +60,6 @@ def test_one_factor_serves_many_loads():
     basis = GridBasis(Grid(**LINES))
     body = grid_body(basis, grid_stiffness(basis, [Material()]))
     rhs = np.random.default_rng(0).normal(size=(body.matrix.shape[0], 3))
-    x, residual = checked_solve(body.matrix, factorized(body.matrix, definite=True), rhs)
+    x, residual = checked_solve(Factor(body.matrix, definite=True), rhs)
     assert residual < 1e-10
     assert np.allclose(body.matrix @ x, rhs)

@@ -10,11 +10,11 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.grid import VTK_PLACES
+from fem.factor import Factor, checked_solve
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
 from fem.fields.finite_pictures import pressed_sensor
 from fem.fields.stress import projected_pressure
-from fem.linear.linear_solver import checked_solve, factorized
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.scene.checks import SceneError
@@ -87,7 +87,7 @@ def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
     rubbers = [Material(), Material(young_mpa=20.0, poisson=0.3)]
     body = taylor_hood(mesh, rubbers, region)
     forces = np.random.default_rng(0).normal(size=(body.n_displacement, 1))
-    x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(forces))
+    x, _ = checked_solve(Factor(body.matrix), body.loads(forces))
     elements = Elements.of_basis(body.basis, region)
     found = projected_pressure(elements, rubbers, body.displacements(x).reshape(-1, 3, 1))
     given = x[len(body.free) :]

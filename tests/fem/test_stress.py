@@ -7,8 +7,8 @@ from skfem import Basis, ElementTetP1, ElementTetP2
 from fem.discretization.elements import Elements
 from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.patch import patch_means
+from fem.factor import Factor, checked_solve
 from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
-from fem.linear.linear_solver import checked_solve, factorized
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
@@ -106,7 +106,7 @@ def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     force = -2.0 * 16.0 * patch_means(basis, np.array([[0.0, 0.0, 4.0, 4.0]])).T.toarray()[:, 2:]
     u = np.zeros((3 * basis.N, 1))
     K = stiffness[free][:, free].tocsr()
-    u[free], _ = checked_solve(K, factorized(K, definite=True), force[free])
+    u[free], _ = checked_solve(Factor(K, definite=True), force[free])
     elements = Elements.of_basis(basis, np.zeros(8, dtype=np.int64))
     found = corner_stress(elements, [material], u.reshape(-1, 3, 1)).stress_mpa[..., 0]
     side = -2.0 * poisson / (1 - poisson)
@@ -120,7 +120,7 @@ def test_a_clamped_block_hands_its_load_down():
     basis = GridBasis(Grid(x=lines, y=lines, z=np.linspace(0.0, 10.0, 7)))
     body = grid_body(basis, grid_stiffness(basis, [material]))
     force = -100.0 * patch_means(basis, np.array([[0.0, 0.0, 10.0, 10.0]])).T.toarray()[:, 2:]
-    x, _ = checked_solve(body.matrix, factorized(body.matrix, definite=True), body.loads(force))
+    x, _ = checked_solve(Factor(body.matrix, definite=True), body.loads(force))
     elements = Elements.of_basis(basis, np.zeros(basis.element_dofs.shape[1], dtype=np.int64))
     stress = corner_stress(elements, [material], body.displacements(x).reshape(-1, 3, 1))
     t, w = np.polynomial.legendre.leggauss(24)

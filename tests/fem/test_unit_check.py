@@ -8,7 +8,7 @@ import pytest
 from fem.array.substructured import elastic_body
 from fem.array.unit_check import check_unit, meshed_response
 from fem.discretization.patch import patch_means
-from fem.linear.linear_solver import checked_solve, factorized
+from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh
@@ -33,7 +33,7 @@ def test_two_assemblies_are_one_system():
     response = meshed_response(design, mesh)
     body = elastic_body(design, mesh)
     pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
-    x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(pads.T.toarray()))
+    x, _ = checked_solve(Factor(body.matrix), body.loads(pads.T.toarray()))
     expected = (electrodes @ body.displacements(x)).reshape(response.influence_mm_per_n.shape)
     assert response.unknowns == body.matrix.shape[0]
     assert response.residual < 1e-12
@@ -49,7 +49,7 @@ def test_pads_obey_reciprocity_and_energy_is_positive():
     """
     body = elastic_body(PAIR, structured(PAIR, (8, 4, 3)))
     pads = patch_means(body.basis, pad_squares(PAIR))
-    x, _ = checked_solve(body.matrix, factorized(body.matrix), body.loads(pads.T.toarray()))
+    x, _ = checked_solve(Factor(body.matrix), body.loads(pads.T.toarray()))
     compliance = pads @ body.displacements(x)
     assert np.abs(compliance - compliance.T).max() < 1e-12 * np.abs(compliance).max()
     assert np.linalg.eigvalsh(compliance).min() > 0

@@ -19,6 +19,7 @@ from geometry.cad import (
     write_solids,
 )
 from geometry.layout import pillar_ends, pillar_volumes, unit_centres
+from tests.geometry.closed_forms import oblique_width, union_mm3
 
 EXACT = 1e-9  # rounding of the CAD kernel's integrals; every form below is exact
 
@@ -33,7 +34,7 @@ def union_volume(unit: Unit) -> float:
 
     A is quadratic in z between heights at which two edges pass each other: two Gauss points are exact there.
     """
-    w, ow, h = unit.pillar_width_mm, unit.oblique_width_mm, unit.height_mm
+    w, ow, h = unit.pillar_width_mm, oblique_width(unit), unit.height_mm
     half = np.array([[w, w], [ow, w], [w, ow]]) / 2
     bottom, top = pillar_ends(unit)[:, :, :2].transpose(1, 0, 2)
 
@@ -87,18 +88,15 @@ def test_section_perpendicular_to_the_axis_is_a_square_of_the_pillars_width(desi
 
 def test_unit_volume_by_closed_form_and_by_sections(design):
     """Oblique pillars lose w²·h·ow/(2s) each inside the z pillar, and nothing to each other outside it."""
-    unit = design.unit
-    s, h, w = unit.span_mm, unit.height_mm, unit.pillar_width_mm
-    closed_form = pillar_volumes(unit).sum() - w**2 * h * unit.oblique_width_mm / s
-    assert union_volume(unit) == pytest.approx(closed_form, rel=EXACT)
-    assert unit_solid(unit).volume == pytest.approx(closed_form, rel=EXACT)
+    assert union_volume(design.unit) == pytest.approx(union_mm3(design.unit), rel=EXACT)
+    assert unit_solid(design.unit).volume == pytest.approx(union_mm3(design.unit), rel=EXACT)
 
 
 def test_unit_is_one_valid_body_that_spans_its_footprint(design):
     solid, unit = unit_solid(design.unit), design.unit
     assert solid.is_valid
     assert len(solid.solids()) == 1
-    reach = (unit.span_mm + unit.oblique_width_mm) / 2
+    reach = (unit.span_mm + oblique_width(unit)) / 2
     assert bounds(solid) == pytest.approx(np.array([[-reach, -reach, 0], [reach, reach, unit.height_mm]]), abs=1e-6)
 
 

@@ -19,7 +19,6 @@ def test_defaults_are_the_papers_sensor():
     assert design.slab_mm == (90.0, 90.0, 10.0)
     assert design.is_homogeneous
     assert not SensorDesign(matrix_material=Material(young_mpa=1.0)).is_homogeneous
-    assert Unit().oblique_width_mm == pytest.approx(2 * 2**0.5, rel=1e-15)  # at 45°, but for rounding
     assert Unit().footprint_mm == pytest.approx(10 + 2 * 2**0.5, rel=1e-15)
 
 

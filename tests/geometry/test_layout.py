@@ -1,14 +1,19 @@
 """Where everything of a design is, against the tables of the design page and independent routes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geometry import Array, Pad, SensorDesign, Unit
+from geometry import Array, DesignError, Pad, SensorDesign, Unit
 from geometry.layout import (
     AXES,
     ELECTRODES,
     PILLAR_TOP,
     PILLARS,
+    Electrode,
+    Layout,
+    Pillar,
     electrode_squares,
     pad_squares,
     pillar_ends,
@@ -87,3 +92,36 @@ def test_everything_lies_on_its_own_share_of_the_slab(design):
     electrodes = electrode_squares(design).reshape(-1, 4, 2) - centres[:, None]
     assert np.abs(pads).max() <= half
     assert np.abs(electrodes).max() <= half
+
+
+UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
+Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        ((UPPER, (Electrode("U1", (0.0, 0.0)),), (Z, X)), "two electrodes are named U1"),
+        ((UPPER, (*LOWER, Electrode("L2", (-1.0, 0.0))), (Z, X)), r"two lower electrodes lie at \(-1.0, 0.0\)"),
+        ((UPPER, LOWER, (Z, Pillar("z", "L1", "U2"))), "two pillars are named z"),
+        ((UPPER, LOWER, (Z, X, Pillar("y", "L1", "U2"))), r"two pillars join \('L1', 'U2'\)"),
+        ((UPPER, LOWER, (Z, Pillar("x", "U1", "U2"))), "pillar x joins U1 and U2: it must stand on one of L1 and end"),
+        ((UPPER, LOWER, (Z,)), "no pillar joins U2: each needs one"),
+        (((), (), ()), "no pillar joins electrodes"),
+        (((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)), "pillar z leans along x and along y"),
+    ],
+)
+def test_layouts_that_make_no_unit_are_refused_by_name(parts, says):
+    Layout(UPPER, LOWER, (Z, X))
+    with pytest.raises(DesignError, match=says):
+        Layout(*parts)
+
+
+def test_ends_of_pillars_and_electrodes_may_not_meet_in_any_layout():
+    """Two uprights of 2 mm a span apart along x alone, electrodes of 3 mm."""
+    for width, electrode, least in ((2.0, 1.0, 2.0), (2.0, 3.0, 3.0)):
+        uprights = Layout(UPPER, (*LOWER, Electrode("L2", (1.0, 0.0))), (Z, Pillar("w", "L2", "U2")))
+        unit = Unit(span_mm=least + 1e-9, pillar_width_mm=width, electrode_mm=electrode, layout=uprights)
+        assert unit.footprint_mm == pytest.approx(least + max(width, electrode))
+        with pytest.raises(DesignError, match=f"it must be above {least:g}"):
+            replace(unit, span_mm=least)

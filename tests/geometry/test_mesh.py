@@ -27,20 +27,13 @@ from geometry.mesh import (
 )
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
+from tests.geometry.closed_forms import union_mm3
 
 COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
 ONE = SensorDesign(array=Array(rows=1, cols=1))
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 REGION = np.array([0, 1, 1, 0, 0])  #: of the cube in five tetrahedra
 SOFT = replace(ONE, matrix_material=Material(young_mpa=1.0))
-
-
-def union_mm3(design: SensorDesign) -> float:
-    """Closed form V = w²(h + 2l) − w²·h·ow/s of every unit's pillars."""
-    unit = design.unit
-    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
-    one = w**2 * (h + 2 * np.hypot(s, h)) - w**2 * h * unit.oblique_width_mm / s
-    return design.n_units * one
 
 
 @pytest.fixture(scope="module", params=[ONE, SOFT], ids=["one rubber", "two rubbers"])
@@ -55,7 +48,7 @@ def meshed(request, tmp_path_factory):
 
 def test_regions_have_the_volumes_of_their_closed_forms(meshed):
     design, mesh, _ = meshed
-    pillars = 0.0 if design.is_homogeneous else union_mm3(design)
+    pillars = 0.0 if design.is_homogeneous else design.n_units * union_mm3(design.unit)
     slab = np.prod(design.slab_mm)
     volumes = mesh.region_volumes()
     assert volumes == pytest.approx([slab - pillars, pillars], rel=1e-4)  # wedges between pillars are not put back

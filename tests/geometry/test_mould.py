@@ -8,6 +8,7 @@ from geometry import DesignError
 from geometry.cad import array_solid, unit_solid
 from geometry.layout import unit_centres, upper_electrodes
 from geometry.mould import Mould, mould_solids, write_cad
+from tests.geometry.closed_forms import oblique_width
 
 MOULD = Mould(wall_mm=4.0, plate_mm=2.5, clearance_mm=0.2)
 EXACT = 1e-9  # rounding of the CAD kernel's integrals
@@ -25,7 +26,7 @@ def rim_area(design) -> float:
 
 def test_volumes_follow_their_closed_forms(design):
     unit, n, c, t = design.unit, design.n_units, MOULD.clearance_mm, MOULD.plate_mm
-    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.oblique_width_mm
+    s, h, w, ow = unit.span_mm, unit.height_mm, unit.pillar_width_mm, oblique_width(unit)
     parts = mould_solids(design, MOULD)
 
     def wedges(c: float) -> float:
@@ -73,7 +74,7 @@ def test_lid_is_open_over_upper_electrodes_and_at_the_centre_of_every_unit(desig
 def test_units_lift_out_but_for_the_heel_of_the_y_pillar(small_design):
     """The heel is a prism of width w, as far out as the oblique pillar is wider than z, and as steep."""
     unit = small_design.unit
-    depth = (unit.oblique_width_mm - unit.pillar_width_mm) / 2
+    depth = (oblique_width(unit) - unit.pillar_width_mm) / 2
     heel = unit.pillar_width_mm * depth**2 * unit.height_mm / (2 * unit.span_mm)
     pillar_mould = mould_solids(small_design, MOULD)["mould_pillars"]
     for lift_mm in (1.0, 4.0, 8.0):

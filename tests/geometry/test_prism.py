@@ -7,6 +7,7 @@ import trimesh
 from geometry import Array, SensorDesign
 from geometry.layout import unit_centres
 from geometry.prism import pillar_prisms, prisms_at, slab_prism
+from tests.geometry.closed_forms import union_mm3
 
 
 def test_points_inside_pillars_are_those_inside_their_hulls(design):
@@ -27,14 +28,11 @@ def test_points_inside_pillars_are_those_inside_their_hulls(design):
 
 
 def test_the_volume_inside_pillars_is_that_of_their_union(design):
-    """V = w²(h + 2l) − w²·h·ow/s of every unit: the oblique pillars share a wedge with the upright one."""
-    unit, slab = design.unit, slab_prism(design)
-    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
-    union = w**2 * (h + 2 * np.hypot(s, h)) - w**2 * h * unit.oblique_width_mm / s
+    slab = slab_prism(design)
     assert slab.volume_mm3 == pytest.approx(np.prod(design.slab_mm))
     n = 100_000
     points = np.random.default_rng(1).uniform(*slab.corners()[[0, 6]], (n, 3))
-    share = design.n_units * union / slab.volume_mm3
+    share = design.n_units * union_mm3(design.unit) / slab.volume_mm3
     deviation = np.sqrt(share * (1 - share) / n)  # of a binomial share
     inside = prisms_at(points, pillar_prisms(design)) > 0
     assert inside.mean() == pytest.approx(share, abs=4 * deviation)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import typer
 
-from fem.linear.factors import SolverError
+from fem.factor import SolverError
 from studies.edge_cases import __main__ as command
 from studies.edge_cases.__main__ import all_trials
 from studies.edge_cases.scenes import flattened, signed_volumes

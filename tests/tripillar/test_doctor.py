@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fem.linear.linear_solver import SolverError
+from fem.factor import SolverError
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.doctor import known_answers, surroundings

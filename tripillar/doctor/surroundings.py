@@ -80,11 +80,11 @@ def packages() -> Iterator[Check]:
 
 def solver() -> Check:
     """Name the linear solver that is installed."""
-    from fem.linear.linear_solver import solver_name
+    from fem.factor import solver_name
 
     name = solver_name()
     advice = "PARDISO is several times faster: pip install pypardiso (x86-64)." if name == "superlu" else ""
-    found = {"pardiso": "PARDISO (Intel MKL)", "cholmod": "CHOLMOD", "superlu": "SuperLU (SciPy)"}[name]
+    found = {"pardiso": "PARDISO (Intel MKL)", "superlu": "SuperLU (SciPy)"}[name]
     return Check(name="linear solver", state="optional" if advice else "ok", found=found, advice=advice)
 
 

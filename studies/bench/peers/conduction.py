@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from dataset.resistance import pillar_lengths
-from fem.conduction import TERMINALS, unit_conductances
+from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
 from fem.discretization.grid import Grid
 from fem.finite.gradients import PointGradients
@@ -21,7 +21,15 @@ from fem.finite.solving import solve_finite
 from fem.scene.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
-from geometry.layout import FloatArray, electrode_squares, pad_squares, pillar_volumes, unit_centres
+from geometry.layout import (
+    FloatArray,
+    electrode_squares,
+    lower_electrodes,
+    pad_squares,
+    pillar_volumes,
+    unit_centres,
+    upper_electrodes,
+)
 from geometry.prism import pillar_prisms
 
 ORDER, LEVELS, RATIO = 4, 3, 0.15  #: of NGSolve's functions and of its refinement
@@ -84,7 +92,7 @@ def deformed(pressed: Pressed) -> Deformed:
         loads=tuple(loads),
         probes=tuple(
             Probe(name=name, kind="mean", center_mm=(float(x[k]), float(y[k])), size_mm=electrode)
-            for k, name in enumerate(TERMINALS[:2])
+            for k, name in enumerate(Unit().layout.upper_names)
         ),
         tolerance=pressed.tolerance,
     )
@@ -98,7 +106,7 @@ def deformed(pressed: Pressed) -> Deformed:
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     F = np.eye(3) + PointGradients(grid, places.reshape(-1, 3) + centre).of(found.field.displacement_mm[None])[0]
-    moved = np.array([found.probes[name] for name in TERMINALS[:2]])
+    moved = np.array([found.probes[name] for name in Unit().layout.upper_names])
     return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, design.unit))
 
 
@@ -115,8 +123,9 @@ class NgsolveUnit:
         one, *others = [_solid(prism) for prism in pillar_prisms(alone)]
         for other in others:
             one = one + other
-        h, e, s = unit.height_mm, unit.electrode_mm / 2, unit.span_mm / 2
-        places = {"U1": (-s, -s, h), "U2": (-s, s, h), "L1": (-s, -s, 0.0), "L2": (s, -s, 0.0)}
+        h, e, self.names = unit.height_mm, unit.electrode_mm / 2, unit.layout.terminals
+        middles = np.vstack([upper_electrodes(unit), lower_electrodes(unit)]).tolist()
+        places = dict(zip(self.names, middles, strict=True))
         shape = Glue([one, *[_face((x - e, y - e, x + e, y + e), z) for x, y, z in places.values()]])
         for face in shape.faces:
             for name, (x, y, z) in places.items():
@@ -130,10 +139,10 @@ class NgsolveUnit:
                 edge.hpref = 1
         self.mesh = ng.Mesh(OCCGeometry(shape).GenerateMesh(maxh=1.5, grading=0.5))
         self.mesh.RefineHP(levels, factor=RATIO)
-        self.space = ng.H1(self.mesh, order=order, dirichlet="|".join(TERMINALS))
+        self.space = ng.H1(self.mesh, order=order, dirichlet="|".join(self.names))
 
     def conductances(self, deformation: Deformed | None) -> FloatArray:
-        """The matrix (4, 4) of `fem.conduction.Conductances` [mm]."""
+        """The matrix of `fem.conduction.Conductances` [mm]."""
         import ngsolve as ng
 
         u, v = self.space.TnT()
@@ -152,14 +161,14 @@ class NgsolveUnit:
         form.Assemble()
         inverse = form.mat.Inverse(self.space.FreeDofs(True), inverse="sparsecholesky")
         found = []
-        for name in TERMINALS:
+        for name in self.names:
             phi = ng.GridFunction(self.space)
             phi.Set(1.0, definedon=self.mesh.Boundaries(name))
             rest = phi.vec.CreateVector()
             rest.data = form.mat * phi.vec
             phi.vec.data -= inverse * rest
             found.append(phi)
-        G = np.empty((4, 4))
+        G = np.empty((len(found), len(found)))
         for i, phi in enumerate(found):
             rest = phi.vec.CreateVector()
             rest.data = form.mat * phi.vec
@@ -178,7 +187,7 @@ def main(write: Callable[[str], Any] = print) -> None:
     for pressed in (None, *STATES):
         deformation = None if pressed is None else deformed(pressed)
         ours = unit_conductances(unit, deformation)
-        theirs, check = (pillars_per_mm(one.conductances(deformation)) for one in (peer, coarser))
+        theirs, check = (pillars_per_mm(one.conductances(deformation), ours.pairs) for one in (peer, coarser))
         write(f"{'at rest' if pressed is None else pressed.name}")
         write(f"  R/ρ of z, x, y [1/mm]     {ours.pillars_per_mm}  estimated error {ours.error_estimate}")
         write(f"  NGSolve                   {theirs}  its coarser mesh off by {check / theirs - 1}")

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from fem.finite.rubber_body import RubberBody
-from fem.finite.system import FiniteSystem, State
+from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.system import State, System
 from geometry.layout import FloatArray
 
 STEPS = 8  #: of the load; FElupe's Newton has the pressure as a field of its own, but no step control
@@ -41,7 +41,7 @@ def felupe_displacements(body: RubberBody, loads: list[Load], state: State, step
         def gradient(self, r: FloatArray) -> FloatArray:
             return np.vstack([np.zeros((1, 3)), np.eye(3)])
 
-    points, n = body.basis.doflocs.T, body.n_elements
+    points, n = body.boxes.points_mm, body.n_elements
     order = np.rint(fe.TriQuadraticHexahedron().points + 1).astype(int) @ np.array([9, 3, 1])
     mesh = fe.Mesh(points, body.nodes[:, order], "hexahedron27")
     region = fe.RegionTriQuadraticHexahedron(mesh)
@@ -51,9 +51,9 @@ def felupe_displacements(body: RubberBody, loads: list[Load], state: State, step
     volume[::4] = 1.0
     u = fe.Field(region, dim=3)
     field = fe.FieldContainer([u, fe.Field(linear, dim=1), fe.Field(linear, dim=1, values=volume)])
-    law = fe.NearlyIncompressible(fe.NeoHookeCompressible(mu=body.mu_mpa[0, 0]), bulk=body.lame_mpa[0, 0])
+    law = fe.NearlyIncompressible(fe.NeoHookeCompressible(mu=body.law.mu_mpa[0, 0]), bulk=body.law.lame_mpa[0, 0])
     solid = fe.SolidBody(law, field)
-    system = FiniteSystem(body, loads)
+    system = System(body, loads)
     held: dict[str, Any] = {"base": fe.Boundary(u, fz=0.0)}
     mask = np.zeros(len(points), dtype=bool)
     mask[system.plates.node] = True
@@ -86,6 +86,6 @@ def _top_field(fe: Any, body: RubberBody, mesh: Any, load: FollowerLoad) -> Any:
     x0, y0, x1, y1 = load.rectangle
     x, y, z = mesh.points.T
     inside = (x > x0 - 1e-9) & (x < x1 + 1e-9) & (y > y0 - 1e-9) & (y < y1 + 1e-9)
-    mask = inside & (z == body.grid.height_mm)
+    mask = inside & (z == body.boxes.height_mm)
     region = fe.RegionTriQuadraticHexahedronBoundary(mesh, only_surface=True, mask=mask)
     return fe.FieldContainer([fe.Field(region, dim=3)])

@@ -5,24 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.discretization.grid import Grid
-from fem.finite.mirrored import loads_above, unfolded
+from fem.boxes.boxes import Boxes
 from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium, solve_rest
-from fem.finite.rubber_body import RubberBody
-from fem.finite.solving import finite_grid, solve_finite
-from fem.finite.system import FiniteSystem
-from fem.linear.refactored import RepeatedFactor
+from fem.finite.solving import finite_boxes, solve_finite, unfolded
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
+from fem.rubber.body import RubberBody
 from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene
 from fem.scene.solution import Solution, largest_error
+from fem.system import System
 from geometry.design import Material
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
-BODY = RubberBody(Grid(x=LINE, y=LINE, z=np.array([0.0, 6.0, 10.0])), [Material()])
+RUBBER = Material(model="neo-hookean")
+BODY = RubberBody.of(Boxes.between([LINE, LINE, np.array([0.0, 6.0, 10.0])]), [RUBBER])
 PROBES = (
     Probe(name="middle", kind="mean", center_mm=(7.5, 7.5), size_mm=(2.0, 2.0)),
     Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
@@ -41,9 +40,9 @@ def loads_of(kind: str, mpa: float) -> list[Load]:
 @pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
 def test_small_loads_give_the_tangent_s_answer(kind, mpa):
     """They differ by the strain, which is about mpa / 6, and by what the residual may be; plates tilt as well."""
-    system = FiniteSystem(BODY, loads_of(kind, mpa))
+    system = System(BODY, loads_of(kind, mpa))
     found = find_equilibrium(system)
-    linear = system.nodal_change(system.rest().rotation, solve_rest(system, RepeatedFactor(system.pattern)))
+    linear = system.nodal_change(system.rest().rotation, solve_rest(system, system.new_factor()))
     assert np.abs(found.state.u - linear).max() < (mpa + 10 * RESIDUAL) * np.abs(linear).max()
 
 
@@ -65,22 +64,22 @@ def test_small_loads_give_the_linear_solver_s_answer():
 
 @pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
 def test_equilibrium_needs_few_iterations_and_holds_its_loads(kind):
-    system = FiniteSystem(BODY, loads_of(kind, 1.5))
+    system = System(BODY, loads_of(kind, 1.5))
     found = find_equilibrium(system)
     assert found.steps == 1
     assert found.iterations <= 6
     assert found.residual <= 1e-9
     internal, _, _ = BODY.internal_forces(found.state.u[None])
-    base = BODY.basis.doflocs[2] == 0.0
+    base = BODY.boxes.points_mm[:, 2] == 0.0
     pushed = system.nodal_loads(found.state, 1.0).sum(axis=0) + system.force_n.sum(axis=0)
     assert np.allclose(internal[0, base].sum(axis=0), -pushed, atol=1e-6)
 
 
 def test_a_plate_stays_rigid_and_its_moments_balance():
-    system = FiniteSystem(BODY, [StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))])
+    system = System(BODY, [StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))])
     state = find_equilibrium(system).state
-    x = BODY.basis.doflocs.T[system.plates.node] + state.u[system.plates.node]
-    rest = BODY.basis.doflocs.T[system.plates.node]
+    x = BODY.boxes.points_mm[system.plates.node] + state.u[system.plates.node]
+    rest = BODY.boxes.points_mm[system.plates.node]
     assert np.allclose(
         np.linalg.norm(x[:, None] - x[None], axis=-1), np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     )
@@ -93,9 +92,9 @@ def test_a_plate_stays_rigid_and_its_moments_balance():
 @pytest.mark.parametrize("kind", ["dead", "stiff"])
 def test_work_of_the_loads_is_stored(kind):
     """The work is a cubic's integral over the one load step: right to 1 % at a shortening of 10 %."""
-    found = find_equilibrium(FiniteSystem(BODY, loads_of(kind, 1.0)))
+    found = find_equilibrium(System(BODY, loads_of(kind, 1.0)))
     assert abs(found.energy_imbalance) < 1e-2
-    many = find_equilibrium(FiniteSystem(BODY, loads_of(kind, 1.0)), first_step=0.125)
+    many = find_equilibrium(System(BODY, loads_of(kind, 1.0)), first_step=0.125)
     assert many.steps > 3
     assert abs(many.energy_imbalance) < 1e-4
     assert np.allclose(many.state.u, found.state.u, atol=1e-8)
@@ -103,7 +102,7 @@ def test_work_of_the_loads_is_stored(kind):
 
 def test_a_load_without_equilibrium_is_refused_in_one_line():
     with pytest.raises(UnreachableLoadError, match=r"no stable equilibrium above 0\.\d+ of the load") as refused:
-        find_equilibrium(FiniteSystem(BODY, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -20.0))]))
+        find_equilibrium(System(BODY, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -20.0))]))
     assert "stiff plate" in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -159,19 +158,17 @@ def test_small_loads_on_two_rubbers_give_the_linear_answer_itself():
 def test_plates_that_touch_are_refused():
     halves = [StiffLoad(center_mm=(x, 7.5), size_mm=(6.0, 12.0), force_n=(0.0, 0.0, -1.0)) for x in (4.5, 10.5)]
     with pytest.raises(SceneError, match="part them"):
-        FiniteSystem(BODY, halves)
+        System(BODY, halves)
 
 
 def test_a_load_off_the_grid_s_lines_is_refused():
     with pytest.raises(SceneError, match="no line at x = 1 mm"):
-        FiniteSystem(BODY, [StiffLoad(center_mm=(7.5, 7.5), size_mm=(13.0, 12.0), force_n=(0.0, 0.0, -1.0))])
+        System(BODY, [StiffLoad(center_mm=(7.5, 7.5), size_mm=(13.0, 12.0), force_n=(0.0, 0.0, -1.0))])
 
 
 def test_both_solvers_agree():
-    system = FiniteSystem(BODY, loads_of("follower", 1.0))
-    one, two = (
-        find_equilibrium(system, RepeatedFactor(system.pattern, solver)).state.u for solver in ("pardiso", "superlu")
-    )
+    system = System(BODY, loads_of("follower", 1.0))
+    one, two = (find_equilibrium(system, system.new_factor(solver)).state.u for solver in ("pardiso", "superlu"))
     assert np.allclose(one, two, atol=1e-9)
 
 
@@ -195,13 +192,12 @@ def test_a_part_between_mirrors_is_the_whole(loads, planes):
     )
     plan = make_plan(scene)
     assert f"the body mirrors in {planes}" in "".join(plan.lines)
-    grid = finite_grid(scene, 1, plan.mirrors)
-    axes = [mirror.axis for mirror in plan.mirrors]
-    part = find_equilibrium(FiniteSystem(RubberBody(grid, [Material()]), loads_above(scene, plan.mirrors), axes))
-    whole_grid, u = unfolded(grid, part.state.u, plan.mirrors)
-    whole = find_equilibrium(FiniteSystem(RubberBody(whole_grid, [Material()]), list(loads)))
+    boxes = finite_boxes(scene, 1, plan.mirrors)
+    part = find_equilibrium(System(RubberBody.of(boxes, [RUBBER]), loads, plan.mirrors))
+    whole_boxes, u = unfolded(boxes, part.state.u, plan.mirrors)
+    whole = find_equilibrium(System(RubberBody.of(whole_boxes, [RUBBER]), loads))
     assert np.allclose(u, whole.state.u, atol=1e-7)
-    assert np.isclose(2 ** len(axes) * part.stored_mj, whole.stored_mj, rtol=1e-8)
+    assert np.isclose(2 ** len(plan.mirrors) * part.stored_mj, whole.stored_mj, rtol=1e-8)
 
 
 def test_squeezed_elements_take_few_iterations():
@@ -209,8 +205,8 @@ def test_squeezed_elements_take_few_iterations():
     material = Material(model="neo-hookean")
     scene = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=material, loads=(UPRIGHT,), probes=PROBES)
     mirrors = make_plan(scene).mirrors
-    body = RubberBody(finite_grid(scene, 2, mirrors), [material])
-    found = find_equilibrium(FiniteSystem(body, loads_above(scene, mirrors), (0, 1)))
+    body = RubberBody.of(finite_boxes(scene, 2, mirrors), [material])
+    found = find_equilibrium(System(body, scene.loads, mirrors))
     assert found.least_j < 0.1
     assert found.is_stable is None
     assert found.stability  # not silently

@@ -3,26 +3,26 @@
 import numpy as np
 import pytest
 
-from fem.discretization.grid import Grid
+from fem.boxes.boxes import Boxes
 from fem.finite.newton import find_equilibrium
-from fem.finite.rubber_body import RubberBody
 from fem.finite.series import BaseState, load_series, quaternion_rotations, rank_reduced_sum
-from fem.finite.system import FiniteSystem
+from fem.rubber.body import RubberBody
 from fem.scene.loads import StiffLoad
+from fem.system import System
 from geometry.design import Material
 
 LINE = np.array([-15.0, -13.5, -7.5, -1.5, 0.0, 1.5, 7.5, 13.5, 15.0])
-BODY = RubberBody(Grid(x=LINE, y=LINE[:5], z=np.array([0.0, 6.0, 10.0])), [Material()])
+BODY = RubberBody.of(Boxes.between([LINE, LINE[:5], np.array([0.0, 6.0, 10.0])]), [Material(model="neo-hookean")])
 PRELOAD_N = np.array([[0.0, 0.0, -144.0], [0.0, 0.0, -144.0]])
 LOADS_N = np.array([[20.0, 10.0, -180.0], [-15.0, 30.0, -60.0]])
 
 
-def system_under(forces_n: np.ndarray) -> FiniteSystem:
+def system_under(forces_n: np.ndarray) -> System:
     plates = [
         StiffLoad(center_mm=(x, -7.5), size_mm=(12.0, 12.0), force_n=tuple(force.tolist()))
         for x, force in zip((-7.5, 7.5), forces_n, strict=True)
     ]
-    return FiniteSystem(BODY, list(plates))
+    return System(BODY, list(plates))
 
 
 @pytest.mark.parametrize("preload_n", [np.zeros((2, 3)), PRELOAD_N], ids=["rest", "preload"])

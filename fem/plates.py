@@ -4,19 +4,20 @@ A node at X of a plate whose middle was at C moves to c + R (X − C). Rotations
 spins δω: δR = [δω] R. The forces f of the nodes are as strong as their sum and their moment Σ R (X − C) × f.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.finite.loads import bonded_nodes, skew
-from fem.finite.rubber_body import RubberBody
+from fem.boxes.boxes import Boxes
 from fem.scene.checks import SceneError
-from fem.scene.loads import StiffLoad
+from fem.scene.loads import Rectangle
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
+ON_LINE = 1e-9  #: of the body's extent: how far rounding may put a line off a rectangle's edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,23 +30,22 @@ class Plates:
     half_mm: FloatArray  #: half the larger side of each plate, (k,): the arm that makes a spin a length
 
     @classmethod
-    def of(cls, body: RubberBody, loads: list[StiffLoad]) -> "Plates":
-        """The plates of stiff loads.
+    def of(cls, boxes: Boxes, rectangles: Sequence[Rectangle], middles_mm: FloatArray) -> "Plates":
+        """Plates on rectangles of the top face; they turn about `middles_mm` (k, 2).
 
         Raises
         ------
         SceneError
             If two plates share a node: together they would be a hinge, which is not modelled.
         """
-        nodes = [bonded_nodes(body, load.rectangle) for load in loads]
+        nodes = [top_nodes(boxes, rectangle) for rectangle in rectangles]
         node = np.concatenate(nodes) if nodes else np.zeros(0, dtype=np.int64)
         if len(np.unique(node)) < len(node):
             raise SceneError("two stiff loads touch or overlap: part them by at least one element.")
         plate = np.repeat(np.arange(len(nodes)), np.array([len(own) for own in nodes], dtype=np.int64))
-        centre = np.array([[*load.center_mm, body.grid.height_mm] for load in loads]).reshape(-1, 3)
-        arm = body.basis.doflocs.T[node] - centre[plate]
-        half = np.array([max(load.size_mm) / 2 for load in loads])
-        return cls(node=node, plate=plate, arm_mm=arm, half_mm=half)
+        centre = np.column_stack([middles_mm, np.full(len(middles_mm), boxes.height_mm)])
+        half = np.array([max(x1 - x0, y1 - y0) / 2 for x0, y0, x1, y1 in rectangles])
+        return cls(node=node, plate=plate, arm_mm=boxes.points_mm[node] - centre[plate], half_mm=half)
 
     @property
     def count(self) -> int:
@@ -60,6 +60,10 @@ class Plates:
         """R (X − C) of every bonded node, (..., n, 3), of rotations, or turns, (..., k, 3, 3)."""
         return np.einsum("...nij,nj->...ni", rotation[..., self.plate, :, :], self.arm_mm)
 
+    def spins(self, rotation: FloatArray) -> FloatArray:
+        """Displacement of every bonded node by spin times half width of its plate, (n, 3, 3)."""
+        return -skew(self.turned(rotation)) / self.half_mm[self.plate][:, None, None]
+
     def displacements(self, shift: FloatArray, turn: FloatArray) -> FloatArray:
         """Of every bonded node, (..., n, 3), for shifts (..., k, 3) of the middles and turns R − I [mm]."""
         return shift[..., self.plate, :] + self.turned(turn)
@@ -69,7 +73,28 @@ class Plates:
         if not self.count:
             return np.zeros((*forces.shape[:-2], 0, 3)), np.zeros((*forces.shape[:-2], 0, 3))
         moments = np.cross(self.turned(rotation), forces)
-        return tuple(np.add.reduceat(v, self.starts, axis=-2) for v in (forces, moments))  # type: ignore[return-value]  # two
+        return np.add.reduceat(forces, self.starts, axis=-2), np.add.reduceat(moments, self.starts, axis=-2)
+
+
+def top_nodes(boxes: Boxes, rectangle: Rectangle) -> IntArray:
+    """Independent nodes of the top face within a rectangle, edges included.
+
+    Raises
+    ------
+    SceneError
+        If the boxes have no sides along the rectangle's edges.
+    """
+    points, height = boxes.points_mm, boxes.height_mm
+    slack = ON_LINE * float(np.ptp(points, axis=0).max())
+    for k, place in enumerate(rectangle):
+        line = boxes.lines[k % 2] + boxes.lean[k % 2] * height
+        if np.abs(line - place).min() > slack:
+            where = f"{'xy'[k % 2]} = {place:g} mm, an edge of a following or stiff load"
+            raise SceneError(f"the grid has no line at {where}: give it one.")
+    x0, y0, x1, y1 = rectangle
+    inside = (points[:, 0] > x0 - slack) & (points[:, 0] < x1 + slack)
+    inside &= (points[:, 1] > y0 - slack) & (points[:, 1] < y1 + slack)
+    return np.flatnonzero(inside & (np.abs(points[:, 2] - height) <= slack) & boxes.is_independent)
 
 
 def turns(spin: FloatArray) -> FloatArray:
@@ -81,3 +106,15 @@ def turns(spin: FloatArray) -> FloatArray:
     angle = np.linalg.norm(spin, axis=-1)[..., None, None]
     W = skew(spin)
     return np.sinc(angle / np.pi) * W + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (W @ W)
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Matrices [v] (..., 3, 3) for which [v] w = v × w, of vectors (..., 3).
+
+    >>> skew(np.array([0.0, 0.0, 1.0])) @ np.array([1.0, 0.0, 0.0])
+    array([0., 1., 0.])
+    """
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out

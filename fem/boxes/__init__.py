@@ -1,0 +1,1 @@
+"""Boxes: functions along a line (`lagrange.py`), graded lines (`lines.py`), elements of any order (`boxes.py`)."""

@@ -1,0 +1,168 @@
+"""Boxes of one order, upright or sheared as one: their nodes, and rows that take nodal values to what is asked of them.
+
+Nodes lie on Gauss-Lobatto points. On a grid all are independent; where fine boxes meet coarse ones (`splitting.py`) the
+nodes on a larger box's face take what its functions give there (`constraint`). A field is given by its values at all
+nodes, dependent ones included: `at`, `slopes` and `integrals` are sparse rows on them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fem.boxes.lagrange import cube_functions, cube_slopes, interval_integrals, lobatto_points
+from geometry.layout import FloatArray
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Boxes:
+    """m boxes of (order + 1)³ nodes each, n nodes in all; the base is z = 0."""
+
+    low: FloatArray  #: (m, 3), lowest corners before they are sheared [mm]
+    high: FloatArray  #: (m, 3), highest corners
+    order: int  #: of the functions along each axis
+    nodes: IntArray  #: (m, (order + 1)³), numbers of the nodes, z fastest
+    region: IntArray  #: (m,), which material fills each box
+    lean: tuple[float, float] = (0.0, 0.0)  #: x and y by which points shift per mm of height
+    constraint: sp.csr_matrix | None = None  #: (n, n), values of all nodes from those of the independent ones
+
+    @classmethod
+    def between(
+        cls,
+        lines: Sequence[FloatArray],
+        order: int = 2,
+        lean: tuple[float, float] = (0.0, 0.0),
+        region: NDArray[np.int64] | int = 0,
+    ) -> "Boxes":
+        """All boxes between lines along x, y and z [mm]; `region` (nx, ny, nz) or broadcastable to it."""
+        shape = tuple(len(line) - 1 for line in lines)
+        low, high = (
+            np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
+            for ends in ([line[:-1] for line in lines], [line[1:] for line in lines])
+        )
+        start = order * np.indices(shape).reshape(3, -1, 1)
+        local = np.indices((order + 1,) * 3).reshape(3, 1, -1)
+        nodes = np.ravel_multi_index(tuple(start + local), [order * count + 1 for count in shape])
+        every = np.broadcast_to(np.asarray(region, dtype=np.int64), shape).ravel()
+        return cls(low=low, high=high, order=order, nodes=nodes, region=every, lean=lean)
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """Extents of the boxes, (m, 3) [mm]."""
+        return self.high - self.low
+
+    @cached_property
+    def n_nodes(self) -> int:
+        return int(self.nodes.max()) + 1
+
+    @cached_property
+    def is_independent(self) -> NDArray[np.bool_]:
+        """Which nodes hang on no others, (n,)."""
+        if self.constraint is None:
+            return np.ones(self.n_nodes, dtype=bool)
+        return np.asarray(self.constraint.diagonal() == 1)
+
+    @cached_property
+    def lines(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Every place along x, y and z at which a box ends [mm]."""
+        x, y, z = (np.unique(np.concatenate([self.low[:, d], self.high[:, d]])) for d in range(3))
+        return x, y, z
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of intervals between the lines along each axis; on a grid, of boxes."""
+        x, y, z = (len(line) - 1 for line in self.lines)
+        return x, y, z
+
+    @property
+    def height_mm(self) -> float:
+        return float(self.lines[2][-1])
+
+    @cached_property
+    def shear(self) -> FloatArray:
+        """∂x/∂ξ of the boxes' sides, (3, 3): the identity but for the lean; its inverse has the opposite lean."""
+        out = np.eye(3)
+        out[:2, 2] = self.lean
+        return out
+
+    @cached_property
+    def points_mm(self) -> FloatArray:
+        """Positions of the nodes, (n, 3) [mm]."""
+        share = (lobatto_points(self.order) + 1) / 2
+        local = share[np.indices((self.order + 1,) * 3).reshape(3, -1).T]
+        points = np.empty((self.n_nodes, 3))
+        points[self.nodes] = self.low[:, None] + local * self.size[:, None]
+        ends = local == 1  # exact on the highest faces: clamps, mirrors and plates are found by position
+        points[self.nodes] = np.where(ends, self.high[:, None], points[self.nodes])
+        return points @ self.shear.T
+
+    def located(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The box that holds each of points (k, 3), (k,), and where in it, (k, 3) in −1..1.
+
+        A point outside is taken for the nearest one inside, along each axis.
+        """
+        places = points_mm @ np.linalg.inv(self.shear).T
+        cells = []
+        for d, line in enumerate(self.lines):
+            places[:, d] = np.clip(places[:, d], line[0], line[-1])
+            cells.append(np.clip(np.searchsorted(line, places[:, d], side="right") - 1, 0, len(line) - 2))
+        box = self._box_of_cell[tuple(cells)]
+        return box, 2 * (places - self.low[box]) / self.size[box] - 1
+
+    @cached_property
+    def _box_of_cell(self) -> IntArray:
+        """The box that each cell between the lines lies in, of the shape of the cells."""
+        found = np.zeros(self.shape, dtype=np.int64)
+        first, last = (
+            np.column_stack([np.searchsorted(line, ends[:, d]) for d, line in enumerate(self.lines)])
+            for ends in (self.low, self.high)
+        )
+        for box, ((i, j, k), (i1, j1, k1)) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+            found[i:i1, j:j1, k:k1] = box
+        return found
+
+    def at(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows that take nodal values to those at points (k, 3), shape (k, n)."""
+        box, local = self.located(points_mm)
+        return self._rows(box, cube_functions(self.order, local))
+
+    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
+        box, local = self.located(points_mm)
+        along = cube_slopes(self.order, local) * (2 / self.size[box]).T[:, :, None]
+        along = np.tensordot(np.linalg.inv(self.shear), along, (0, 0))
+        return sp.vstack([self._rows(box, values) for values in along], format="csr")
+
+    def _rows(self, box: IntArray, values: FloatArray) -> sp.csr_matrix:
+        rows = np.repeat(np.arange(len(box)), values.shape[1])
+        return sp.csr_matrix((values.ravel(), (rows, self.nodes[box].ravel())), shape=(len(box), self.n_nodes))
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        """∫ φ dA of every function over rectangles x0, y0, x1, y1 of the top face, shape (k, n) [mm²].
+
+        Exact wherever the boxes' sides lie; a row sums to the area of the top that its rectangle covers.
+        """
+        rectangles = np.asarray(rectangles, dtype=float).reshape(-1, 4)
+        shift = np.tile(np.array(self.lean) * self.height_mm, 2)
+        top = np.flatnonzero(self.high[:, 2] == self.height_mm)
+        upper = np.arange((self.order + 1) ** 3).reshape((self.order + 1,) * 3)[:, :, -1].ravel()
+        rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+        for number, rectangle in enumerate(rectangles - shift):
+            start = np.maximum(self.low[top, :2], rectangle[:2])
+            end = np.minimum(self.high[top, :2], rectangle[2:])
+            some = (end > start).all(axis=1)
+            own = top[some]
+            X, Y = (
+                interval_integrals(self.order, self.low[own, d], self.high[own, d], start[some, d], end[some, d])
+                for d in range(2)
+            )
+            values.append(np.einsum("mi,mj->mij", X, Y).ravel())
+            columns.append(self.nodes[own][:, upper].ravel())
+            rows.append(np.full(len(columns[-1]), number))
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return sp.csr_matrix(entries, shape=(len(rectangles), self.n_nodes))

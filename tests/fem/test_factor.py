@@ -1,0 +1,304 @@
+"""Both solvers give the same answers on every matrix, and a wrong answer is not passed on."""
+
+import ctypes
+import gc
+from importlib import metadata
+from importlib.util import find_spec
+from types import SimpleNamespace
+
+import numpy as np
+import psutil
+import pytest
+import scipy.sparse as sp
+
+from fem import factor as module
+from fem.discretization.elasticity import taylor_hood
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name
+from geometry.design import Material
+from tests.fem.boxes import box_mesh
+
+
+def elastic(poisson, boxes=(3, 3, 2)):
+    """Stiffness of a slab of Q2 boxes of 2 mm: definite; near ν = 0.5 its condition number is 1e7."""
+    basis = GridBasis(Grid(**{axis: np.linspace(0.0, 2.0 * n, n + 1) for axis, n in zip("xyz", boxes, strict=True)}))
+    return grid_body(basis, grid_stiffness(basis, [Material(poisson=poisson)])).matrix
+
+
+def mixed():
+    """Taylor-Hood, all but incompressible: quasi-definite, as many eigenvalues below 0 as pressures."""
+    mesh = box_mesh((4, 4, 3), (10.0, 10.0, 6.0), disorder=0.2)
+    return taylor_hood(mesh, [Material(poisson=0.4999)], np.zeros(mesh.nelements, dtype=int)).matrix
+
+
+def indefinite():
+    """Eigenvalues on both sides of 0 and no pressures, as a tangent beyond buckling."""
+    matrix = elastic(0.3)
+    return (matrix - 2.0 * sp.eye_array(matrix.shape[0])).tocsr()
+
+
+def unsymmetric():
+    """As a tangent with pressures that follow."""
+    matrix = elastic(0.3).tocoo()
+    return sp.csr_matrix((matrix.data * (1 + 0.2 * (matrix.row < matrix.col)), (matrix.row, matrix.col)))
+
+
+DEFINITE = {"definite": True}
+MATRICES = {
+    "ν=0.3": (lambda: elastic(0.3), DEFINITE),
+    "ν=0.4999": (lambda: elastic(0.4999), DEFINITE),
+    "blocks": (lambda: elastic(0.4999).tobsr((3, 3)), DEFINITE),
+    "oblong blocks": (lambda: elastic(0.3).tobsr((3, 1)), DEFINITE),
+    "quasi-definite": (mixed, {}),
+    "indefinite": (indefinite, {}),
+    "indefinite blocks": (lambda: indefinite().tobsr((3, 3)), {}),
+    "upper": (lambda: sp.triu(indefinite(), format="csr"), {"upper": True}),
+    "upper blocks": (lambda: module._upper(indefinite().tobsr((3, 3))), {"upper": True}),
+    "unsymmetric": (unsymmetric, {"symmetric": False}),
+    "unsymmetric blocks": (lambda: unsymmetric().tobsr((3, 3)), {"symmetric": False}),
+}
+
+
+@pytest.fixture(scope="module", params=["pardiso", "superlu"])
+def solver(request):
+    if request.param == "pardiso":
+        pytest.importorskip("pypardiso")
+    return request.param
+
+
+@pytest.fixture(scope="module", params=MATRICES)
+def problem(request, solver):
+    """A factor, its whole matrix and five solutions."""
+    make, kind = MATRICES[request.param]
+    factor = Factor(make(), solver=solver, **kind)
+    K = factor.matrix.tocsr()
+    return factor, K, np.random.default_rng(3).standard_normal((K.shape[0], 5))
+
+
+def of(matrix, solve):
+    """In a factor's place."""
+    return SimpleNamespace(matrix=matrix, solve=solve)
+
+
+def test_every_system_is_solved_to_rounding(problem):
+    factor, K, exact = problem
+    assert factor.symmetric == (abs(K - K.T).max() < 1e-12 * abs(K).max())
+    x, residual = checked_solve(factor, K @ exact)
+    assert residual < 1e-12
+    assert np.allclose(x, exact, rtol=0, atol=1e-8)  # the condition number, 1e7 at most, times the residual, and room
+    x, residual = checked_solve(factor, np.zeros_like(exact))
+    assert residual == 0.0
+    assert not x.any()
+
+
+def test_products_with_the_inverse_are_right(problem):
+    """Bᵀ K⁻¹ B by half solves or whole ones, with K⁻¹ B known: B = K X."""
+    factor, K, exact = problem
+    rhs = K @ exact
+    expected = rhs.T @ exact
+    assert np.abs(factor.inner(rhs) - expected).max() < 1e-11 * np.abs(expected).max()  # rounding times what cancels
+    if factor.symmetric:
+        product = schur_product(factor, rhs)
+        assert np.array_equal(product, product.T)
+        assert np.abs(product - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_eigenvalues_below_0_are_counted(problem):
+    factor, K, _ = problem
+    if factor.solver == "superlu" or factor.definite or not factor.symmetric:
+        assert factor.n_negative is None
+    else:
+        assert factor.n_negative == (np.linalg.eigvalsh(K.toarray()) < 0).sum() > 0
+
+
+def test_other_values_are_factored_as_by_a_fresh_factor(problem):
+    """Newton's method: the same pattern, first a matrix that cannot be factored, then others."""
+    factor, K, exact = problem
+    given = factor._given
+    kind = {name: getattr(factor, name) for name in ("definite", "symmetric", "upper", "solver")}
+    again = Factor(**kind)
+    again.factor(given * 3.0)
+    with pytest.raises(SolverError, match="the matrix is not finite"):
+        again.factor(given * np.nan)
+    again.factor(given)
+    assert np.array_equal(again.solve(K @ exact), factor.solve(K @ exact))
+    assert again.n_negative == factor.n_negative
+    if factor.solver == "pardiso":
+        with pytest.raises(ValueError, match="has another pattern than the first"):
+            again.factor(sp.eye_array(K.shape[0], format="csr"))
+
+
+def test_what_cannot_be_solved_is_refused(problem):
+    """A load that is not a number; lengths that the libraries, told an address and a length, would read past."""
+    factor, _, exact = problem
+    load = exact.copy()
+    load[3, 1] = np.nan
+    with pytest.raises(SolverError):
+        checked_solve(factor, load)
+    for rhs in (exact[:-1], exact[:, 0]):
+        for call in (factor.solve, factor.inner):
+            with pytest.raises(ValueError, match=r"right-hand sides have shape .*, expected \(\d+, k\)"):
+                call(rhs)
+
+
+@pytest.mark.parametrize("columns", [0, 1, 130])
+def test_any_number_of_columns_in_any_order_of_memory(solver, columns):
+    """Rows or columns may be contiguous, or neither; a solve leaves its right-hand sides alone."""
+    factor = Factor(elastic(0.3), solver=solver, definite=True)
+    rhs = np.random.default_rng(5).standard_normal((factor.n_unknowns, 2 * columns))[:, ::2]
+    kept = rhs.copy()
+    for layout in (rhs, np.asfortranarray(rhs)):
+        x, _ = checked_solve(factor, layout)
+        assert x.shape == rhs.shape
+        assert np.array_equal(layout, kept)
+        assert factor.inner(layout).shape == (columns, columns)
+
+
+def test_a_wrong_schur_product_is_refused(solver, monkeypatch):
+    """A small column as well: off by 1e-6 itself, it would add 1e-14 to what the others, 1e8 times as large, leave."""
+    factor = Factor(elastic(0.3), solver=solver, definite=True)
+    rhs = np.random.default_rng(3).standard_normal((factor.n_unknowns, 5))
+    product, small = factor.inner(rhs), np.array([1e-8, 1, 1, 1, 1])
+    for off, scale, says in ((1.0001, 1.0, r"is off by 1.0e-04"), (1 + 1e-6 * (small < 1), small, "is off by")):
+        scaled = product * np.outer(scale * off, scale * np.ones(5))
+        monkeypatch.setattr(factor, "inner", lambda b, scaled=scaled: scaled)
+        with pytest.raises(SolverError, match=r"the product of 5 columns .*" + says):
+            schur_product(factor, rhs * scale)
+
+
+def test_factors_live_side_by_side_and_give_their_memory_back():
+    """20 factors kept for good would leave 370 MB behind; their end leaves another one alone. SuperLU's are SciPy's."""
+    pytest.importorskip("pypardiso")
+    matrix, first = elastic(0.3, (8, 8, 3)), Factor(mixed(), solver="pardiso")
+    exact = np.random.default_rng(3).standard_normal((matrix.shape[0], 5))
+
+    def factor_and_forget(times):
+        for _ in range(times):
+            factor = Factor(matrix, solver="pardiso", definite=True)
+            factor.factor(matrix)
+            factor.solve(exact)
+        del factor
+        gc.collect()
+        return psutil.Process().memory_info().rss / 1e6
+
+    before_mb = factor_and_forget(5)  # allocators keep some of what they once had
+    assert factor_and_forget(20) - before_mb < 60
+    checked_solve(first, first.matrix @ np.ones((first.n_unknowns, 1)))
+
+
+def test_answers_are_refined_once_or_refused():
+    """One off by 1e-6 misses the limit; the same solver applied to what is left brings it to 1e-12. Good ones stay."""
+    factor, calls = Factor(mixed()), []
+    K, n = factor.matrix, factor.n_unknowns
+    exact = np.random.default_rng(3).standard_normal((n, 5))
+    rhs = K @ exact
+    rhs[:, 1] = 0.0
+
+    def solving(off):
+        def solve(b):
+            calls.append(b.shape[1])
+            return factor.solve(b) * (1 + off)
+
+        return of(K, solve)
+
+    assert checked_solve(solving(0.0), rhs)[1] < 1e-12
+    assert calls == [5]
+    assert checked_solve(solving(1e-6), rhs)[1] < 1e-11
+    assert calls == [5, 5, 4]  # the zero column needs none
+    for off in (1.001, np.nan):
+        with pytest.raises(SolverError, match=rf"residual .* is above 1e-09 for {n} unknowns"):
+            checked_solve(of(K, lambda b, off=off: exact * off), K @ exact)
+    # a product in the matrix's place is what the residual is measured by
+    assert checked_solve(factor, K @ exact, lambda x: K @ x)[1] < 1e-12
+    with pytest.raises(SolverError):
+        checked_solve(factor, K @ exact, lambda x: K @ x * 1.001)
+
+
+def test_columns_are_judged_one_by_one():
+    """Refinement brings the first column to 1e-10; the slender second one is off by four roundings of x, 1e-7 of b."""
+    k = 1e8
+    matrix = sp.csr_matrix(np.array([[1.0, 0.0, 0.0], [0.0, k, -k], [0.0, -k, k + 1]]))
+    rhs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    first = np.array([[1 + 1e-6, 0.0, 0.0], [0.0, 1 + 4 * np.finfo(float).eps, 1.0]]).T
+    answers = iter([first.copy(), np.array([[1e-10 - 1e-6, 0, 0], np.zeros(3)]).T, first.copy(), np.zeros((3, 2))])
+    guessing = of(matrix, lambda b: next(answers))
+    x, residual = checked_solve(guessing, rhs)
+    assert 1e-8 < residual < 1e-6
+    assert x[0, 0] == pytest.approx(1 + 1e-10, rel=1e-14)
+    with pytest.raises(SolverError, match=r"residual 1\.0e-06"):  # far more than rounding, and not refined
+        checked_solve(guessing, rhs)
+
+
+EXCHANGE = np.array([[0.0, 1.0], [1.0, 0.0]])  #: regular, without a diagonal
+FREE = sp.csr_matrix(np.array([[1.0, -1.0], [-1.0, 1.0]]))  #: a free body moves at no cost
+REFUSED = {
+    "singular": (FREE, {}, SolverError, "."),
+    "singular, as definite": (FREE, DEFINITE, SolverError, "."),
+    "no such solver": (FREE, {"solver": "cholesky"}, ValueError, "no solver 'cholesky': choose pardiso or superlu"),
+    "memory": (FREE, {"memory_gb": 1e-9}, FactorMemoryError, "GB of 1e-09 GB available: take a coarser mesh"),
+    "not a number": (FREE * np.nan, {}, SolverError, "not finite"),
+    "indefinite": (sp.csr_matrix(np.diag([1.0, -1.0])), DEFINITE, SolverError, "not positive definite.*definite=False"),
+    "no diagonal": (sp.csr_matrix(EXCHANGE), {}, SolverError, "an entry on the diagonal is missing"),
+    "no diagonal blocks": (
+        sp.bsr_matrix(np.kron(EXCHANGE, np.eye(2)), blocksize=(2, 2)), {}, SolverError, "an entry on the diagonal is",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_matrices_are_refused(name, solver):
+    matrix, kind, error, says = REFUSED[name]
+    rhs = np.array([[1.0], [1.0], [2.0], [2.0]])[: matrix.shape[0]]
+    if solver == "superlu" and name in ("indefinite", "no diagonal", "no diagonal blocks"):
+        assert checked_solve(Factor(matrix, solver=solver, **kind), rhs)[1] < 1e-15  # pivots, so it can take these
+        return
+    with pytest.raises(error, match=says):
+        checked_solve(Factor(matrix, **{"solver": solver, **kind}), rhs)
+
+
+def test_without_pardiso_superlu_solves(monkeypatch):
+    assert (
+        Factor(FREE + sp.eye_array(2)).solver == solver_name() == ("pardiso" if find_spec("pypardiso") else "superlu")
+    )
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    assert Factor().solver == solver_name() == ("pardiso" if find_spec("pypardiso") else "superlu")
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    assert Factor().solver == solver_name() == "superlu"
+
+
+def test_superlu_s_memory_follows_its_law():
+    """A cube's factor, 12 bytes an entry, is less than foreseen, but not by more than half."""
+    factor = Factor(elastic(0.3, (7, 7, 7)), solver="superlu", definite=True)
+    lu = factor._superlu
+    assert 0.5 < (lu.L.nnz + lu.U.nnz) * 12e-9 / factor.memory_gb < 1
+
+
+def test_mkl_is_found_in_its_package_or_left_to_pypardiso(monkeypatch):
+    """Both are one library; without the package's list of files, or by a person's choice, pypardiso searches."""
+    pypardiso = pytest.importorskip("pypardiso")
+    find, searches = module._mkl_pardiso.__wrapped__, []
+    searched = pypardiso.PyPardisoSolver().libmkl
+
+    def search():
+        searches.append(True)
+        return SimpleNamespace(libmkl=searched)
+
+    def address():
+        return ctypes.cast(find(), ctypes.c_void_p).value
+
+    monkeypatch.setattr(pypardiso, "PyPardisoSolver", search)
+    expected = ctypes.cast(searched["pardiso"], ctypes.c_void_p).value
+    assert address() == expected
+    try:
+        metadata.distribution("mkl")
+    except metadata.PackageNotFoundError:
+        assert len(searches) == 1
+    else:
+        assert not searches
+    searches.clear()
+    with monkeypatch.context() as patch:
+        patch.setenv("PYPARDISO_MKL_RT", "elsewhere")
+        assert address() == expected
+    monkeypatch.setattr(module.metadata, "files", lambda name: None)
+    assert address() == expected
+    assert len(searches) == 2

@@ -1,0 +1,16 @@
+"""Closed forms of the paper's unit."""
+
+from math import hypot
+
+from geometry.design import Unit
+
+
+def oblique_width(unit: Unit) -> float:
+    """Width of an oblique pillar's horizontal section along its tilt [mm]: w·l/h."""
+    return unit.pillar_width_mm * hypot(unit.span_mm, unit.height_mm) / unit.height_mm
+
+
+def union_mm3(unit: Unit) -> float:
+    """V = w²(h + 2l) − w²·h·ow/s of the pillars: each oblique one loses w²·h·ow/(2s) inside the upright one."""
+    w, h, s = unit.pillar_width_mm, unit.height_mm, unit.span_mm
+    return w**2 * (h + 2 * hypot(s, h)) - w**2 * h * oblique_width(unit) / s
