@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import psutil
 
 from fem.factor import FactorMemoryError, SolverError
 from fem.scene.scene import Scene
@@ -12,6 +13,8 @@ from fem.scene.solution import Field, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual
+MAX_SECONDS = 300.0  #: after which no finer mesh is begun, whatever was foreseen
+MIN_FREE_SHARE = 0.1  #: of the memory, below which none is begun either; factors that would not fit are refused before
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,6 +77,10 @@ def solve_adaptively(
         if estimate <= scene.tolerance:
             break
         limit = f"{MAX_MESHES} meshes" if n_meshes >= MAX_MESHES else mesh.limit(answer.unknowns)
+        if sum(watch.seconds.values()) > MAX_SECONDS:
+            limit = f"{MAX_SECONDS:g} s"
+        elif psutil.virtual_memory().available < MIN_FREE_SHARE * psutil.virtual_memory().total:
+            limit = f"memory, of which less than {MIN_FREE_SHARE:.0%} is free"
         if limit:
             steps.append(f"stopped at the limit of {limit}, short of the tolerance {scene.tolerance:g}")
             break
