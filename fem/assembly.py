@@ -42,14 +42,14 @@ class _Constrained:
         def weighed(values: FloatArray) -> FloatArray:  # (g, n, r, 3, 3) to (g, k, r, 3, 3)
             return (W @ values.reshape(g, n, -1)).reshape(g, k, *values.shape[2:])
 
-        right = [weighed(K.swapaxes(1, 2)).swapaxes(1, 2)]
+        rows = [weighed(K)]
         if S.shape[2]:
-            right.append(np.einsum("gabij,gbsjl->gasil", K, S, optimize=True))
-        KT = np.concatenate(right, axis=2)
-        left = [weighed(KT)]
+            rows.append(np.einsum("gasji,gabjl->gsbil", S, K, optimize=True))
+        TK = np.concatenate(rows, axis=1)
+        cols = [weighed(TK.swapaxes(1, 2)).swapaxes(1, 2)]
         if S.shape[2]:
-            left.append(np.einsum("gasil,gamij->gsmlj", S, KT, optimize=True))
-        return np.concatenate(left, axis=1)
+            cols.append(np.einsum("gmbij,gbsjl->gmsil", TK, S, optimize=True))
+        return np.concatenate(cols, axis=2)
 
 
 class Assembly:

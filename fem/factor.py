@@ -101,6 +101,16 @@ class Factor:
         """K, both triangles."""
         return whole(self._given) if self.upper else self._given
 
+    def times(self, x: FloatArray) -> FloatArray:
+        """K x, shape (n, k)."""
+        given = self._given
+        if not self.upper:
+            return given @ x
+        block = given.blocksize[0] if given.format == "bsr" else 1
+        rows = np.repeat(np.arange(len(given.indptr) - 1), np.diff(given.indptr))
+        diagonal = given.data.reshape(-1, block, block)[rows == given.indices]
+        return given @ x + given.T @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
+
     def factor(self, matrix: SparseMatrix) -> None:
         """Factor a matrix, the first one or other values in its pattern; raises as the class does."""
         self._given, self.n_unknowns = matrix, matrix.shape[0]
@@ -281,8 +291,7 @@ def checked_solve(
     left. `product` takes x to K x where something is faster than the sparse matrix. Returns the solutions (n, k) and
     the residual.
     """
-    matrix = factor.matrix
-    product = product or matrix.__matmul__
+    product = product or factor.times
     x = factor.solve(rhs)
     with np.errstate(over="ignore", invalid="ignore"):  # infinities and NaN are refused below
         misfit = rhs - product(x)
@@ -293,13 +302,14 @@ def checked_solve(
             residuals[poor] = _relative(rhs[:, poor] - product(x[:, poor]), rhs[:, poor])
             poor = ~(residuals <= RESIDUAL_LIMIT)
         if poor.any():
+            matrix = factor.matrix
             size = np.linalg.norm(abs(matrix) @ np.abs(x), axis=0) + np.linalg.norm(rhs, axis=0)
             rounded = np.linalg.norm(rhs - matrix @ x, axis=0) <= ROUNDING * size
             poor &= ~(rounded & (residuals <= SLENDER_LIMIT))
     residual = float(np.max(residuals, initial=0.0))
     if poor.any():
         raise SolverError(
-            f"residual {residual:.1e} is above {RESIDUAL_LIMIT:g} for {matrix.shape[0]} unknowns: the mesh may have "
+            f"residual {residual:.1e} is above {RESIDUAL_LIMIT:g} for {factor.n_unknowns} unknowns: the mesh may have "
             "degenerate elements or the moduli differ too widely; mesh again or bring them closer."
         )
     return x, residual

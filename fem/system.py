@@ -5,6 +5,7 @@ half the plate's width so that all are lengths. Linear elasticity is the tangent
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -78,8 +79,8 @@ class System:
 
     Notes
     -----
-    The tangent is kept symmetric where all loads have a potential: dead tractions, forces on plates. It is not with
-    pressures or with moments, whose axes do not turn.
+    The tangent is kept symmetric where all loads have a potential: dead tractions, forces on plates. At finite strain
+    it is not with pressures or with moments, whose axes do not turn; where strain is small, pressures push along −z.
     """
 
     def __init__(
@@ -89,29 +90,50 @@ class System:
         mirrors: tuple[Mirror, ...] = (),
         parity: Parity | None = None,
     ) -> None:
+        is_linear = body.law.is_linear
+        loads = [load.at_rest if is_linear and isinstance(load, FollowerLoad) else load for load in loads]
         self.body, self.whole_loads, self.mirrors = body, tuple(loads), mirrors
         planes = {mirror.axis for mirror in mirrors}
         self.parity = parity or (int(0 in planes), int(1 in planes))
         self.loads = folded_loads(loads, mirrors, self.parity)
-        stiff = [load for load in self.loads if isinstance(load, StiffLoad)]
+        stiff = self._stiff_loads()
         middles = np.array([load.center_mm for load in stiff]).reshape(-1, 2)
         for mirror in mirrors:  # plates that a plane cuts turn about their middles, which are on it
             low = np.array([load.rectangle[mirror.axis] for load in stiff])
             middles[low == mirror.position_mm, mirror.axis] = mirror.position_mm
         self.plates = Plates.of(body.boxes, [load.rectangle for load in stiff], middles)
         self.faces = FollowingFaces(body.boxes, [load for load in self.loads if isinstance(load, FollowerLoad)])
-        self.dead = self.dead_loads(self.parity)
-        self.force_n = np.array([load.force_n for load in stiff]).reshape(-1, 3)
-        self.moment_nmm = np.array([load.moment_nmm for load in stiff]).reshape(-1, 3)
-        self.symmetric = not len(self.faces.nodes) and not self.moment_nmm.any()
+        self.symmetric = is_linear or not (len(self.faces.nodes) or any(any(load.moment_nmm) for load in stiff))
         boxes = body.boxes
         free = (boxes.points_mm[:, 2] > 0.0) & boxes.is_independent
         free[self.plates.node] = False
         if len(body.reference.inside):
             free[boxes.nodes[:, body.reference.inside]] = False
         self.free: IntArray = np.flatnonzero(free)  #: nodes with unknowns of their own
+        self._take_loads()
+
+    def _stiff_loads(self) -> list[StiffLoad]:
+        return [load for load in self.loads if isinstance(load, StiffLoad)]
+
+    def _take_loads(self) -> None:
+        """What depends on the parity."""
+        stiff, dead = self._stiff_loads(), [load for load in self.loads if not isinstance(load, StiffLoad)]
+        tractions = np.zeros((len(dead), 3))
+        for traction, load in zip(tractions, dead, strict=True):
+            traction[: len(load.traction_mpa)] = load.traction_mpa
+        #: nodal forces of tractions at full load, (n_nodes, 3) [N]
+        self.dead: FloatArray = self.body.boxes.integrals(np.array([load.rectangle for load in dead])).T @ tractions
+        self.force_n = np.array([load.force_n for load in stiff]).reshape(-1, 3)
+        self.moment_nmm = np.array([load.moment_nmm for load in stiff]).reshape(-1, 3)
         #: 0 for unknowns that vanish on mirror planes, else 1, (n_blocks, 3)
         self.moves = self.moves_of(self.parity)
+
+    def of_parity(self, parity: Parity) -> "System":
+        """The same part of the body with another part of the loads; they share `assembly`, found before."""
+        other = copy(self)
+        other.parity, other.loads = parity, folded_loads(self.whole_loads, self.mirrors, parity)
+        other._take_loads()
+        return other
 
     @property
     def copies(self) -> int:
@@ -126,15 +148,6 @@ class System:
     @property
     def n_unknowns(self) -> int:
         return 3 * self.n_blocks
-
-    def dead_loads(self, parity: Parity) -> FloatArray:
-        """Nodal forces of the tractions' part of a parity at full load, (n_nodes, 3) [N]."""
-        loads = self.loads if parity == self.parity else folded_loads(self.whole_loads, self.mirrors, parity)
-        dead = [load for load in loads if not isinstance(load, StiffLoad)]
-        tractions = np.zeros((len(dead), 3))
-        for traction, load in zip(tractions, dead, strict=True):
-            traction[: len(load.traction_mpa)] = load.traction_mpa
-        return np.asarray(self.body.boxes.integrals(np.array([load.rectangle for load in dead])).T @ tractions)
 
     def moves_of(self, parity: Parity) -> FloatArray:
         """0 for unknowns that vanish on the planes in fields of a parity, else 1, (n_blocks, 3).
@@ -187,13 +200,13 @@ class System:
         """Displacements (..., n_nodes, 3) with those of hanging nodes as the others say."""
         return u if self.body.boxes.constraint is None else _apply(self.body.boxes.constraint, u)
 
-    def gathered(self, forces: FloatArray, rotation: FloatArray, parity: Parity | None = None) -> FloatArray:
+    def gathered(self, forces: FloatArray, rotation: FloatArray) -> FloatArray:
         """Tᵀ f: forces on the unknowns (..., n_blocks, 3) of nodal forces (..., n_nodes, 3) [N]."""
         if self.body.boxes.constraint is not None:
             forces = _apply(self.body.boxes.constraint.T.tocsr(), forces)
         sums, moments = self.plates.resultants(forces[..., self.plates.node, :], rotation)
         own = np.concatenate([forces[..., self.free, :], sums, moments / self.plates.half_mm[:, None]], axis=-2)
-        return own * (self.moves if parity is None else self.moves_of(parity))
+        return own * self.moves
 
     def nodal_loads(self, state: State, share: float) -> FloatArray:
         """Forces of tractions and pressures on the nodes of one state, (n_nodes, 3) [N]."""
@@ -287,13 +300,27 @@ class System:
             data[rows == cols] += np.eye(3) * (1.0 - moves)[:, None, :]
         return self.assembly.matrix(data)
 
+    def displaced(self, y: FloatArray) -> FloatArray:
+        """Linear displacements (k, n_nodes, 3) of all nodes by solutions (n_unknowns, k) of the tangent at rest."""
+        return self.body.filled(self.nodal_change(self.rest().rotation, y.T.reshape(-1, self.n_blocks, 3)))
+
+    def unit_loads(self, weights: FloatArray, probes: Sequence[Probe]) -> FloatArray:
+        """Forces (n_unknowns, k) that do weights (k, n_probes, 3) times the displacements of probes as work."""
+        n = self.body.n_nodes
+        forces = np.zeros((len(weights), n, 3))
+        for number, probe in enumerate(probes):
+            rows, signs = self.probe_rows(probe)
+            signed = np.einsum("ri,ki->rki", signs, weights[:, number]).reshape(len(signs), -1)
+            forces += (rows.T @ signed).reshape(n, -1, 3).swapaxes(0, 1)
+        return self.gathered(self.body.on_surfaces(forces), self.rest().rotation).reshape(len(weights), -1).T
+
     def new_factor(self, solver: str | None = None) -> Factor:
         """A factor for tangents of this system, with none in it yet."""
         return Factor(symmetric=self.symmetric, upper=self.symmetric, solver=solver)
 
-    def probe_rows(self, probe: Probe, parity: Parity | None = None) -> tuple[sp.csr_matrix, FloatArray]:
+    def probe_rows(self, probe: Probe) -> tuple[sp.csr_matrix, FloatArray]:
         """Rows (r, n_nodes) and signs (r, 3): u of a probe is Σ_r signs · (rows @ u), anywhere on the whole body."""
-        boxes, parity = self.body.boxes, parity or self.parity
+        boxes, parity = self.body.boxes, self.parity
         if probe.kind == "mean":
             seen = images(self.mirrors, parity)
             rectangles = np.array([flipped_rectangles(np.array(probe.rectangle), flipped) for flipped, _ in seen])

@@ -82,32 +82,6 @@ def mean_compliance(targets_mm: ArrayLike, loads_mm: ArrayLike, material: Materi
     return FLIP * np.moveaxis(np.array(down), (0, 1), (-2, -1)) / (4 * np.pi * G)
 
 
-def halfspace_response(design: SensorDesign) -> ArrayResponse:
-    """Response of a sensor taken as a half-space of its matrix material.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        Its pillars must be of the matrix's rubber for the answer to mean much: they are not seen.
-
-    Returns
-    -------
-    ArrayResponse
-        In closed form, so without unknowns, mesh or residual. `influence_mm_per_n` is a read-only view of a table with
-        one entry per offset between units, so that an array of 48 × 48 takes kilobytes; ``np.array`` copies it.
-
-    Notes
-    -----
-    As the paper assumes. The clamped base and the free sides are ignored, so that every unit answers too strongly and
-    far ones much too: displacement falls as 1/r where in a layer it falls exponentially. On the paper's array of 10 mm
-    it is 59 % off finite elements for a centre unit under its own pad and 157 % under its neighbour's; see
-    `fem.array.closed_forms.layer_response` for less than 1 %.
-    """
-    return response_by_translation(
-        design, "halfspace", lambda targets, loads: mean_compliance(targets, loads, design.matrix_material)
-    )
-
-
 def response_by_translation(
     design: SensorDesign, method: str, mean: Callable[[FloatArray, FloatArray], FloatArray]
 ) -> ArrayResponse:
@@ -337,7 +311,8 @@ def layer_response(design: SensorDesign) -> ArrayResponse:
     Returns
     -------
     ArrayResponse
-        As `fem.array.closed_forms.halfspace_response`: no mesh, a read-only view of a table of offsets.
+        In closed form, so without unknowns, mesh or residual. `influence_mm_per_n` is a read-only view of a table with
+        one entry per offset between units, so that an array of 48 × 48 takes kilobytes; ``np.array`` copies it.
 
     Notes
     -----

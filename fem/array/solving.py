@@ -6,7 +6,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
-from fem.array.closed_forms import halfspace_response, layer_response
+from fem.array.closed_forms import layer_response
 from fem.array.conducted import conducted_pillars
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
@@ -19,7 +19,6 @@ VERSION = 3  #: raise when the same design and settings give another response, s
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
-    "halfspace": "closed form of Boussinesq and Cerruti: instant, and wrong by more than half on a thin slab",
 }
 
 
@@ -27,7 +26,7 @@ METHODS = {
 class ResponseSettings:
     """Method and tolerance of a response."""
 
-    method: Literal["cells", "layer", "halfspace"] = "cells"  #: see METHODS
+    method: Literal["cells", "layer"] = "cells"  #: see METHODS
     tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 with other pillars
 
     def __post_init__(self) -> None:
@@ -131,6 +130,4 @@ def solve_response(
         )
     if settings.method == "layer":
         return layer_response(design)
-    if settings.method == "halfspace":
-        return halfspace_response(design)
     return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)

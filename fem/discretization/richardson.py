@@ -5,18 +5,15 @@ comes from a rate of convergence, from falls measured in advance, or from the su
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from fem.scene.solution import Probes, relative_errors
+from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
 
 RATE = 2.5  #: power of the level by which condensed cells converge, between coarse levels; it rises to 4 on finer ones
 MIN_MESHES = 4  #: before an estimate by indicators is believed
 CAUTION_OF_TWO = 6.0  #: factor on an estimate from two meshes, whose line no third one confirms
-SLOWER_BY_CHANCE = 2.0  #: how much more slowly than expected changes may shrink before the estimate is raised
-MAX_FALL = 0.4  #: largest ratio of errors assumed where changes shrink too slowly
 
 
 def richardson_factor(coarse: float, fine: float, rate: float = RATE) -> float:
@@ -28,38 +25,6 @@ def richardson_factor(coarse: float, fine: float, rate: float = RATE) -> float:
     1.0
     """
     return float(1 / ((fine / coarse) ** rate - 1))
-
-
-def errors_by_falls(answers: Sequence[Probes], falls: Sequence[float]) -> float:
-    """Largest relative error over the probes of the last answer, infinite with fewer than two.
-
-    Parameters
-    ----------
-    answers : sequence of probes' displacements
-    falls : sequence of float
-        Expected ratio of each answer's error to that of the one before; the first is not used.
-
-    Notes
-    -----
-    Where two changes in a row shrink more slowly than expected by `SLOWER_BY_CHANCE`, the last fall is raised.
-    """
-    if len(answers) < 2:
-        return np.inf
-    last = answers[-1]
-    changes = [
-        relative_errors({name: after[name] - before[name] for name in last}, last)
-        for before, after in pairwise(answers[-3:])
-    ]
-    before, fall = falls[len(answers) - 2 : len(answers)]
-    worst = 0.0
-    for name, change in changes[-1].items():
-        slower = 1.0
-        if len(changes) > 1 and changes[0][name] > 0:
-            expected = before * (1 - fall) / (1 - before)  # change after change, if errors fall as they should
-            slower = max(1.0, change / changes[0][name] / expected / SLOWER_BY_CHANCE)
-        ratio = min(fall * slower, MAX_FALL)
-        worst = max(worst, change * ratio / (1 - ratio))
-    return worst
 
 
 def errors_by_indicators(

@@ -283,7 +283,7 @@ def solve_scene_parts(
         return _at_finite_strain(scene)
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
     plan = make_plan(coarse, field=True)
-    found = picture_field(coarse, plan) if plan.method == "grid" else follow(plan, coarse, field=True).field
+    found = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
     assert found is not None  # it was asked for
     field = merged(found)
     progress("stress" if stress else "parts")

@@ -68,7 +68,7 @@ class SampleSolver:
     Raises
     ------
     DesignError
-        If the array has two rubbers.
+        If the array has two rubbers, or one of another law than the neo-Hookean.
 
     Notes
     -----
@@ -84,6 +84,11 @@ class SampleSolver:
     ) -> None:
         if not design.is_homogeneous:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
+        if design.matrix_material.model == "mooney-rivlin":
+            raise DesignError(
+                "model='mooney-rivlin' is for scenes: the power series of samples know neo-Hookean rubber only; write "
+                "model = 'neo-hookean'."
+            )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self.coarse, self.fine = PreloadedArray(design, COARSE), PreloadedArray(design, FINE)
         self._reader = PillarReader(design) if design.electrics.is_conduction else None

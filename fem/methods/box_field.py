@@ -5,12 +5,12 @@ pictures of stress come from one grid of many small ones (`picture_field`).
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.discretization.graded_box import Level, box_part
-from fem.discretization.grid import VTK_PLACES, GridBasis, grid_body, grid_stiffness, lattice_boxes
+from fem.discretization.grid import VTK_PLACES, Grid, GridBasis, grid_body, grid_stiffness, lattice_boxes
 from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
 from fem.discretization.plate import folded_plates, tied
 from fem.factor import Factor, checked_solve
@@ -77,32 +77,69 @@ def unfolded_field(
     )
 
 
-WIDEST = 0.35  #: element far from all edges, relative to the body's height
-ACROSS = 15  #: such elements to the greatest extent of a flat body, where that makes them wider
+WIDEST = 0.35  #: boxes of a picture of stress, relative to the body's height
+ACROSS = 15  #: such boxes to the greatest extent of a flat body, where that makes them wider
+THIN = 0.15  #: layer on either side of an edge at which the stress is singular, relative to the smallest part
+
+
+def picture_grid(scene: Scene, plan: Plan) -> Grid:
+    """Boxes of the solved part, evenly wide but for a thin layer at every edge of the body, its regions and loads."""
+    outline, height = scene.outline, scene.height_mm
+    widest = height * max(WIDEST, max(outline.section_mm) / height / ACROSS)
+    thin = THIN * min([widest, *outline.section_mm, *(side for load in scene.loads for side in load.size_mm)])
+    prisms = [outline, *(prism for prism, _ in plan.regions)]
+    planes = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
+    lines = []
+    for axis in (0, 1):
+        ends = [prism.base_mm[axis] + side * prism.section_mm[axis] / 2 for prism in prisms for side in (-1, 1)]
+        shift = outline.lean[axis] * height  # from the base, where lines are stated, to the top, where the loads are
+        loads = [load.rectangle[k] - shift for load in scene.loads for k in (axis, axis + 2)]
+        # inclusions are what is coloured, and layers at the loads' outlines too would take four times as long
+        places = dict.fromkeys(loads, 0.0 if plan.regions else thin) | dict.fromkeys(ends, thin)
+        if axis in planes:
+            middle = planes[axis]
+            places = {middle + abs(place - middle): layer for place, layer in places.items()} | {middle: 0.0}
+        lines.append(_layered(places, widest, scene.rounding_mm))
+    heights = [z for prism in prisms for z in (prism.base_mm[2], prism.top_mm[2])]
+    x, y, z = *lines, _layered(dict.fromkeys(heights, thin), widest, scene.rounding_mm)
+    middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (x, y, z)), indexing="ij"), axis=-1)
+    region = regions_at(middles.reshape(-1, 3), plan.regions).reshape(middles.shape[:3])
+    return Grid(x=x, y=y, z=z, lean=outline.lean, region=region)
+
+
+def _layered(places: dict[float, float], widest: float, slack: float) -> FloatArray:
+    """Lines at places and as far beside them as each asks for, evenly between; those that rounding parts are one."""
+    kept: dict[float, float] = {}
+    for place, layer in sorted(places.items()):
+        last = next(reversed(kept), -np.inf)
+        at = last if place - last <= slack else place
+        kept[at] = max(kept.get(at, 0.0), layer)
+    lines = [np.array([next(iter(kept))])]
+    for (left, before), (right, after) in pairwise(kept.items()):
+        start, end = left + min(before, (right - left) / 4), right - min(after, (right - left) / 4)
+        inner = np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
+        lines.append(np.concatenate([inner[int(start == left) : len(inner) - int(end == right)], [right]]))
+    return np.concatenate(lines)
 
 
 def picture_field(scene: Scene, plan: Plan) -> Field:
     """Displacement of the whole body on a grid that is fine enough for pictures, not to the scene's tolerance."""
-    widest = max(WIDEST, max(scene.outline.section_mm) / scene.height_mm / ACROSS)
-    # inclusions are what is coloured then, and layers at the loads' outlines too would take four times as long
-    at_loads = 0 if plan.regions else 1
-    level = Level(order=2, layers=1, at_loads=at_loads, widest=widest, fall=1.0)
-    part = box_part(scene, plan.regions, plan.mirrors, level)
-    basis = GridBasis(part.grid)
+    grid = picture_grid(scene, plan)
+    basis = GridBasis(grid)
     stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])
 
     def integral(rectangle: FloatArray) -> FloatArray:
         return basis.patch_integrals(rectangle[None]).toarray()[0]
 
     parts = []
-    shift = np.tile(np.array(part.grid.lean) * scene.height_mm, 2)
-    places = basis.doflocs - np.array([*part.grid.lean, 0.0])[:, None] * basis.doflocs[2]
+    shift = np.tile(np.array(grid.lean) * scene.height_mm, 2)
+    places = basis.doflocs - np.array([*grid.lean, 0.0])[:, None] * basis.doflocs[2]
     for parity in parities(plan.mirrors):
         body = grid_body(basis, stiffness, parity)
         forces = np.zeros((basis.N, 3))
         for load in scene.dead_loads:
             integrals = folded_integrals(integral, np.array(load.rectangle), plan.mirrors, parity)
-            forces += part.share * integrals * np.array(load.traction_mpa)
+            forces += 0.5 ** len(plan.mirrors) * integrals * np.array(load.traction_mpa)
         plates = []
         for plate, own in folded_plates(scene.plate_rectangles_mm - shift, scene.height_mm, plan.mirrors, parity):
             at_plate, motions = plate.followers(body.free, places, own)
@@ -111,5 +148,5 @@ def picture_field(scene: Scene, plan: Plan) -> Field:
         matrix = (T.T @ body.matrix @ T).tocsr() if plates else body.matrix
         x, _ = checked_solve(Factor(matrix, definite=True), T.T @ body.loads(forces.reshape(-1, 1)))
         parts.append((parity, body.displacements(T @ x).reshape(-1, 3)))
-    halves, cells = lattice_boxes(part.grid.lines)
+    halves, cells = lattice_boxes(grid.lines)
     return unfolded_field(scene, plan, crossings(halves), cells, parts)

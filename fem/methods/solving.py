@@ -1,13 +1,10 @@
 """Solve any scene: plan it, then hand it to the method that the plan chose."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from fem.finite.solving import solve_finite
-from fem.methods.box_refinement import solve_by_splitting
+from fem.methods.box_refinement import solve_on_boxes
 from fem.methods.cell_scene import solve_by_cells
-from fem.methods.high_order import solve_by_order
 from fem.methods.plan import Plan, make_plan
 from fem.methods.tetrahedral import solve_on_tetrahedra
 from fem.scene.checks import SceneError
@@ -17,14 +14,12 @@ from fem.scene.solution import Solution, Stopwatch
 MIN_LINEAR = 3e-3  #: least tolerance of the linear answer that bodies of two rubbers take at finite strain
 
 
-def solve_scene(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = False) -> tuple[Solution, Plan]:
+def solve_scene(scene: Scene, *, field: bool = False) -> tuple[Solution, Plan]:
     """Displacement of a scene's probes to its tolerance.
 
     Parameters
     ----------
     scene : Scene
-    no_skip : names of `fem.methods.plan.SAVINGS`, optional
-        Savings to switch off.
     field : bool
         Also return the displacement of the whole body.
 
@@ -35,28 +30,28 @@ def solve_scene(scene: Scene, *, no_skip: Iterable[str] = (), field: bool = Fals
     Raises
     ------
     SceneError
-        For unknown names, or a tolerance that the scene's method cannot keep.
+        For a tolerance that the scene's method cannot keep.
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    plan = make_plan(scene, no_skip=no_skip, field=field)
+    plan = make_plan(scene, field=field)
     return follow(plan, scene, field), plan
 
 
 def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
     """The solution of a scene by the plan that was made for it."""
-    with_field = field or not plan.saves("field")
     if plan.method == "nothing":
         return unmoved(scene)
     if plan.method == "finite":
         linear = None
         if plan.regions:
             linear = solve_scene(scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR)))[0]
-        return solve_finite(scene, linear, plan.mirrors, with_field)
+        return solve_finite(scene, linear, plan.mirrors, field)
     if plan.method == "cells":
         return solve_by_cells(scene, plan)
-    method = {"Qp": solve_by_order, "Q4": solve_by_splitting, "TH": solve_on_tetrahedra}[plan.element]
-    return method(scene, plan, with_field)
+    if plan.method == "tetrahedra":
+        return solve_on_tetrahedra(scene, plan, field)
+    return solve_on_boxes(scene, plan, field)
 
 
 def unmoved(scene: Scene) -> Solution:

@@ -129,7 +129,7 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
         Also return the displacement of the whole body.
     """
     watch = Stopwatch()
-    mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions], cached=plan.saves("cache"))
+    mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions])
     steps = [f"{mesh.nelements} tetrahedra {'from the cache' if kept else 'by the mesher'}"]
     narrow = np.vstack([scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm])
     mesh = with_edges_across(mesh, narrow)

@@ -52,6 +52,12 @@ class ReferenceBox:
         return table.reshape(9 * q, n * n)
 
     @cached_property
+    def divergence(self) -> FloatArray:
+        """∫ qⱼ ∂_kφₐ of the pressure functions over their norms, (3, k, n)."""
+        modes = np.einsum("knq,qj,q->kjn", self.slopes, self.pressures, self.weights, optimize=True)
+        return modes / np.sqrt(self.weights @ self.pressures**2)[:, None]
+
+    @cached_property
     def pressing(self) -> FloatArray:
         """Weighted ∂_Jφₐ times pressure functions at the Gauss points, (3 q, n k): rows run over J and points."""
         table = np.einsum("jaq,qk,q->jqak", self.slopes, self.pressures, self.weights)
@@ -85,9 +91,7 @@ def rest_terms(order: int, lean: tuple[float, float]) -> tuple[tuple[tuple[int, 
     pull = np.eye(3)  # ∂/∂x_k = Σ_m pull[m, k] ∂/∂ξ_m
     pull[:2, 2] = -np.array(lean)
     shear = np.einsum("knq,lmq,q->klnm", box.slopes, box.slopes, box.weights, optimize=True)
-    modes = np.einsum("knq,qj,q->kjn", box.slopes, box.pressures, box.weights, optimize=True)
-    modes /= np.sqrt(box.weights @ box.pressures**2)[:, None]
-    bulk = np.einsum("kjn,ljm->klnm", modes, modes, optimize=True)
+    bulk = np.einsum("kjn,ljm->klnm", box.divergence, box.divergence, optimize=True)
     one = np.eye(3)
     tensors = (
         np.einsum("mi,nj->imjn", pull, pull),
@@ -287,10 +291,8 @@ class RubberBody:
         for kind in known.keys() - set(self._kinds):
             del known[kind]
         first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
-        new, step = (
-            np.array(list(first.values()), dtype=np.int64),
-            max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2)),
-        )
+        new = np.array(list(first.values()), dtype=np.int64)
+        step = max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
         for elements in np.array_split(new, 1 + len(new) // step) if len(new) else []:
             K = self.rest_stiffness(elements)
             parts = [
@@ -305,25 +307,29 @@ class RubberBody:
         return known
 
     def filled(self, u: FloatArray) -> FloatArray:
-        """Displacements at rest (n_nodes, 3) with those inside the elements, from those on their surfaces."""
-        if not len(self.reference.inside):
+        """Displacements at rest (m, n_nodes, 3) with those inside the elements, from those on their surfaces."""
+        inside, surface = self.reference.inside, self.reference.surface
+        if not len(inside):
             return u
         u = u.copy()
         for own, kind in zip(self.nodes, self._kinds, strict=True):
-            inside = self.condensed[kind].inner @ u[own[self.reference.surface]].ravel()
-            u[own[self.reference.inside]] = inside.reshape(-1, 3)
+            u[:, own[inside]] = (u[:, own[surface]].reshape(len(u), -1) @ self.condensed[kind].inner.T).reshape(
+                len(u), -1, 3
+            )
         return u
 
     def on_surfaces(self, forces: FloatArray) -> FloatArray:
-        """Nodal forces (n_nodes, 3) at rest with those inside the elements moved to their surfaces."""
+        """Nodal forces (m, n_nodes, 3) at rest with those inside the elements moved to their surfaces."""
         inside, surface = self.reference.inside, self.reference.surface
         if not len(inside):
             return forces
         forces = forces.copy()
-        for element in np.flatnonzero(forces[self.nodes[:, inside]].any(axis=(1, 2))):
+        for element in np.flatnonzero(forces[:, self.nodes[:, inside]].any(axis=(0, 2, 3))):
             own, inner = self.nodes[element], self.condensed[self._kinds[element]].inner
-            forces[own[surface]] += (inner.T @ forces[own[inside]].ravel()).reshape(-1, 3)
-            forces[own[inside]] = 0.0
+            forces[:, own[surface]] += (forces[:, own[inside]].reshape(len(forces), -1) @ inner).reshape(
+                len(forces), -1, 3
+            )
+            forces[:, own[inside]] = 0.0
         return forces
 
     def rest_blocks(self) -> Iterator[tuple[slice, FloatArray]]:

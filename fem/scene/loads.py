@@ -94,6 +94,12 @@ class FollowerLoad(_OnRectangle):
             )
         object.__setattr__(self, "pressure_mpa", float(self.pressure_mpa))
 
+    @property
+    def at_rest(self) -> DeadLoad:
+        """The load as small strain sees it."""
+        traction = (*self.traction_mpa, -self.pressure_mpa)
+        return DeadLoad(center_mm=self.center_mm, size_mm=self.size_mm, traction_mpa=traction)
+
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("traction_mpa", signs[:2]), ("pressure_mpa", signs[2])]
 

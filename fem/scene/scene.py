@@ -299,8 +299,7 @@ class Scene:
             if isinstance(load, StiffLoad):
                 found += load.spread
             elif isinstance(load, FollowerLoad):
-                traction = (*load.traction_mpa, -load.pressure_mpa)
-                found.append(DeadLoad(center_mm=load.center_mm, size_mm=load.size_mm, traction_mpa=traction))
+                found.append(load.at_rest)
             else:
                 found.append(load)
         return tuple(found)

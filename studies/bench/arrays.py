@@ -114,7 +114,6 @@ CONTENDERS = [
         (SAME, "whole array, same hexahedra, level 2", partial(by_whole_grid, level=2), (6,)),
         (SAME, "whole array, Taylor-Hood", by_mesh, (2, 6)),
         (SAME, "layer", partial(by_settings, method="layer"), (6,)),
-        (SAME, "half-space", partial(by_settings, method="halfspace"), (6,)),
         (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),
         (SOFT, "whole array, Taylor-Hood, soft matrix", by_mesh, (6,)),
     )

@@ -12,6 +12,7 @@ from fem.scene.loads import DeadLoad
 from fem.scene.scene import Inclusion, Scene
 from fem.scene.solution import largest_error
 from geometry.storage.files import write_json
+from studies.bench.savings import solved_without
 from studies.bench.scenes import patch_scenes
 from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
@@ -38,7 +39,7 @@ def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path(
         start = perf_counter()
         on, _ = solve_scene(scene)
         middle = perf_counter()
-        off, _ = solve_scene(scene, no_skip=[name])
+        off = solved_without(name, scene)
         seconds_on, seconds_off = middle - start, perf_counter() - middle
         rows.append(
             {

@@ -1,6 +1,6 @@
 """Contenders on scenes: the default path, what it was chosen over, closed forms and other programs."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
@@ -15,6 +15,7 @@ from studies.bench.harness import Contender, Found
 from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
 from studies.bench.peers.grids import Solved, is_homogeneous_block
 from studies.bench.reference import reference_probes
+from studies.bench.savings import solved_without
 from studies.bench.scenes import all_scenes
 
 LOADED, WORST = "error of the loaded probe", "error of the worst probe"
@@ -30,10 +31,10 @@ def measure(contender: Contender, case: str, setting: float) -> Found:
     return Found(errors=judged, size=solved.unknowns, steps=solved.seconds)
 
 
-def solve_to_tolerance(scene: Scene, tolerance: float, no_skip: Iterable[str] = ()) -> Solved:
-    """The default path, or one with savings of the plan switched off."""
-    start = perf_counter()
-    solution, _ = solve_scene(replace(scene, tolerance=tolerance), no_skip=no_skip)
+def solve_to_tolerance(scene: Scene, tolerance: float, without: str = "") -> Solved:
+    """The default path, or one without a saving of the plan."""
+    start, scene = perf_counter(), replace(scene, tolerance=tolerance)
+    solution = solved_without(without, scene) if without else solve_scene(scene)[0]
     seconds = dict(solution.seconds)
     seconds["other"] = perf_counter() - start - sum(seconds.values())
     return Solved(solution.probes, solution.unknowns, seconds)
@@ -65,14 +66,14 @@ CONTENDERS = [
     Contender(
         name="TriPillar, no symmetry used",
         family="TriPillar",
-        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, no_skip=["symmetry"]),
+        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, without="symmetry"),
         settings=TOLERANCES,
         covers=is_homogeneous_block,
     ),
     Contender(
         name="TriPillar, Taylor-Hood tetrahedra",
         family="contrast",
-        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, no_skip=["hexahedra"]),
+        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, without="hexahedra"),
         settings=TOLERANCES[:4],
     ),
     *(

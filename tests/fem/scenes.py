@@ -6,15 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fem.methods.box_refinement import solve_by_splitting
-from fem.methods.high_order import solve_by_order
 from fem.methods.plan import Plan, make_plan
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
-from fem.scene.solution import Solution
 from geometry.design import Material
 
-SOLVERS = {"Qp": solve_by_order, "Q4": solve_by_splitting}
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 
 BLOCK = """
@@ -106,17 +102,9 @@ def pressed_block(
     )
 
 
-def plan_by(element: str, scene: Scene, no_skip: tuple[str, ...] = ()) -> Plan:
-    """The plan of a scene of boxes with its element chosen by the test; Q4 uses mirrors of one parity only."""
-    plan = make_plan(scene, no_skip=no_skip)
-    assert plan.method == "grid"
-    mirrors = tuple(mirror for mirror in plan.mirrors if element == "Qp" or len(mirror.parities) == 1)
-    return replace(plan, element=element, mirrors=mirrors)
-
-
-def solved_by(element: str, scene: Scene, no_skip: tuple[str, ...] = (), field: bool = False) -> Solution:
-    """A scene of boxes solved by either of its elements."""
-    return SOLVERS[element](scene, plan_by(element, scene, no_skip), field)
+def on_tetrahedra(scene: Scene) -> Plan:
+    """The plan of a scene of boxes changed to one of tetrahedra."""
+    return replace(make_plan(scene), method="tetrahedra", mirrors=())
 
 
 def slender_oblique_pillar() -> Scene:

@@ -1,4 +1,4 @@
-"""Scenes of boxes by both of their elements: closed forms, mirrors, estimates; and the boxes that are split."""
+"""Scenes of boxes: closed forms, mirrors, estimates, references; and how boxes are split."""
 
 from dataclasses import replace
 from itertools import product
@@ -8,20 +8,18 @@ import pytest
 
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem
-from fem.discretization.graded_box import box_part
 from fem.discretization.lagrange import lobatto_points
 from fem.factor import Factor, SolverError
 from fem.methods.box_refinement import ORDER, first_mesh, marked
-from fem.methods.high_order import LEVELS
-from fem.methods.solving import solve_scene
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow, solve_scene
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
-from fem.scene.solution import largest_error
+from fem.scene.solution import Solution, largest_error
 from geometry.design import Material
-from tests.fem.scenes import assert_follows_bernoulli, plan_by, slender_oblique_pillar, solved_by
+from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
 STEEP = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))
-BOTH = pytest.mark.parametrize("element", ["Qp", "Q4"])
 
 
 def mean(name, centre, size):
@@ -39,6 +37,11 @@ def patch(traction=(0.0, 0.0, -1.0), poisson=0.49, centre=(15.0, 15.0), **change
     return replace(scene, **changes)
 
 
+def unfolded(scene: Scene) -> Solution:
+    """The solution without the planes of symmetry."""
+    return follow(replace(make_plan(scene), mirrors=()), scene)
+
+
 def pressed(body: Block | Pillar, **kwargs: object) -> Scene:
     """A body pressed and dragged on the middle of its top, with a probe there."""
     x, y, _ = body.outline.top_mm
@@ -53,8 +56,7 @@ def pressed(body: Block | Pillar, **kwargs: object) -> Scene:
     )
 
 
-@BOTH
-def test_a_sheet_under_its_whole_face_follows_hooke(element):
+def test_a_sheet_under_its_whole_face_follows_hooke():
     """With ν = 0 a fully loaded block is in uniaxial compression: u_z = −p h / E, exact on any grid."""
     block = patch(
         poisson=0.0,
@@ -62,10 +64,10 @@ def test_a_sheet_under_its_whole_face_follows_hooke(element):
         probes=(mean("top", (7.0, 12.0), (3.0, 5.0)), Probe(name="in", kind="point", position_mm=(3.0, 28.0, 5.0))),
         tolerance=1e-2,
     )
-    solution = solved_by(element, block)
+    solution = solve_scene(block)[0]
     assert np.allclose(solution.probes["top"], [0.0, 0.0, -2.0 * 10.0 / 6.1], rtol=0, atol=1e-9)
-    inside_mm = 1e-9 if element == "Qp" else 1e-6  # points inside a Q4 box are known to float32
-    assert np.allclose(solution.probes["in"], [0.0, 0.0, -2.0 * 5.0 / 6.1], rtol=0, atol=inside_mm)
+    # points inside a box are known to float32
+    assert np.allclose(solution.probes["in"], [0.0, 0.0, -2.0 * 5.0 / 6.1], rtol=0, atol=1e-6)
     assert np.isclose(solution.energy_mj, 0.5 * 2.0**2 / 6.1 * 9000.0)
 
 
@@ -83,8 +85,7 @@ def test_flat_block_under_pressure_nears_confined_compression():
     assert probes["point"][2] == pytest.approx(-2.0 / (lame + 2 * mu), rel=1e-6)
 
 
-@BOTH
-def test_a_slender_pillar_bends_like_timoshenko_s_beam(element):
+def test_a_slender_pillar_bends_like_timoshenko_s_beam():
     """Tip deflection F L³/(3 E I) + F L/(κ G A), κ = 5/6; what clamping adds goes with width/length: 3 % at 1:20."""
     pillar = Scene(
         body=Pillar(section_mm=(1.0, 1.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 20.0)),
@@ -94,40 +95,35 @@ def test_a_slender_pillar_bends_like_timoshenko_s_beam(element):
     )
     force, G = 1e-4, 6.1 / 2.6
     beam = force * 20.0**3 / (3 * 6.1 / 12) + force * 20.0 / (5 / 6 * G)
-    assert np.isclose(solved_by(element, pillar).probes["top"][0], beam, rtol=0.03)
+    assert np.isclose(solve_scene(pillar)[0].probes["top"][0], beam, rtol=0.03)
 
 
 def test_slender_oblique_pillar_follows_bernoulli():
     assert_follows_bernoulli(solve_scene(slender_oblique_pillar())[0].probes["top"])
 
 
-@BOTH
 @pytest.mark.parametrize(
     ("traction", "expected"), [((0.0, 0.0, -1.0), (0.0, 0.0, -0.623294559)), ((0.2, 0.0, 0.0), (0.321299361, 0.0, 0.0))]
 )
-def test_the_tolerance_is_met_and_the_estimate_is_near_the_error(traction, expected, element):
+def test_the_tolerance_is_met_and_the_estimate_is_near_the_error(traction, expected):
     """Against the stored references, known to 2e-5; an estimate may be too large, but hardly too small."""
-    solution = solved_by(element, patch(traction, tolerance=3e-3))
+    solution = solve_scene(patch(traction, tolerance=3e-3))[0]
     error = largest_error(solution.probes, {"patch": np.array(expected)})
     assert error < 3e-3
-    assert solution.error_estimate / (3 if element == "Qp" else 10) < error < 3 * solution.error_estimate
+    assert error < solution.error_estimate
 
 
-@BOTH
 @pytest.mark.parametrize("centre", [(15.0, 15.0), (13.0, 11.0)])
-def test_mirrors_change_nothing(element, centre):
+def test_mirrors_change_nothing(centre):
     """A quarter, its even and odd parts, the whole: one answer but for the grids, which are not the same."""
-    traction = (0.2, 0.1, -1.0) if element == "Qp" else (0.0, 0.0, -1.0)
     scene = patch(
-        traction,
+        (0.2, 0.1, -1.0),
         centre=centre,
         probes=(mean("off", (10.0, 20.0), (4.0, 4.0)), Probe(name="p", kind="point", position_mm=(9.0, 22.0, 6.0))),
-        tolerance=1e-2 if element == "Qp" else 5e-2,
+        tolerance=1e-2,
     )
-    folded, whole = solved_by(element, scene), solved_by(element, scene, ("symmetry",))
-    symmetric = centre == (15.0, 15.0)
-    assert len(plan_by(element, scene).mirrors) == (2 if element == "Qp" or symmetric else 0)
-    assert not plan_by(element, scene, ("symmetry",)).mirrors
+    folded, whole = solve_scene(scene)[0], unfolded(scene)
+    assert len(make_plan(scene).mirrors) == 2
     for name in folded.probes:
         assert np.allclose(folded.probes[name], whole.probes[name], rtol=2 * scene.tolerance, atol=1e-3)
     assert np.isclose(folded.energy_mj, whole.energy_mj, rtol=scene.tolerance)
@@ -145,19 +141,18 @@ def test_folding_splits_around_an_inclusion_as_the_whole_does():
         scene = Scene(
             body=Block(size_mm=(12.0, 12.0, 6.0)), inclusions=(stiff,), loads=(load,), probes=probes, tolerance=5e-3
         )
-        part, whole = solved_by("Q4", scene), solved_by("Q4", scene, ("symmetry",))
-        assert len(plan_by("Q4", scene).mirrors) == 2
+        part, whole = solve_scene(scene)[0], unfolded(scene)
+        assert len(make_plan(scene).mirrors) == 2
         assert largest_error(part.probes, whole.probes) <= part.error_estimate + whole.error_estimate
         assert part.energy_mj == pytest.approx(whole.energy_mj, rel=1e-2)
 
 
-@BOTH
 @pytest.mark.parametrize("traction", [(0.0, 0.0, -1.0), (0.2, 0.0, 0.0)])
-def test_the_field_of_the_whole_body_agrees_with_its_probes(element, traction):
+def test_the_field_of_the_whole_body_agrees_with_its_probes(traction):
     """At a node within the patch the field is what a point probe says, whichever part was solved."""
     point = (15.0, 20.0, 10.0)
     scene = patch(traction, probes=(Probe(name="p", kind="point", position_mm=point),), tolerance=0.1)
-    solution = solved_by(element, scene, field=True)
+    solution = solve_scene(scene, field=True)[0]
     field = solution.field
     assert np.allclose(field.points_mm.min(axis=0), 0.0)
     assert np.allclose(field.points_mm.max(axis=0), [30.0, 30.0, 10.0])
@@ -169,14 +164,13 @@ def test_the_field_of_the_whole_body_agrees_with_its_probes(element, traction):
     assert np.abs((opposite - corner).prod(axis=1)).sum() == pytest.approx(9000.0, rel=1e-12)
 
 
-@BOTH
-def test_an_inclusion_of_the_body_s_own_rubber_changes_nothing_and_a_stiff_one_stiffens(element):
+def test_an_inclusion_of_the_body_s_own_rubber_changes_nothing_and_a_stiff_one_stiffens():
     column = Inclusion(base_mm=(15.0, 15.0, 0.0), top_mm=(15.0, 15.0, 10.0), section_mm=(4.0, 4.0), material=Material())
-    plain = solved_by(element, patch(tolerance=1e-2))
-    same = solved_by(element, patch(tolerance=1e-2, inclusions=(column,)))
+    plain = solve_scene(patch(tolerance=1e-2))[0]
+    same = solve_scene(patch(tolerance=1e-2, inclusions=(column,)))[0]
     assert np.array_equal(plain.probes["patch"], same.probes["patch"])
     stiff = replace(column, material=Material(young_mpa=61.0))
-    held = solved_by(element, patch(tolerance=1e-2, inclusions=(stiff,)))
+    held = solve_scene(patch(tolerance=1e-2, inclusions=(stiff,)))[0]
     assert abs(held.probes["patch"][2]) < 0.9 * abs(plain.probes["patch"][2])
 
 
@@ -184,64 +178,6 @@ def test_nearly_incompressible_blocks_are_met_as_well():
     loose, _ = solve_scene(patch(poisson=0.499999, tolerance=1e-2))
     tight, _ = solve_scene(patch(poisson=0.499999, tolerance=2e-3))
     assert largest_error(loose.probes, tight.probes) < 1e-2
-
-
-THIN = pressed(Block(size_mm=(20.0, 20.0, 2.0)), material=Material(young_mpa=1.0, poisson=0.499999))
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [
-        pytest.param(pressed(Block(size_mm=(20.0, 20.0, 8.0)), tolerance=3e-3), id="block"),
-        pytest.param(
-            pressed(Block(size_mm=(20.0, 20.0, 8.0)), material=Material(young_mpa=1.0, poisson=0.4999)),
-            id="nearly incompressible",
-        ),
-        pytest.param(replace(THIN, tolerance=1e-2), id="plate"),
-        pytest.param(THIN, id="plate, as accurate as the default", marks=pytest.mark.long),
-        pytest.param(pressed(replace(STEEP, top_mm=(4.0, 3.0, 6.0)), tolerance=3e-3), id="leaning"),
-    ],
-)
-def test_both_elements_agree(scene):
-    """Two methods that share neither grid nor solver differ by no more than both estimate."""
-    by_order, by_splitting = (solved_by(element, scene) for element in ("Qp", "Q4"))
-    assert by_splitting.error_estimate <= scene.tolerance
-    allowed = by_order.error_estimate + by_splitting.error_estimate
-    assert largest_error(by_splitting.probes, by_order.probes) <= allowed
-    assert by_splitting.energy_mj == pytest.approx(by_order.energy_mj, rel=2 * allowed)
-
-
-def test_levels_close_in_and_grow():
-    """The estimate is within a factor of 3 of the error, and every level is bigger than the one before."""
-    scene = small_patch()
-    finest, _ = solve_scene(replace(scene, tolerance=1e-4))
-    for tolerance in (2e-2, 2e-3):
-        found, _ = solve_scene(replace(scene, tolerance=tolerance))
-        error = largest_error(found.probes, finest.probes)
-        assert error < tolerance
-        assert found.error_estimate / 3 < error < 3 * found.error_estimate
-    sizes = [np.prod(box_part(scene, (), (), level).shape) for level in LEVELS]
-    assert (np.diff(sizes) > 0).all()
-
-
-def test_a_load_that_rounding_puts_on_an_edge_adds_no_line():
-    part = box_part(small_patch(size=10.0 - 1e-12), (), (), LEVELS[1])
-    assert np.diff(part.grid.x).min() > 1e-3
-
-
-def test_a_body_too_big_is_refused_in_a_line(monkeypatch):
-    monkeypatch.setattr("fem.methods.high_order.MAX_UNKNOWNS", 100)
-    with pytest.raises(SolverError, match="the limit is 100"):
-        solve_scene(small_patch())
-
-
-def small_patch(size=4.0) -> Scene:
-    return Scene(
-        body=Block(size_mm=(10.0, 10.0, 4.0)),
-        material=Material(young_mpa=6.1, poisson=0.49),
-        loads=(DeadLoad(center_mm=(5.0, 5.0), size_mm=(size, size), traction_mpa=(0.1, 0.0, -1.0)),),
-        probes=(mean("patch", (5.0, 5.0), (size, size)),),
-    )
 
 
 def random_mesh(seed: int, rounds: int = 4) -> BoxMesh:
@@ -309,7 +245,7 @@ def test_no_line_runs_through_the_body():
     inclusion = Inclusion(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 3.0, 8.0), section_mm=(2.0, 2.0))
     soft = replace(inclusion, material=Material(young_mpa=0.1, poisson=0.3))
     scene = pressed(Block(size_mm=(30.0, 30.0, 8.0)), inclusions=(soft,))
-    low, high = first_mesh(scene, plan_by("Q4", scene)).corners
+    low, high = first_mesh(scene, make_plan(scene)).corners
     assert not ((low[:, 0] == 4.0) & (low[:, 1] > 20.0)).any()
     cut = (low[:, :2] < 4.0 - 1e-9).all(axis=1) & (high[:, :2] > 2.0 + 1e-9).all(axis=1)
     assert (low[cut, :2] >= 2.0 - 1e-9).all()
@@ -327,27 +263,10 @@ def test_leaning_pillar_of_two_codes_is_settled():
     scene = pressed(STEEP, tolerance=2e-3)
     load = replace(scene.loads[0], traction_mpa=(0.02, 0.0, -0.1))
     scene = replace(scene, loads=(load,), material=Material(young_mpa=6.1, poisson=0.49))
-    solution, plan = solve_scene(scene)
-    assert plan.element == "Q4"
+    solution, _ = solve_scene(scene)
     reference = {"patch": np.array([22.98579, 0.0, -34.14392])}
     assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-5
     assert solution.error_estimate <= 2e-3
-
-
-def test_patch_a_hair_from_the_corner_is_solved():
-    """Edges 5e-5 mm from the block's sides: rounding made a preconditioner negative, and the residual complex."""
-    place = {"center_mm": (9.1507, 14.3826), "size_mm": (3.8821, 4.1093)}
-    scene = Scene(
-        body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
-        material=Material(young_mpa=0.5351, poisson=0.4999),
-        loads=(DeadLoad(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
-        probes=(Probe(name="patch", kind="mean", **place),),
-        tolerance=1e-2,
-    )
-    by_order, by_splitting = (solved_by(element, scene) for element in ("Qp", "Q4"))
-    assert isinstance(by_order.residual, float)
-    allowed = by_order.error_estimate + by_splitting.error_estimate
-    assert largest_error(by_order.probes, by_splitting.probes) <= allowed
 
 
 def test_lines_that_rounding_tells_apart_are_one():
@@ -358,9 +277,9 @@ def test_lines_that_rounding_tells_apart_are_one():
         top_mm=(-3.446131549941288, 3.1835828603223844, 9.824752758034366),
     )
     scene = pressed(body, material=Material(young_mpa=9.5, poisson=0.499999), tolerance=1e-2)
-    low, high = first_mesh(scene, plan_by("Q4", scene)).corners
+    low, high = first_mesh(scene, make_plan(scene)).corners
     assert (high - low).min() > 0.5
-    assert solved_by("Q4", scene).error_estimate <= 1e-2
+    assert solve_scene(scene)[0].error_estimate <= 1e-2
 
 
 @pytest.mark.parametrize("hair_mm", [0.0, 5e-5])
@@ -374,6 +293,6 @@ def test_loaded_corner_of_nearly_incompressible_rubber_is_settled(hair_mm):
         probes=(Probe(name="patch", kind="mean", **place),),
         tolerance=2e-3,
     )
-    solution = solved_by("Q4", scene)
+    solution = solve_scene(scene)[0]
     reference = {"patch": np.array([24.4457847, -15.435013, -5.27081814])}
     assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-4 + 3e-5

@@ -5,7 +5,7 @@ import pytest
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.discretization.grid import Attractor, Grid, GridBasis, geometric_line, graded_lines, grid_body, grid_stiffness
+from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from fem.factor import Factor, checked_solve
 from geometry.design import Material
 
@@ -54,19 +54,6 @@ def test_lines_crowd_at_attractors_and_levels_contain_each_other():
     assert {0.0, 3.0, 10.0} <= set(one.round(9))
     assert np.isin(one.round(6), two.round(6)).all()
     assert np.diff(two)[np.searchsorted(two, 3.0)] < 0.2 * np.diff(two).max()
-
-
-def test_geometric_lines_meet_what_they_must_and_grow_far_from_all_edges():
-    line = geometric_line({0.0: 0, 3.0: 2, 10.0: 3}, ratio=0.2, widest_mm=2.0)
-    assert {0.0, 3.0, 10.0} <= set(line.tolist())
-    assert 0 < np.diff(line).min() < np.diff(line).max() <= 2.0 + 1e-12
-    assert 10.0 - line[-2] == pytest.approx(2.0 * 0.2**3)  # three layers from as far as an element is wide
-    line = geometric_line({0.0: 1, 1000.0: 1}, ratio=0.2, widest_mm=1.0, reach_mm=1.0)
-    assert len(line) < 60
-    assert np.allclose(line + line[::-1], 1000.0)
-    assert np.diff(line)[1:3].max() < 1.1
-    growth = np.diff(line)[1:] / np.diff(line)[:-1]
-    assert growth[1 : len(growth) // 2].max() < 1.5
 
 
 def test_one_factor_serves_many_loads():

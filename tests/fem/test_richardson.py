@@ -3,25 +3,12 @@
 import numpy as np
 import pytest
 
-from fem.discretization.richardson import errors_by_falls, errors_by_indicators, richardson_factor
+from fem.discretization.richardson import errors_by_indicators, richardson_factor
 
 
 def test_a_clean_rate_is_extrapolated_to_its_limit():
     coarse, fine = 3 * 2**-3.5, 3 * 5**-3.5
     assert (coarse - fine) * richardson_factor(2, 5, rate=3.5) == pytest.approx(fine)
-
-
-def test_falls_that_are_met_give_the_error_and_slower_ones_more():
-    """Errors 1, 0.1, 0.02 of an answer 1; a last change larger than expected raises the estimate."""
-    falls = [1.0, 0.1, 0.2]
-
-    def answers(*errors):
-        return [{"a": np.array([0.0, 0.0, 1.0 + error])} for error in errors]
-
-    assert errors_by_falls(answers(1.0), falls) == np.inf
-    assert errors_by_falls(answers(1.0, 0.1, 0.02), falls) == pytest.approx(0.02 / 1.02)
-    change = 0.5 / 1.1
-    assert errors_by_falls(answers(1.0, 0.6, 0.1), falls) > 1.5 * change * 0.2 / 0.8
 
 
 def test_errors_that_follow_the_indicators_are_known():

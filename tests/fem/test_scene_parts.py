@@ -15,12 +15,14 @@ from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
 from fem.fields.finite_pictures import pressed_sensor
 from fem.fields.stress import projected_pressure
-from fem.methods.solving import solve_scene
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow
 from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
 from geometry.design import Array, Material, Pad, SensorDesign
+from tests.fem.scenes import on_tetrahedra
 
 BLOCK = Scene(
     body=Block(size_mm=(12.0, 12.0, 6.0)),
@@ -55,10 +57,11 @@ def test_the_stress_of_a_block_meets_its_load():
     assert np.abs(parts["body"].stress_mpa[far, 2]).max() < 0.05  # a free corner
 
 
-@pytest.mark.parametrize("no_skip", [(), ["hexahedra"]], ids=["boxes", "tetrahedra"])
-def test_fields_of_every_method_have_their_nodes_in_order(no_skip):
+@pytest.mark.parametrize("planned", [make_plan, on_tetrahedra], ids=["boxes", "tetrahedra"])
+def test_fields_of_every_method_have_their_nodes_in_order(planned):
     """Shape functions of the elements at their own nodes are the nodes: a wrong order of VTK's would show."""
-    solution, _ = solve_scene(replace(BLOCK, tolerance=0.2), no_skip=no_skip, field=True)
+    scene = replace(BLOCK, tolerance=0.2)
+    solution = follow(planned(scene), scene, field=True)
     field = merged(solution.field)
     elements = elements_of(field)
     some = np.arange(0, len(elements.nodes), 7)

@@ -93,8 +93,7 @@ solve exact.toml --json --vtu never.vtu -> tolerance=0 must be
 solve solver.toml --json --vtu never.vtu -> solver.toml: unknown key 'solver'
 solve pillar.toml --tolerance 0 -> tolerance=0 must be a number above 0
 solve pillar.toml --tolerance nan -> tolerance=nan must be a number above 0
-solve pillar.toml --no-skip lunch -> unknown saving 'lunch'; known are zero-load
-response --out r.nc --method magic -> --method magic must be one of cells, layer, halfspace
+response --out r.nc --method magic -> --method magic must be one of cells, layer
 response --out r.nc --design small.toml --tolerance 0 -> tolerance=0 must be above 0 and below 1
 response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be above 0 and below 1
 response --out r.nc --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm

@@ -104,7 +104,7 @@ def test_a_scene_with_every_plate_is_the_response(responses):
     expected = displacements(responses["stiff"], TRACTION[None])[0].reshape(-1, 3)
     assert np.abs(found - expected).max() < 2e-2 * np.abs(expected).max()
     alone = replace(asked, loads=asked.loads[:1])  # no plate on the other unit: another body, of boxes
-    assert make_plan(alone).element == "Q4"
+    assert make_plan(alone).method == "boxes"
 
 
 def test_a_unit_of_other_tools_has_rigid_plates():

@@ -90,9 +90,6 @@ def solve(
     vtu: Annotated[
         Path | None, typer.Option(callback=output_file, help="VTU file for the displacement of the whole body.")
     ] = None,
-    no_skip: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Name of a saving to do without; can be repeated.")
-    ] = None,
 ) -> None:
     """Solve a scene: a block, pillar, unit or array under loads, to a tolerance."""
     require_suffix("--vtu", vtu, ".vtu")
@@ -105,7 +102,7 @@ def solve(
     body = read_scene(scene)
     if tolerance is not None:
         body = replace(body, tolerance=tolerance)
-    plan = make_plan(body, no_skip=no_skip or (), field=vtu is not None)
+    plan = make_plan(body, field=vtu is not None)
     if explain:
         print(*plan.lines, sep="\n", file=sys.stderr if json_ else sys.stdout)
     solution = follow(plan, body, field=vtu is not None)
@@ -125,7 +122,7 @@ def response(
         float | None, typer.Option(help="Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.")
     ] = None,
     method: Annotated[
-        Literal["cells", "layer", "halfspace"],
+        Literal["cells", "layer"],
         typer.Option(help="Method: copies of one condensed cell, or an approximate closed form."),
     ] = "cells",
     json_: JsonOption = False,

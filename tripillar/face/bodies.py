@@ -18,7 +18,7 @@ def response(
     design: SensorDesign | None = None,
     *,
     tolerance: float | None = None,
-    method: Literal["cells", "layer", "halfspace"] = "cells",
+    method: Literal["cells", "layer"] = "cells",
 ) -> "ArrayResponse":
     """Compute how far a newton on each pad moves each electrode; from the cache if it is there.
 
@@ -29,7 +29,7 @@ def response(
     tolerance : float, optional
         Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber than the matrix.
     method : str
-        ``cells`` couples copies of one condensed cell; ``layer`` and ``halfspace`` are approximate closed forms.
+        ``cells`` couples copies of one condensed cell; ``layer`` is an approximate closed form.
 
     Returns
     -------

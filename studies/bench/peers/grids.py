@@ -3,17 +3,18 @@
 The lines of a grid go through the outlines of loads, probes and inclusions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from fem.discretization.grid import geometric_line
 from fem.scene.scene import Inclusion, Pillar, Scene, Sensor
 from geometry.layout import FloatArray
 
 Lines = tuple[FloatArray, FloatArray, FloatArray]  #: of a grid along x, y and z [mm]
+OUTWARD = 0.3  #: distance of an element of high order from the nearest edge, over the distance of its far end
+SPREAD = 0.25  #: width of such elements over that distance, where they may be wider than the widest
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,63 @@ def geometric_lines(scene: Scene, layers: int, ratio: float = 0.2) -> Lines:
         return geometric_line(dict.fromkeys(stops, 0) | dict.fromkeys(edges, layers), ratio, widest_mm)
 
     return _each_axis(scene, line)
+
+
+def geometric_line(layers: Mapping[float, int], ratio: float, widest_mm: float, reach_mm: float = np.inf) -> FloatArray:
+    """Lines through given positions, shrinking geometrically toward those that ask for layers.
+
+    Parameters
+    ----------
+    layers : mapping
+        Position [mm] → number of layers on either side of it; the lowest and highest bound the line.
+    ratio : float
+        Distance of each layer's line from the position, over the next one's; about 0.15 suits functions of order 3 to 6
+        (Schwab, *p- and hp-finite element methods*, 1998).
+    widest_mm : float
+        No element is wider [mm], but those far from all positions: they may grow with the distance, see `SPREAD`.
+    reach_mm : float
+        Layers begin at this distance at most, where there are any [mm]; from there on elements grow, see `OUTWARD`.
+
+    Examples
+    --------
+    >>> geometric_line({0.0: 0, 8.0: 2}, ratio=0.25, widest_mm=10.0)
+    array([0. , 6. , 7.5, 8. ])
+    """
+    positions = sorted(layers)
+    lines = [np.array(positions[:1])]
+    for left, right in pairwise(positions):
+        sides = [layers[left] > 0, layers[right] > 0]
+        share = (right - left) / max(1, sum(sides))  # of the gap, that each side with layers fills
+        if not any(sides):
+            inner = np.linspace(left, right, int(np.ceil(share / widest_mm - 1e-9)) + 1)[1:-1]
+        else:
+            start = min(share, reach_mm, widest_mm)
+            outward = _outward(start, share, (right - left) - share, widest_mm)
+            near, far = (
+                np.append(start * ratio ** np.arange(count, 0, -1.0), outward) if side else np.zeros(0)
+                for side, count in zip(sides, (layers[left], layers[right]), strict=True)
+            )
+            inner = np.unique(np.concatenate([left + near, right - far]).round(12))
+            inner = inner[(inner - left > 1e-9 * share) & (right - inner > 1e-9 * share)]
+        lines.append(np.append(inner, right))
+    return np.concatenate(lines)
+
+
+def _outward(start: float, end: float, beyond: float, widest_mm: float) -> FloatArray:
+    """Distances from an edge at which lines lie, from where its layers begin to where its side of a gap ends.
+
+    `beyond` is the width of the gap's other side, which has the same lines in reverse: 0 if this is the only one.
+    """
+    found = [start]
+
+    def step() -> float:
+        return min((1 / OUTWARD - 1) * found[-1], max(widest_mm, SPREAD * found[-1]))
+
+    while end - found[-1] > 1e-9 * end and (end + beyond - found[-1] - (found[-1] if beyond else 0.0)) > step():
+        found.append(found[-1] + step())
+    if found[-1] > end:
+        found = [start + (place - start) * (end - start) / (found[-1] - start) for place in found]
+    return np.array(found)
 
 
 def inclusion_box(inclusion: Inclusion) -> tuple[FloatArray, FloatArray]:

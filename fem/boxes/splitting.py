@@ -14,7 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.discretization.lagrange import lobatto_points, shape_functions
+from fem.boxes.boxes import Boxes
+from fem.boxes.lagrange import lobatto_points, shape_functions
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -146,6 +147,19 @@ class BoxMesh:
             for side in ("low", "high")
         )
         return low, high
+
+    def filled(self, order: int, lean: tuple[float, float], region: IntArray) -> Boxes:
+        """Functions of an order on the boxes, whose region (n,) and lean are as in `Boxes`."""
+        found, (low, high) = self.nodes(order), self.corners
+        within = (np.indices((order + 1,) * 3).reshape(3, -1) % order != 0).all(axis=0)
+        n, inside = found.constraint.shape[0], len(low) * int(within.sum())
+        nodes = np.empty((len(low), len(within)), dtype=np.int64)
+        nodes[:, ~within] = found.of_elements
+        nodes[:, within] = n + np.arange(inside).reshape(len(low), -1)
+        constraint = None
+        if not found.independent.all():
+            constraint = sp.block_diag([found.constraint, sp.eye(inside)], format="csr")
+        return Boxes(low=low, high=high, order=order, nodes=nodes, region=region, lean=lean, constraint=constraint)
 
     def _crossing(self) -> NDArray[np.bool_]:
         """Boxes to split, shape (n, 3), because a face is narrower one way and wider the other than what it meets."""

@@ -1,0 +1,83 @@
+"""Rows of boxes on nodal values: exact for polynomials of the boxes' order, wherever points and rectangles lie."""
+
+import numpy as np
+import pytest
+
+from fem.boxes.boxes import Boxes
+from fem.mirrors import Mirror
+from fem.rubber.body import RubberBody
+from fem.scene.loads import DeadLoad, StiffLoad
+from fem.scene.scene import Probe
+from fem.system import System
+from geometry.design import Material
+
+LINES = np.array([0.0, 1.0, 2.0, 3.5]), np.array([0.0, 0.7, 2.0]), np.array([0.0, 0.4, 1.0])
+LEAN = (0.3, -0.2)
+
+
+def field(points: np.ndarray) -> np.ndarray:
+    """x² y + z² of points (n, 3), of degree 2 along each axis."""
+    x, y, z = points.T
+    return x**2 * y + z**2
+
+
+@pytest.fixture(params=[(2, (0.0, 0.0)), (3, LEAN), (4, LEAN)], ids=["order 2", "order 3, leaning", "order 4, leaning"])
+def boxes(request) -> Boxes:
+    order, lean = request.param
+    return Boxes.between(LINES, order, lean)
+
+
+def test_values_and_slopes_at_points_are_exact(boxes):
+    rng = np.random.default_rng(0)
+    at = rng.random((30, 3)) * [3.5, 2.0, 1.0]
+    at[0], at[1] = (0.0, 0.0, 0.0), (1.0, 0.7, 0.4)  # a corner, and where eight boxes meet
+    at = at @ boxes.shear.T
+    # leaning makes of x² y a polynomial of degree 3 along z
+    values = (lambda p: p @ [1.0, 2.0, 3.0]) if boxes.order == 3 and boxes.lean == LEAN else field
+    nodal = values(boxes.points_mm)
+    assert np.allclose(boxes.at(at) @ nodal, values(at), atol=1e-12)
+    slopes = (boxes.slopes(at) @ nodal).reshape(3, -1)
+    step = 1e-6 * np.eye(3)
+    expected = [(values(at + d) - values(at - d)) / 2e-6 for d in step]
+    assert np.allclose(slopes, expected, atol=1e-8)  # of the difference quotient
+
+
+def test_integrals_over_rectangles_are_exact_wherever_their_edges_lie(boxes):
+    shift = np.array(boxes.lean) * boxes.height_mm
+    x0, y0, x1, y1 = rectangle = np.array([0.5, 0.1, 2.7, 1.9]) + np.tile(shift, 2)
+    whole = np.array([0.0, 0.0, 3.5, 2.0]) + np.tile(shift, 2)
+    rows = boxes.integrals(np.array([rectangle, whole, whole + 100.0]))
+    assert np.allclose(np.asarray(rows.sum(axis=1)).ravel(), [2.2 * 1.8, 7.0, 0.0])
+    exact = (x1**3 - x0**3) / 3 * (y1**2 - y0**2) / 2 + (x1 - x0) * (y1 - y0)
+    assert np.isclose((rows @ field(boxes.points_mm))[0], exact, rtol=1e-12)
+
+
+@pytest.mark.parametrize("parities", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_a_quarter_with_its_parity_is_the_whole(parities):
+    """Loads of a parity, one of them on a plate across both planes: the quarter's answer is the whole body's."""
+    line, z = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, 2.0])
+    along_x, along_y = parities
+    loads = [
+        DeadLoad(center_mm=(x, y), size_mm=(1.0, 0.8), traction_mpa=(-sx * sy * 0.2 * x, 0.0, sx * sy))
+        for x in (-2.3, 2.3)
+        for y in (-2.4, 2.4)
+        for sx, sy in [(along_x if x < 0 else 1, along_y if y < 0 else 1)]
+    ]
+    force = (float(parities == (-1, 1)), float(parities == (1, -1)), float(parities == (1, 1)))
+    turn = (float(parities == (1, -1)), float(parities == (-1, 1)), float(parities == (-1, -1)))
+    loads.append(StiffLoad(center_mm=(0.0, 0.0), size_mm=(2.0, 4.0), force_n=force, moment_nmm=turn))
+    probes = (
+        Probe(name="mean", kind="mean", center_mm=(-1.9, 0.2), size_mm=(1.0, 3.0)),
+        Probe(name="point", kind="point", position_mm=(-1.2, 2.4, 1.3)),
+    )
+    mirrors = tuple(Mirror(axis=axis, position_mm=0.0, parities=(1, -1)) for axis in (0, 1))
+    answers = []
+    for lines, planes in (((line, line, z), ()), ((line[3:], line[3:], z), mirrors)):
+        body = RubberBody.of(Boxes.between(lines), [Material()])
+        system = System(body, loads, planes, parities if planes else None)
+        factor = system.new_factor()
+        factor.factor(system.matrix(system.rest_tangent()))
+        y = factor.solve(system.loads_on(system.rest()).reshape(-1, 1)).reshape(-1, 3)
+        u = system.nodal_change(system.rest().rotation, y)
+        answers.append([system.seen(probe, u) for probe in probes])
+    assert np.allclose(*answers, atol=1e-12)
