@@ -34,8 +34,8 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
 from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares, pillar_shares
+from geometry.storage.cache import kept
 from geometry.storage.files import digest
-from geometry.storage.kept import kept
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 

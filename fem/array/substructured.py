@@ -26,8 +26,8 @@ from fem.levels import richardson_factor
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
-from geometry.storage.kept import kept, read_arrays, write_arrays
 
 MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 

@@ -22,8 +22,8 @@ from fem.factor import Factor, checked_solve
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
+from geometry.storage.cache import kept
 from geometry.storage.files import digest
-from geometry.storage.kept import kept
 
 VERSION = 1  #: raise when the same mesh gives another solution, so that cached ones are not reused
 

@@ -22,8 +22,8 @@ from geometry.design import Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.mesh import sensor_mesh, suited_settings
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
-from geometry.storage.kept import kept, read_arrays, write_arrays
 
 VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
 TILES_PER_HEIGHT = 4.0
