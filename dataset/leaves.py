@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
-from geometry.storage.files import digest, reported
-from geometry.storage.zarr_folder import (
+from dataset.zarr_folder import (
     Variable,
     chunk_name,
     encoded,
@@ -20,6 +19,7 @@ from geometry.storage.zarr_folder import (
     require_zarr_place,
     write_header,
 )
+from geometry.storage.files import digest, reported
 
 LEAF = 8192  #: samples of a leaf: 3.5 MB of a variable of 6 × 6 units in float32
 HASHES = "leaf_hashes"  #: attribute of a variable: a hash of each leaf's numbers

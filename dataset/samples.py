@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import LEAF, write_leaves
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
+from dataset.zarr_folder import is_zarr
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage import files
 from geometry.storage.netcdf import write_netcdf
-from geometry.storage.zarr_folder import is_zarr
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,13 +14,13 @@ from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, KNOWN, LEAF, LEAF_SIZE, leaves_hash, n_leaves
 from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples
 from dataset.variables import COORDINATES, MAX_N, MAX_OHM, MIN_OHM
+from dataset.zarr_folder import is_zarr, open_zarr
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf
 from geometry.storage.seal import say_made_anew
-from geometry.storage.zarr_folder import is_zarr, open_zarr
 
 if TYPE_CHECKING:
     import xarray as xr

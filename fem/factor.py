@@ -56,10 +56,8 @@ class Factor:
     ----------
     matrix : csr_matrix or bsr_matrix, shape (n, n), optional
         K; left out, `factor` takes the first one. PARDISO analyses square blocks as one entry each.
-    definite : bool
-        True for a symmetric positive definite matrix, as of displacements alone; the mixed form's is not.
-    symmetric : bool
-        False for an unsymmetric matrix.
+    definite, symmetric : bool
+        Positive definite, as of displacements alone (the mixed form's K is not); symmetric, or with `False` not.
     upper : bool
         True if only the upper triangle of a symmetric matrix is given; blocks on the diagonal are whole.
     solver : {"pardiso", "superlu"}, optional
@@ -141,7 +139,8 @@ class Factor:
             pardiso.call(11)
             self._need(max(pardiso.iparm[14], int(pardiso.iparm[15]) + int(pardiso.iparm[16])) / 1e6)
             self._pardiso = pardiso
-        self._pardiso.take(part)
+        else:
+            self._pardiso.take(part)
         self._pardiso.call(22)
         self.n_negative = int(self._pardiso.iparm[22]) if self._pardiso.mtype == -2 else None
 
@@ -243,8 +242,7 @@ def _upper(matrix: SparseMatrix) -> SparseMatrix:
     """Entries or square blocks on the diagonal and above it; those on it whole."""
     if matrix.format != "bsr":
         return sp.triu(matrix, format="csr")
-    numbers = sp.csr_matrix((np.arange(len(matrix.indices)), matrix.indices, matrix.indptr))
-    kept = sp.triu(numbers, format="csr")
+    kept = sp.triu(sp.csr_matrix((np.arange(len(matrix.indices)), matrix.indices, matrix.indptr)), format="csr")
     return sp.bsr_matrix((matrix.data[kept.data], kept.indices, kept.indptr), shape=matrix.shape)
 
 
@@ -268,9 +266,7 @@ def _mkl_pardiso() -> Callable[..., None]:
         from pypardiso import PyPardisoSolver
 
         library = PyPardisoSolver().libmkl
-    pardiso = library["pardiso"]  # by index: a fresh function, without pypardiso's argument types
-    pardiso.restype = None
-    return pardiso
+    return library["pardiso"]  # by index: a fresh function, without pypardiso's argument types
 
 
 def _not_factored(n: int, why: object) -> SolverError:

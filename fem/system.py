@@ -137,7 +137,7 @@ class System:
 
     @property
     def copies(self) -> int:
-        """How many images of the part make the whole body."""
+        """Number of images of the part that make the whole body."""
         return 2 ** len(self.mirrors)
 
     @property

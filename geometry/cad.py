@@ -12,7 +12,8 @@ from pathlib import Path
 from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
 
 from geometry.design import SensorDesign, Unit
-from geometry.layout import pillar_ends, pillar_sections, unit_centres
+from geometry.layout import unit_centres
+from geometry.prism import unit_prisms
 from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
@@ -46,12 +47,7 @@ def pillar_solids(unit: Unit) -> list[Solid]:
     >>> [round(pillar.volume, 6) for pillar in pillar_solids(Unit())]
     [40.0, 56.568542, 56.568542]
     """
-    solids = []
-    for (bottom, top), (size_x, size_y) in zip(pillar_ends(unit), pillar_sections(unit), strict=True):
-        x, y, z = bottom
-        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        solids.append(prism([(x + a * size_x / 2, y + b * size_y / 2, z) for a, b in signs], top - bottom))
-    return solids
+    return [prism(one.corners()[:4].tolist(), one.axis_mm.tolist()) for one in unit_prisms(unit)]
 
 
 def unit_solid(unit: Unit) -> Solid:

@@ -4,60 +4,63 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, Layout, footprint, min_span
 
 
-def quantity(default: Any, meaning: str, optional: bool = False) -> Any:
+def quantity(default: Any, meaning: str, optional: bool = False, above_0: bool = False, of: Sequence[str] = ()) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
+    A text is one `of` some. `require_sound` checks all this.
     """
-    return field(default=default, metadata={"meaning": meaning, "optional": optional})
+    return field(default=default, metadata={"meaning": meaning, "optional": optional, "above 0": above_0, "of": of})
 
 
-def require_numbers(values: Any) -> None:
-    """Refuse whatever is not a finite number in a float field, or not a whole number in an int field."""
+positive = partial(quantity, above_0=True)  #: a quantity above 0
+
+
+def require_sound(values: Any) -> None:
+    """Refuse whatever is no finite number in a float field, no whole number in an int field, or none of the choices.
+
+    What must be above 0 may also not be so large or small that squares of it leave the range of numbers.
+    """
     for spec in fields(values):
-        value = getattr(values, spec.name)
-        if spec.type is int and (not isinstance(value, int) or isinstance(value, bool)):
-            raise DesignError(f"{spec.name}={value!r} must be a whole number; {spec.metadata['meaning']}.")
+        value, said, is_number = getattr(values, spec.name), "", spec.type in (int, float)
+        if is_number and (isinstance(value, bool) or not isinstance(value, int if spec.type is int else int | float)):
+            said = f"={value!r} must be a {'whole' if spec.type is int else 'finite'} number"
+        elif is_number and not abs(value) <= sys.float_info.max:  # so that NaN and endless integers are refused
+            said = f"={value!r} must be a finite number"
+        elif spec.metadata.get("above 0") and not value > 0:
+            said = f"={value:g} must be above 0"
+        elif spec.metadata.get("above 0") and not 1e-12 <= value <= 1e12:
+            said = f"={value:g} must be from 1e-12 to 1e12"
+        elif spec.metadata.get("of") and value not in spec.metadata["of"]:
+            said = f"={value!r} must be one of {', '.join(spec.metadata['of'])}"
+        if said:
+            raise DesignError(f"{spec.name}{said}; {spec.metadata['meaning']}.")
         if spec.type is float:
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not abs(value) <= sys.float_info.max:  # so that NaN and endless integers are refused
-                raise DesignError(f"{spec.name}={value!r} must be a finite number; {spec.metadata['meaning']}.")
             object.__setattr__(values, spec.name, float(value))
-
-
-def require_positive(values: Any, *names: str) -> None:
-    """Refuse what is not above 0, or so large or small that squares of it leave the range of numbers."""
-    for name in names:
-        value = getattr(values, name)
-        meaning = next(spec.metadata["meaning"] for spec in fields(values) if spec.name == name)
-        if not value > 0:
-            raise DesignError(f"{name}={value:g} must be above 0; {meaning}.")
-        if not 1e-12 <= value <= 1e12:
-            raise DesignError(f"{name}={value:g} must be from 1e-12 to 1e12; {meaning}.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unit:
     """One sensing unit: pillars between electrodes, as its layout says; the paper's by default."""
 
-    span_mm: float = quantity(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
-    height_mm: float = quantity(10.0, "height h of the pillars and of the slab; the top z = h is touched")
-    pillar_width_mm: float = quantity(2.0, "side of a pillar's square section, perpendicular to its axis")
-    electrode_mm: float = quantity(2.0, "side of the square electrodes")
-    layout: Layout = field(
-        default=SONG2018, metadata={"optional": True}
-    )  #: not in design files, which have the paper's
+    span_mm: float = positive(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
+    height_mm: float = positive(10.0, "height h of the pillars and of the slab; the top z = h is touched")
+    pillar_width_mm: float = positive(2.0, "side of a pillar's square section, perpendicular to its axis")
+    electrode_mm: float = positive(2.0, "side of the square electrodes")
+    #: not in design files, which have the paper's
+    layout: Layout = field(default=SONG2018, metadata={"optional": True})
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "span_mm", "height_mm", "pillar_width_mm", "electrode_mm")
+        require_sound(self)
         least_mm = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(
@@ -81,13 +84,12 @@ MAX_UNITS = 255  #: along x or y: what a board's frames can state
 class Array:
     """A rows × cols grid of identical units on one slab."""
 
-    rows: int = quantity(6, "units along y")
-    cols: int = quantity(6, "units along x")
-    pitch_mm: float = quantity(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
+    rows: int = positive(6, "units along y")
+    cols: int = positive(6, "units along x")
+    pitch_mm: float = positive(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "rows", "cols", "pitch_mm")
+        require_sound(self)
         if max(self.rows, self.cols) > MAX_UNITS:
             raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MAX_UNITS} each.")
 
@@ -96,16 +98,15 @@ class Array:
 class Pad:
     """The square on a unit's top through which it is loaded."""
 
-    size_mm: float = quantity(12.0, "side of the contact pad; 12 covers both upper electrodes")
+    size_mm: float = positive(12.0, "side of the contact pad; 12 covers both upper electrodes")
     offset_x_mm: float = quantity(0.0, "pad centre along x, from the unit's centre")
     offset_y_mm: float = quantity(0.0, "pad centre along y, from the unit's centre")
-    kind: str = quantity("soft", "soft: uniform traction; stiff: a rigid plate bonded to the rubber", optional=True)
+    kind: str = quantity(
+        "soft", "soft: uniform traction; stiff: a rigid plate bonded to the rubber", True, of=PAD_KINDS
+    )
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "size_mm")
-        if self.kind not in PAD_KINDS:
-            raise DesignError(f"kind={self.kind!r} must be one of {', '.join(PAD_KINDS)}; of the contact pad.")
+        require_sound(self)
 
 
 MODELS = ("linear", "neo-hookean", "mooney-rivlin")
@@ -120,15 +121,12 @@ class Material:
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", optional=True)
-    young_mpa: float = quantity(6.1, "Young's modulus E")
+    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", True, of=MODELS)
+    young_mpa: float = positive(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "young_mpa")
-        if self.model not in MODELS:
-            raise DesignError(f"model={self.model!r} must be one of {', '.join(MODELS)}; of the rubber.")
+        require_sound(self)
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -143,7 +141,7 @@ class Material:
 
 
 MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
-ELECTRIC_MODELS = ("eq1", "conduction")
+EQUATIONS = ("eq1", "conduction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,14 +152,12 @@ class Electrics:
     and Thurston, J. Acoust. Soc. Am. 29 (1957) 1096).
     """
 
-    model: str = quantity("eq1", "eq1: R = ρ l²/V; conduction: potentials in the deformed pillars", optional=True)
-    elastoresistance_along: float = quantity(0.0, "m₁₁ of the pillars' rubber, conduction only", optional=True)
-    elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", optional=True)
+    model: str = quantity("eq1", "eq1: R = ρ l²/V; conduction: potentials in the deformed pillars", True, of=EQUATIONS)
+    elastoresistance_along: float = quantity(0.0, "m₁₁ of the pillars' rubber, conduction only", True)
+    elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", True)
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        if self.model not in ELECTRIC_MODELS:
-            raise DesignError(f"model={self.model!r} must be one of {', '.join(ELECTRIC_MODELS)}; of the electrics.")
+        require_sound(self)
         given = (self.elastoresistance_along, self.elastoresistance_across)
         if self.model == "eq1" and any(given):
             raise DesignError(
@@ -183,39 +179,19 @@ class Electrics:
 class SensorDesign:
     """Everything that defines a sensor; the default is the paper's."""
 
-    resistivity_ohm_mm: float = quantity(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
-    unit: Unit = field(
-        default_factory=Unit,
-        metadata={"meaning": "one sensing unit: three pillars between four electrodes"},
-    )
-    array: Array = field(
-        default_factory=Array,
-        metadata={"meaning": "the grid of units on one slab of cols·pitch × rows·pitch × height"},
-    )
-    pad: Pad = field(
-        default_factory=Pad,
-        metadata={"meaning": "the square on each unit's top through which it is loaded"},
-    )
-    electrics: Electrics = field(
-        default=Electrics(), metadata={"meaning": "how resistance follows deformation", "optional": True}
-    )
-    pillar_material: Material = field(
-        default_factory=Material,
-        metadata={"meaning": "the conductive rubber of the pillars (paper, table 1)"},
-    )
-    matrix_material: Material = field(
-        default_factory=Material,
-        metadata={"meaning": "the insulating rubber around them; the paper gives no value"},
-    )
+    resistivity_ohm_mm: float = positive(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
+    unit: Unit = quantity(Unit(), "one sensing unit: three pillars between four electrodes")
+    array: Array = quantity(Array(), "the grid of units on one slab of cols·pitch × rows·pitch × height")
+    pad: Pad = quantity(Pad(), "the square on each unit's top through which it is loaded")
+    electrics: Electrics = quantity(Electrics(), "how resistance follows deformation", optional=True)
+    pillar_material: Material = quantity(Material(), "the conductive rubber of the pillars (paper, table 1)")
+    matrix_material: Material = quantity(Material(), "the insulating rubber around them; the paper gives no value")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "resistivity_ohm_mm")
+        require_sound(self)
         if self.pillar_material.model != self.matrix_material.model:
-            raise DesignError(
-                f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}: give "
-                "both the same model."
-            )
+            models = f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}"
+            raise DesignError(f"{models}: give both the same model.")
         pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
         if pitch_mm < footprint_mm:
             raise DesignError(
@@ -225,15 +201,13 @@ class SensorDesign:
         end_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
         if end_mm > pitch_mm / 2:
             raise DesignError(
-                f"pad size_mm={self.pad.size_mm:g} with its offset reaches {end_mm:g} mm from the unit's "
-                f"centre, past its share of the slab ({pitch_mm / 2:g} mm): pads may touch, not overlap; "
-                "shrink the pad or raise pitch_mm."
+                f"pad size_mm={self.pad.size_mm:g} with its offset ends {end_mm:g} mm from the unit's centre, half the "
+                f"pitch is {pitch_mm / 2:g} mm: pads may touch, not overlap; shrink the pad or raise pitch_mm."
             )
         if end_mm > self.pad_room_mm:
             raise DesignError(
-                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end at least "
-                f"{MIN_GAP * pitch_mm / 2:g} mm before its unit's share of the slab ({pitch_mm / 2:g} mm from the "
-                "centre); shrink the pad or raise pitch_mm."
+                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end within "
+                f"{self.pad_room_mm:g} mm of the unit's centre; shrink the pad or raise pitch_mm."
             )
 
     @property
@@ -248,11 +222,8 @@ class SensorDesign:
     @property
     def slab_mm(self) -> tuple[float, float, float]:
         """Extent of the matrix slab along x, y and z [mm]; x and y centred on the origin, z from 0."""
-        return (
-            self.array.cols * self.array.pitch_mm,
-            self.array.rows * self.array.pitch_mm,
-            self.unit.height_mm,
-        )
+        pitch_mm = self.array.pitch_mm
+        return self.array.cols * pitch_mm, self.array.rows * pitch_mm, self.unit.height_mm
 
     @property
     def is_homogeneous(self) -> bool:

@@ -19,10 +19,7 @@ BESIDE = ("tolerance", "twin")  #: tables of a design file that are not the desi
 def design_to_toml(design: SensorDesign) -> str:
     """Text of a design file: one table per group of quantities, each key with its meaning as a comment.
 
-    Raises
-    ------
-    FileFormatError
-        If the unit has another layout than the paper's: files cannot state one yet.
+    `FileFormatError` if the unit has another layout than the paper's: files cannot state one yet.
     """
     if design.unit.layout != SONG2018:
         raise FileFormatError("a design file states no layout yet: this unit has another one than the paper's.")

@@ -115,25 +115,21 @@ def unit_centres(design: "SensorDesign") -> FloatArray:
     return np.stack([np.tile(x, rows), np.repeat(y, cols)], axis=1)
 
 
+def electrode_centres(unit: "Unit") -> FloatArray:
+    """Centres of all electrodes in the unit's frame, the upper ones first, shape (n_electrodes, 3) [mm]."""
+    levels, s = ((unit.layout.upper, unit.height_mm), (unit.layout.lower, 0.0)), unit.span_mm / 2
+    return np.array([(s * one.place[0], s * one.place[1], z) for level, z in levels for one in level])
+
+
 def upper_electrodes(unit: "Unit") -> FloatArray:
     """Centres of the upper electrodes in the unit's frame, shape (n_upper, 3) [mm]."""
-    return _at(unit, unit.layout.upper, unit.height_mm)
-
-
-def lower_electrodes(unit: "Unit") -> FloatArray:
-    """Centres of the lower electrodes in the unit's frame, shape (n_lower, 3) [mm]."""
-    return _at(unit, unit.layout.lower, 0.0)
-
-
-def _at(unit: "Unit", electrodes: tuple[Electrode, ...], z_mm: float) -> FloatArray:
-    return np.array([[unit.span_mm / 2 * along for along in one.place] + [z_mm] for one in electrodes])
+    return electrode_centres(unit)[: len(unit.layout.upper)]
 
 
 def pillar_ends(unit: "Unit") -> FloatArray:
     """Bottom and top of the pillars in the unit's frame, shape (n_pillars, 2, 3) [mm]."""
     tops, feet = np.array(unit.layout.pillar_terminals).T
-    electrodes = np.vstack([upper_electrodes(unit), lower_electrodes(unit)])
-    return np.stack([electrodes[feet], electrodes[tops]], axis=1)
+    return np.stack([electrode_centres(unit)[feet], electrode_centres(unit)[tops]], axis=1)
 
 
 def rest_lengths(unit: "Unit") -> FloatArray:

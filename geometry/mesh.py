@@ -6,14 +6,17 @@ hash of what made them.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from trimesh.convex import convex_hull
+from trimesh.util import concatenate
 
-from geometry.design import SensorDesign, quantity, require_numbers, require_positive
+from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
 from geometry.mesher import run_apart
@@ -21,33 +24,31 @@ from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_pri
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
 from geometry.storage.kept import kept
 from geometry.storage.seal import BLANK, require_intact, sealed
-from geometry.surface import Surface, check_surface
+from geometry.surface import check_surface
 
 if TYPE_CHECKING:
     from skfem import MeshTet
+    from trimesh import Trimesh
 
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
 METHOD = 2  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  #: of a tetrahedron, by its corners
-#: Corners of a prism's faces, anticlockwise from outside: base, top, −y, +x, +y, −x
-QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSettings:
     """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
 
-    edge_top_mm: float = quantity(1.25, "wanted edge length at the touched surface, where loads begin and end")
-    edge_base_mm: float = quantity(5.0, "wanted edge length at the clamped base")
-    envelope_mm: float = quantity(
-        0.04, "how far the mesher may move a surface; halving it costs up to 10 times the time"
+    edge_top_mm: float = positive(1.25, "wanted edge length at the touched surface, where loads begin and end")
+    edge_base_mm: float = positive(5.0, "wanted edge length at the clamped base")
+    envelope_mm: float = positive(
+        0.04, "how far the mesher may move a surface; half of it takes up to 10 times as long"
     )
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "edge_top_mm", "edge_base_mm", "envelope_mm")
+        require_sound(self)
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
@@ -56,12 +57,8 @@ class MeshSettings:
 
     def finer(self, level: float) -> "MeshSettings":
         """The same with all edges divided by a level."""
-        edge_top_mm = self.edge_top_mm / level
-        return MeshSettings(
-            edge_top_mm=edge_top_mm,
-            edge_base_mm=self.edge_base_mm / level,
-            envelope_mm=min(self.envelope_mm, 0.1 * edge_top_mm),
-        )
+        top_mm, base_mm = self.edge_top_mm / level, self.edge_base_mm / level
+        return MeshSettings(edge_top_mm=top_mm, edge_base_mm=base_mm, envelope_mm=min(self.envelope_mm, 0.1 * top_mm))
 
 
 def suited_settings(design: SensorDesign) -> MeshSettings:
@@ -83,10 +80,9 @@ class TetMesh:
     def content_hash(self) -> str:
         return digest(self.points_mm, self.cells, self.region)
 
-    def region_volumes(self) -> FloatArray:
-        """Volume of each region, at least of `REGIONS` [mm³]."""
-        volumes = cell_volumes(self.points_mm, self.cells)
-        return np.bincount(self.region, volumes, len(REGIONS)).astype(np.float64, copy=False)
+    def region_volumes(self, n_regions: int = len(REGIONS)) -> FloatArray:
+        """Volume of each region, at least of so many [mm³]."""
+        return np.bincount(self.region, cell_volumes(self.points_mm, self.cells), n_regions).astype(float, copy=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +93,7 @@ class MeshTask:
     prisms: Sequence[Prism]  #: where they cut each other, the last one counts
     region: NDArray[np.int64]  #: (len(prisms) + 1,): of what lies in no prism, then of each prism
     outlined: int = 0  #: how many prisms, the first ones, have faces to be followed though no region of their own
-    surfaces: Sequence[Surface]  #: that faces of the mesh follow; they may cut each other
+    surfaces: Sequence["Trimesh"]  #: that faces of the mesh follow; they may cut each other
     volumes_mm3: dict[str, tuple[int, float]]  #: names of parts whose volume is known, their regions and volumes
     volume_tolerance: float  #: relative, of these; the body's own is exact but for rounding
     background: "MeshTet"  #: covers the body
@@ -112,17 +108,12 @@ def mesh_cache_key(design: SensorDesign, settings: MeshSettings) -> str:
 
 
 def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
-    """Mesh of a sensor, from the cache if it is there.
+    """Mesh of a sensor, from the cache if it is there; returns and further errors as of `kept`.
 
     Pillars get a region of their own only where their rubber differs from the matrix.
 
-    Returns the mesh, its file, and whether it was there already. The file may be missing where the cache cannot be
-    written to, unless it is `needed`.
-
     Raises
     ------
-    NotWrittenError
-        If a file that is needed cannot be written.
     GeometryError
         If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
     """
@@ -147,17 +138,13 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     from geometry.surface import surface_from_solid
 
     thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
-    if not design.is_homogeneous and design.unit.pillar_width_mm < thinnest_mm:
-        raise GeometryError(
-            f"pillar_width_mm={design.unit.pillar_width_mm:g} is too thin to be meshed with surfaces that may move by "
-            f"{settings.envelope_mm:g} mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}; thicken "
-            "the pillars, or give pillars and matrix one material."
-        )
-    if design.unit.height_mm < thinnest_mm:
-        raise GeometryError(
-            f"height_mm={design.unit.height_mm:g} is too thin to be meshed with surfaces that may move by "
-            f"{settings.envelope_mm:g} mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}."
-        )
+    for name, mend in (("pillar_width_mm", "; or give pillars and matrix one material"), ("height_mm", "")):
+        size_mm = getattr(design.unit, name)
+        if size_mm < thinnest_mm and not (mend and design.is_homogeneous):
+            raise GeometryError(
+                f"{name}={size_mm:g} is too thin to be meshed with surfaces that may move by {settings.envelope_mm:g} "
+                f"mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}{mend}."
+            )
 
     solids = {"slab": slab_solid(design)} | ({} if design.is_homogeneous else {"array": array_solid(design)})
     surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
@@ -185,10 +172,9 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     )
 
 
-def prism_surface(prism: Prism) -> Surface:
+def prism_surface(prism: Prism) -> "Trimesh":
     """The faces of a prism as twelve triangles."""
-    triangles = [corners for a, b, c, d in QUADS for corners in ((a, b, c), (a, c, d))]
-    return Surface(prism.corners(), np.array(triangles, dtype=np.int32))
+    return convex_hull(prism.corners())
 
 
 def tetrahedralized(task: MeshTask) -> TetMesh:
@@ -201,13 +187,10 @@ def tetrahedralized(task: MeshTask) -> TetMesh:
     GeometryError
         If the mesher loses the shape of a thin body or prism.
     """
-    for attempt in range(ATTEMPTS):
-        try:
+    for attempt in range(ATTEMPTS - 1):
+        with suppress(GeometryError):
             return _one_mesh(task, task.envelope_mm / 2**attempt)
-        except GeometryError:
-            if attempt == ATTEMPTS - 1:
-                raise
-    raise AssertionError("unreachable")
+    return _one_mesh(task, task.envelope_mm / 2 ** (ATTEMPTS - 1))
 
 
 def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
@@ -215,7 +198,9 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     points, cells = fill(task, envelope_mm)
     points, cells = _used(points, cells[task.outline.holds(points[cells].mean(axis=1))])
     prism = prisms_at(points[cells].mean(axis=1), task.prisms)
-    faces, sides = interfaces(cells, np.where(prism <= task.outlined, -prism, task.region[prism]))
+    faces, sides = faces_between(cells)
+    region = np.where(prism <= task.outlined, -prism, task.region[prism])[sides]
+    faces, sides = (each[(sides[:, 1] >= 0) & (region[:, 0] != region[:, 1])] for each in (faces, sides))
     for number, each in enumerate(task.prisms, start=1):
         points = snap_to_prism(points, faces[(prism[sides] == number).any(axis=1)], each, 2 * envelope_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
@@ -233,18 +218,15 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
     Returns points, shape (n, 3) [mm], and cells, shape (m, 4), also those around the body: the mesher's own filter
     takes surfaces that share a part of a face for holes or bulges.
     """
-    surfaces = task.surfaces
-    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
-    vertices = np.vstack([surface.vertices for surface in surfaces])
-    triangles = np.vstack([s.triangles + offset for s, offset in zip(surfaces, offsets, strict=True)])
+    joined = concatenate(task.surfaces)
     with scratch() as folder:
         points, cells = run_apart(
             "geometry.mesher:tetrahedralize",
             folder.absolute(),
-            vertices,
-            triangles.astype(np.int32),
+            np.asarray(joined.vertices),
+            joined.faces.astype(np.int32),
             edge_length_abs=float(task.edge_mm.max()),
-            epsilon=envelope_mm / float(np.linalg.norm(np.ptp(vertices, axis=0))),
+            epsilon=envelope_mm / float(np.linalg.norm(joined.extents)),
             bg_vertices=np.ascontiguousarray(task.background.p.T),
             bg_tets=np.ascontiguousarray(task.background.t.T, dtype=np.int32),
             bg_values=task.edge_mm,
@@ -271,21 +253,21 @@ def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sl
     return np.where(moved[:, None], snapped, points)
 
 
-def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles that belong to one tetrahedron only, shape (k, 3)."""
-    faces = np.vstack([cells[:, corners] for corners in FACES])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[first[count == 1]]
-
-
-def interfaces(cells: NDArray[np.int64], region: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles (k, 3) between cells of different regions, and the two cells (k, 2) of each."""
+def faces_between(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Faces of tetrahedra (k, 3), and the two cells (k, 2) of each, −1 where there is no second one."""
     faces = np.sort(np.vstack([cells[:, corners] for corners in FACES]), axis=1)
     order = np.lexsort(faces.T[::-1])
-    faces, owner = faces[order], np.tile(np.arange(len(cells)), len(FACES))[order]
-    sides = np.column_stack([owner[:-1], owner[1:]])
-    between = (faces[1:] == faces[:-1]).all(axis=1) & (region[sides[:, 0]] != region[sides[:, 1]])
-    return faces[1:][between], sides[between]
+    faces, owner = faces[order], order % len(cells)
+    again = np.append((faces[1:] == faces[:-1]).all(axis=1), False)
+    sides = np.column_stack([owner, np.where(again, np.roll(owner, -1), -1)])
+    first = ~np.roll(again, 1)
+    return faces[first], sides[first]
+
+
+def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles that belong to one tetrahedron only, shape (k, 3)."""
+    faces, sides = faces_between(cells)
+    return faces[sides[:, 1] < 0]
 
 
 def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
@@ -303,11 +285,9 @@ def outward(points: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
     volumes = cell_volumes(points, cells)
     if np.median(volumes) < 0:
         cells, volumes = cells[:, [1, 0, 2, 3]], -volumes
-    flat = int(np.sum(~(volumes > 0)))
-    if flat:
-        raise GeometryError(
-            f"{flat} of {len(cells)} tetrahedra are flat or inside out on the plane faces: lower envelope_mm."
-        )
+    if flat := int(np.sum(~(volumes > 0))):
+        said = f"{flat} of {len(cells)} tetrahedra are flat or inside out on the plane faces"
+        raise GeometryError(f"{said}: lower envelope_mm.")
     return cells
 
 
@@ -319,7 +299,7 @@ def _used(points: FloatArray, cells: NDArray[np.int64]) -> tuple[FloatArray, NDA
 
 def check_volumes(mesh: TetMesh, task: MeshTask) -> None:
     """Refuse a mesh that lost a part of the body or of a region."""
-    volumes = np.bincount(mesh.region, cell_volumes(mesh.points_mm, mesh.cells), task.region.max() + 1)
+    volumes = mesh.region_volumes(task.region.max() + 1)
     expected = {"the body": (volumes.sum(), task.outline.volume_mm3, 1e-9)}
     expected |= {name: (volumes[k], v, task.volume_tolerance) for name, (k, v) in task.volumes_mm3.items()}
     for name, (volume, wanted, tolerance) in expected.items():

@@ -21,14 +21,9 @@ PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
     """Load and run a function in a new process, and return its result.
 
-    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB.
-
-    Parameters
-    ----------
-    place : str
-        Module and name of the function, "geometry.mesher:tetrahedralize".
-    arguments, named
-        Its arguments; they, and what it gives, must be such that they can be pickled.
+    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB. `place`
+    is the function's module and name, "geometry.mesher:tetrahedralize"; what it takes and gives must be such that it
+    can be pickled.
 
     Raises
     ------
@@ -36,9 +31,9 @@ def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
         If the process crashed, or was ended for want of memory.
     """
     asked = pickle.dumps((place, arguments, named), pickle.HIGHEST_PROTOCOL)
-    with subprocess.Popen(
-        [sys.executable, "-m", "geometry.mesher"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment()
-    ) as process:
+    command, pipe = [sys.executable, "-m", "geometry.mesher"], subprocess.PIPE
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(place for place in sys.path if place)}
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment) as process:
         try:
             answer, _ = process.communicate(asked)
         except BaseException:  # Ctrl-C
@@ -53,11 +48,6 @@ def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
     if error is not None:
         raise error
     return given
-
-
-def _environment() -> dict[str, str]:
-    """This process's, and the places that it takes modules from."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(place for place in sys.path if place)}
 
 
 def _answer() -> None:

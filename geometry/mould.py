@@ -27,9 +27,10 @@ import numpy as np
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, quantity, require_numbers, require_positive
+from geometry.design import SensorDesign, Unit, positive, quantity, require_sound
 from geometry.errors import DesignError
-from geometry.layout import pillar_ends, pillar_sections, upper_electrodes
+from geometry.layout import upper_electrodes
+from geometry.prism import unit_prisms
 from geometry.storage.files import require_folder
 
 
@@ -37,29 +38,40 @@ from geometry.storage.files import require_folder
 class Mould:
     """Settings for printing the mould's parts. Lengths in mm."""
 
-    wall_mm: float = quantity(5.0, "width of the rim around the slab, on every part")
-    plate_mm: float = quantity(3.0, "thickness of the lid and of the floors")
+    wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
+    plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        require_positive(self, "wall_mm", "plate_mm")
+        require_sound(self)
         if self.clearance_mm < 0:
             raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
-    """The mould's parts, by the name of their files; `DesignError` if the clearance leaves no wedges."""
-    limit_mm = design.unit.pillar_width_mm / 2
-    if mould.clearance_mm >= limit_mm:
+    """The mould's parts, by the name of their files; `DesignError` if the clearance leaves no wedges.
+
+    The tray is an open box around the slab. The block of pillars has a trough for every unit: the unit, and the space
+    above it that the lid's wedges fill. The lid is a plate with wedges below and, for every unit, a vent over each
+    upper electrode and a window, centred and half as wide as the room beside the pillars, so that it meets no wedge.
+    """
+    unit, plate_mm, rim_mm = design.unit, mould.plate_mm, 2 * mould.wall_mm
+    if mould.clearance_mm >= unit.pillar_width_mm / 2:
         raise DesignError(
             f"clearance_mm={mould.clearance_mm:g} leaves no wedges on the lid: it must be below half of "
-            f"pillar_width_mm, {limit_mm:g}; 0.1 to 0.2 suits most printers."
+            f"pillar_width_mm, {unit.pillar_width_mm / 2:g}; 0.1 to 0.2 suits most printers."
         )
+    (x, y, h), w, room_mm = design.slab_mm, unit.pillar_width_mm, unit.span_mm - unit.pillar_width_mm
+    below, above = box(x + rim_mm, y + rim_mm, -plate_mm, h), box(x + rim_mm, y + rim_mm, h, h + plate_mm)
+    trough = unit_solid(unit).fuse(*_wedges(unit, clearance_mm=0.0))
+    vent, window = box(w, w, h, h + plate_mm), box(room_mm / 2, room_mm / 2, h, h + plate_mm)
+    openings = [window, *(vent.moved(Location((x, y, 0.0))) for x, y, _ in upper_electrodes(unit))]
+    lid = above.cut(*(hole for part in openings for hole in at_units(part, design)))
+    wedges = [wedge for part in _wedges(unit, mould.clearance_mm) for wedge in at_units(part, design)]
     return {
-        "mould_tray": _tray(design, mould),
-        "mould_pillars": _pillar_mould(design, mould),
-        "mould_lid": _lid(design, mould),
+        "mould_tray": below.cut(box(x, y, 0.0, h)),
+        "mould_pillars": below.cut(*at_units(trough, design)),
+        "mould_lid": lid.fuse(*wedges),
     }
 
 
@@ -70,59 +82,24 @@ def write_cad(design: SensorDesign, folder: Path, mould: Mould | None = None) ->
     return write_solids(sensor_solids(design) | parts, folder)
 
 
-def _block(design: SensorDesign, mould: Mould, bottom_mm: float, top_mm: float) -> Solid:
-    """The block that every part is cut from: the slab's outline with the rim around it."""
-    x, y, _ = design.slab_mm
-    return box(x + 2 * mould.wall_mm, y + 2 * mould.wall_mm, bottom_mm, top_mm)
-
-
-def _tray(design: SensorDesign, mould: Mould) -> Solid:
-    """An open box around the slab."""
-    x, y, h = design.slab_mm
-    return _block(design, mould, -mould.plate_mm, h).cut(box(x, y, 0.0, h))
-
-
-def _pillar_mould(design: SensorDesign, mould: Mould) -> Solid:
-    """A block with a trough for every unit: the unit, and the space above it that the lid's wedges fill."""
-    trough = unit_solid(design.unit).fuse(*_wedges(design.unit, clearance_mm=0.0))
-    return _block(design, mould, -mould.plate_mm, design.unit.height_mm).cut(*at_units(trough, design))
-
-
-def _lid(design: SensorDesign, mould: Mould) -> Solid:
-    """A plate with wedges below and, for every unit, a vent over each upper electrode and a window.
-
-    The window is centred on the unit and half as wide as the room beside its pillars, so it meets no wedge.
-    """
-    unit, h = design.unit, design.unit.height_mm
-    top = h + mould.plate_mm
-    vent = box(unit.pillar_width_mm, unit.pillar_width_mm, h, top)
-    room_mm = unit.span_mm - unit.pillar_width_mm
-    openings = [box(room_mm / 2, room_mm / 2, h, top)]
-    openings += [vent.moved(Location((x, y, 0.0))) for x, y, _ in upper_electrodes(unit)]
-    plate = _block(design, mould, h, top).cut(*(hole for part in openings for hole in at_units(part, design)))
-    wedges = _wedges(unit, mould.clearance_mm)
-    return plate.fuse(*(wedge for part in wedges for wedge in at_units(part, design)))
-
-
 def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
     """The space above each oblique pillar up to z = h, beside an upright one at its foot: right-angled prisms.
 
     `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.
     """
-    h, half, sections, wedges = unit.height_mm, unit.pillar_width_mm / 2, pillar_sections(unit), []
-    runs = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2]
-    upright_at = {one.foot for one, run in zip(unit.layout.pillars, runs, strict=True) if not run.any()}
-    for pillar, (foot, _), run, section in zip(unit.layout.pillars, pillar_ends(unit), runs, sections, strict=True):
-        if not run.any():
+    h, half, wedges = unit.height_mm, unit.pillar_width_mm / 2, []
+    pillars = list(zip(unit.layout.pillars, unit_prisms(unit), strict=True))
+    upright_at = {pillar.foot for pillar, straight in pillars if straight.is_upright}
+    for pillar, straight in pillars:
+        if straight.is_upright:
             continue
-        axis = int(run[1] != 0)
-        s, b, side, sign = abs(run[axis]), section[axis] / 2, half - clearance_mm, np.sign(run[axis])
+        axis = int(straight.lean[1] != 0)
+        run, b, side = straight.axis_mm[axis], straight.section_mm[axis] / 2, half - clearance_mm
         # corners (distance from the foot's middle, z): the pillar's upper face rises from (-b, 0) to (s - b, h)
-        start = half if pillar.foot in upright_at else clearance_mm - b
-        corners = [(start, h), (s - b, h), (start, h * (start + b) / s)]
-        outline, along = np.zeros((3, 3)), np.zeros(3)
-        outline[:, [axis, 2]] = corners
-        outline[:, axis] *= sign
-        outline[:, 1 - axis], along[1 - axis] = -side, 2 * side
-        wedges.append(prism((outline + foot).tolist(), along.tolist()))
+        s, start = abs(run), half if pillar.foot in upright_at else clearance_mm - b
+        outline, across = np.zeros((3, 3)), np.zeros(3)
+        outline[:, [axis, 2]] = [(start, h), (s - b, h), (start, h * (start + b) / s)]
+        outline[:, axis] *= np.sign(run)
+        outline[:, 1 - axis], across[1 - axis] = -side, 2 * side
+        wedges.append(prism((outline + straight.base_mm).tolist(), across.tolist()))
     return wedges

@@ -31,10 +31,15 @@ class Prism:
         return self.top_mm[2] - self.base_mm[2]
 
     @property
+    def axis_mm(self) -> FloatArray:
+        """From the middle of the lower end to that of the upper one, (3,)."""
+        return np.subtract(self.top_mm, self.base_mm)
+
+    @property
     def lean(self) -> Pair:
         """Shift of the axis along x and y per height."""
-        (x0, y0, _), (x1, y1, _) = self.base_mm, self.top_mm
-        return (x1 - x0) / self.height_mm, (y1 - y0) / self.height_mm
+        x, y, z = self.axis_mm.tolist()
+        return x / z, y / z
 
     @property
     def volume_mm3(self) -> float:
@@ -42,16 +47,12 @@ class Prism:
 
     def axis_at(self, z_mm: FloatArray) -> FloatArray:
         """Centre of the section at heights (n,), shape (n, 2) [mm]."""
-        base, top = np.array(self.base_mm), np.array(self.top_mm)
-        share = (z_mm - base[2]) / self.height_mm
-        return base[:2] + share[:, None] * (top - base)[:2]
+        share = (z_mm - self.base_mm[2]) / self.height_mm
+        return np.array(self.base_mm[:2]) + share[:, None] * self.axis_mm[:2]
 
-    def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> np.ndarray:
-        """True for points (n, 3) inside or on its faces, widened by a slack, shape (n,)."""
-        z = points_mm[:, 2]
-        level = (z >= self.base_mm[2] - slack_mm) & (z <= self.top_mm[2] + slack_mm)
-        across = np.abs(points_mm[:, :2] - self.axis_at(z)) <= np.array(self.section_mm) / 2 + slack_mm
-        return level & across.all(axis=1)
+    def holds(self, points_mm: FloatArray, slack_mm: float = 0.0) -> NDArray[np.bool_]:
+        """True for points (n, 3) inside or on its faces, or no further away than a slack, shape (n,)."""
+        return self.distance(points_mm) <= slack_mm
 
     def distance(self, points_mm: FloatArray) -> FloatArray:
         """Distance of points (n, 3) from the prism along the axis by which they are furthest out, shape (n,) [mm]."""
@@ -110,13 +111,12 @@ def unit_prisms(unit: Unit, centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> lis
 
 
 def pad_prisms(design: SensorDesign, depth_mm: float) -> list[Prism]:
-    """A layer of the slab under every pad."""
-    height, size = design.unit.height_mm, design.pad.size_mm
-    depth_mm = min(depth_mm, height / 2)
+    """A layer of the slab under every pad, at most half as thick as the slab."""
+    top, size, pads = design.unit.height_mm, design.pad.size_mm, pad_squares(design)
+    base = top - min(depth_mm, top / 2)
     return [
-        Prism(base_mm=(*middle, height - depth_mm), top_mm=(*middle, height), section_mm=(size, size))
-        for x0, y0, x1, y1 in pad_squares(design).tolist()
-        for middle in [((x0 + x1) / 2, (y0 + y1) / 2)]
+        Prism(base_mm=(x, y, base), top_mm=(x, y, top), section_mm=(size, size))
+        for x, y in ((pads[:, :2] + pads[:, 2:]) / 2).tolist()
     ]
 
 

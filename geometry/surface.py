@@ -4,19 +4,16 @@ A surface that leaks or faces inward makes a mesher fill the wrong side, often w
 is the gate in front of it and of every STL file.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from trimesh import Trimesh
 
 from geometry.errors import GeometryError
-from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
@@ -27,24 +24,7 @@ COINCIDENT_MM = 1e-7  #: points closer than this are one point: the CAD kernel's
 VOLUME_TOLERANCE = 1e-6  #: relative; see `check_surface`
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Triangles around one or more bodies."""
-
-    vertices: FloatArray  #: shape (n, 3) [mm]
-    triangles: NDArray[np.int32]  #: shape (m, 3), indices of vertices, anticlockwise seen from outside
-
-    @property
-    def volume_mm3(self) -> float:
-        """Enclosed volume, negative if the triangles face inward; for closed surfaces only."""
-        return float(_as_trimesh(self).volume)
-
-
-def _as_trimesh(surface: Surface) -> trimesh.Trimesh:
-    return trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
-
-
-def surface_from_solid(solid: "Shape") -> Surface:
+def surface_from_solid(solid: "Shape") -> Trimesh:
     """Triangulate a solid, or several that do not touch, and join the triangles of neighbouring faces.
 
     Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions.
@@ -56,15 +36,15 @@ def surface_from_solid(solid: "Shape") -> Surface:
     links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(scattered), len(scattered)))
     _, group = connected_components(links, directed=False)
     _, first = np.unique(group, return_index=True)
-    return Surface(scattered[first], group[np.array(corners)].astype(np.int32))
+    return Trimesh(scattered[first], group[np.array(corners)], process=False)
 
 
-def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> None:
+def check_surface(surface: Trimesh, expected_volume_mm3: float, name: str) -> None:
     """Refuse a surface that is not closed, not outward, or not the solid it was made from.
 
     Parameters
     ----------
-    surface : Surface
+    surface : Trimesh
         What is about to be meshed or written.
     expected_volume_mm3 : float
         Volume of the solid, from the CAD kernel or a closed form [mm³].
@@ -84,36 +64,31 @@ def check_surface(surface: Surface, expected_volume_mm3: float, name: str) -> No
     both, and far below what a wrong body does: a pillar of a 6 × 6 array is a hundredth of its volume. That a
     surface cuts through itself is seen by its volume only: overlapping pillars hold more than their union.
     """
-    body = _as_trimesh(surface)
-    corners = surface.vertices[surface.triangles]
-    edges_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    flat = 2 * body.area_faces <= COINCIDENT_MM * edges_mm.max(axis=1)  # its least height is 2·area / longest edge
+    edges_mm = np.linalg.norm(surface.triangles - np.roll(surface.triangles, 1, axis=1), axis=2)
+    flat = 2 * surface.area_faces <= COINCIDENT_MM * edges_mm.max(axis=1)  # its least height is 2·area / longest edge
     if flat.any():
         raise GeometryError(
             f"surface '{name}': {flat.sum()} of {len(flat)} triangles have no area (first: {flat.argmax()}): "
             "drop them and join their ends, or triangulate the solid anew."
         )
-    if not body.is_watertight:
-        _, shares = np.unique(body.edges_sorted, axis=0, return_counts=True)
+    if not surface.is_watertight:
+        _, shares = np.unique(surface.edges_sorted, axis=0, return_counts=True)
         raise GeometryError(
             f"surface '{name}' is not watertight: {(shares != 2).sum()} of {len(shares)} edges do not belong "
             "to exactly two triangles; triangulate the solid anew or mend the holes."
         )
-    if not body.is_winding_consistent:
+    if not surface.is_winding_consistent:
+        raise GeometryError(f"surface '{name}' is not consistently wound: turn those triangles over that face in.")
+    if surface.volume < 0:
+        raise GeometryError(f"surface '{name}' faces inward (volume {surface.volume:g} mm³): turn its triangles over.")
+    if not abs(surface.volume - expected_volume_mm3) <= VOLUME_TOLERANCE * expected_volume_mm3:
         raise GeometryError(
-            f"surface '{name}' is not consistently wound: some triangles face in while their neighbours face "
-            "out; turn them over."
-        )
-    if body.volume < 0:
-        raise GeometryError(f"surface '{name}' faces inward (volume {body.volume:g} mm³): turn its triangles over.")
-    if not abs(body.volume - expected_volume_mm3) <= VOLUME_TOLERANCE * expected_volume_mm3:
-        raise GeometryError(
-            f"surface '{name}' encloses {body.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³, "
+            f"surface '{name}' encloses {surface.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³, "
             f"which may differ by {VOLUME_TOLERANCE:g} of that: make the surface anew from the solid."
         )
 
 
-def write_surface(surface: Surface, path: Path) -> None:
+def write_surface(surface: Trimesh, path: Path) -> None:
     """Write a surface as STL (binary, single precision) or OBJ (text), by the suffix; whole or not at all."""
     with replacing(path) as temporary, temporary.open("wb") as file:
-        _as_trimesh(surface).export(file, file_type=path.suffix[1:])
+        surface.export(file, file_type=path.suffix[1:])

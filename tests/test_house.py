@@ -24,6 +24,8 @@ ROOMS = {
     "geometry": ["storage"],
     "fem": [
         "scene",
+        "boxes",
+        "rubber",
         "discretization",
         "conduction",
         "finite",
@@ -36,7 +38,7 @@ ROOMS = {
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
     "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "simulators", "face", "cli"],
-    "studies": ["pictures", "bench", "edge_cases", "paper", "robustness"],
+    "studies": ["pictures", "bench", "edge_cases", "gates", "paper", "robustness"],
 }
 
 

@@ -20,7 +20,7 @@ class FieldComments(griffe.Extension):
 
 
 def _meaning(attr: griffe.Attribute) -> str:
-    if attr.value is not None and str(attr.value).startswith("quantity("):
+    if attr.value is not None and str(attr.value).startswith(("quantity(", "positive(")):
         return str(ast.literal_eval(ast.parse(str(attr.value), mode="eval").body.args[1]))
     lines = attr.lines_collection[attr.filepath]
     for line in lines[attr.lineno - 1 : attr.endlineno]:

@@ -10,19 +10,15 @@ face, so that neighbours share them and the field is continuous.
 """
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
-from fem.discretization.elasticity import ElasticBody
-from fem.discretization.grid import Grid, GridBasis, grid_body
-from fem.discretization.mirrors import QUARTER, Parity, flipped_rectangles, images, parities, sign
-from fem.discretization.patch import patch_means
-from fem.discretization.plate import Plate, without_plate
-from fem.factor import Factor, checked_solve, schur_product
+from fem.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
+from fem.mirrors import Mirror, Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
@@ -101,7 +97,7 @@ class PortModes:
     def of_parity(self, parity: Parity) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Displacements of a parity, (n_modes·3, m), and how much of each any displacement has, (m, n_modes·3)."""
         share = np.eye(self.n_modes * 3)
-        for axis in (0, 1):
+        for axis in np.flatnonzero(parity):
             number, signs = self.image(axis, parity)
             share = (share + signs[:, None] * share[number]) / 2  # the projection onto what is its own image
         size = share.diagonal()
@@ -146,7 +142,7 @@ class CondensedCell:
 
     ports: PortModes
     stiffness: FloatArray  #: S, (n_modes·3, n_modes·3) [N/mm]
-    reach: FloatArray  #: L, (n_modes·3, k·3), no unit
+    transfer: FloatArray  #: L, (n_modes·3, k·3), no unit
     compliance: FloatArray  #: C with the ports held, (k·3, k·3) [mm/N]
     unknowns: int  #: of the largest system that was factored
     residual: float  #: largest relative residual of the solves that were checked
@@ -163,7 +159,7 @@ class CondensedCell:
     @property
     def standing_alone(self) -> FloatArray:
         """Mean displacements of the rectangles per newton on them, with free side faces, (k·3, k·3) [mm/N]."""
-        return self.compliance + self.reach.T @ np.linalg.solve(self.stiffness, self.reach)
+        return self.compliance + self.transfer.T @ np.linalg.solve(self.stiffness, self.transfer)
 
     def extrapolated(self, coarser: "CondensedCell", share: float) -> "CondensedCell":
         """Richardson extrapolation from a coarser cell of the same ports, by a share of their difference."""
@@ -174,7 +170,7 @@ class CondensedCell:
         return replace(
             self,
             stiffness=on(self.stiffness, coarser.stiffness),
-            reach=on(self.reach, coarser.reach),
+            transfer=on(self.transfer, coarser.transfer),
             compliance=on(self.compliance, coarser.compliance),
         )
 
@@ -193,7 +189,7 @@ class CondensedCell:
         return replace(
             image,
             stiffness=signs[:, None] * image.stiffness * signs,
-            reach=signs[:, None] * image.reach * turned,
+            transfer=signs[:, None] * image.transfer * turned,
             compliance=turned[:, None] * image.compliance * turned,
         )
 
@@ -205,7 +201,7 @@ class CondensedCell:
         return replace(
             self,
             stiffness=self.stiffness[np.ix_(dofs, dofs)],
-            reach=self.reach[np.ix_(dofs, seen)],
+            transfer=self.transfer[np.ix_(dofs, seen)],
             compliance=self.compliance[np.ix_(seen, seen)],
         )
 
@@ -217,197 +213,153 @@ class CondensedCell:
             self,
             ports=replace(self.ports, side=min(degree, self.ports.side), up=min(degree, self.ports.up)),
             stiffness=self.stiffness[np.ix_(dofs, dofs)],
-            reach=self.reach[dofs],
+            transfer=self.transfer[dofs],
         )
 
 
-def condense(body: ElasticBody, ports: PortModes, rectangles: FloatArray, plate: Plate | None = None) -> CondensedCell:
-    """Condense a meshed cell, whatever its mesh.
+class CellBody(Protocol):
+    """A cell x, y ∈ [−a, a], or the part of it beyond mirror planes, as a linear system of n nodes and m unknowns.
+
+    Its base is clamped, its side faces are free. Unknowns of a parity are those of a problem of the part.
+    """
+
+    mirrors: tuple[Mirror, ...]
+    definite: bool  #: whether its matrices are
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Positions of the nodes, (n, 3)."""
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Unknown that moves each node along each axis, and no other node; −1 where there is none, (n, 3)."""
+
+    @property
+    def is_square(self) -> bool:
+        """True if the body stays the same when x and y are exchanged."""
+
+    def matrix(self, parity: Parity) -> SparseMatrix:
+        """Upper triangle of the system of a parity, (m, m); rows of nodes in whole blocks, if it is stored in such."""
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        """∫ φ dA of every node's function over what the part has of rectangles (k, 4) of the top face, (k, n) [mm²]."""
+
+    def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
+        """Forces (m, k) on the unknowns of forces (k, n, 3) on the nodes [N]."""
+
+    def displacements(self, solution: FloatArray, parity: Parity) -> FloatArray:
+        """Displacements (k, n, 3) of the nodes by unknowns (m, k) [mm]."""
+
+
+def condense(
+    body: CellBody, ports: PortModes, rectangles: FloatArray, inside: list[tuple[Parity, FloatArray]] | None = None
+) -> CondensedCell:
+    """Condense a cell, whatever its mesh.
 
     Parameters
     ----------
-    body : ElasticBody
-        The cell x, y ∈ [−a, a], its base clamped, its side faces free.
+    body : CellBody
+        The cell, or the quarter x, y ≥ 0 of one that is its own mirror image in x and in y.
     ports : PortModes
     rectangles : array, shape (k, 4)
-        x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed [mm].
-    plate : Plate, optional
-        Bonded to the top face, off the side faces. A force spread over its own rectangle is then one on its middle.
+        x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed, anywhere on the whole cell [mm].
+    inside : list, optional
+        Takes the displacements (n_modes·3 + k·3, n, 3) of the body's nodes by unit port displacements [mm] and by unit
+        forces on the rectangles [N], with the parity that they are of; such a solve costs more.
 
     Notes
     -----
     S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
-    the side faces, which follow the port modes Φ, and I the others, all pressures included. With a plate B holds what
-    is bonded to it as well, Φ its motions, and these are then eliminated (`plate.without_plate`).
+    the side faces, which follow the port modes Φ, and I the others, pressures and plates included.
+
+    Of a quarter, a displacement splits into four parities, each a problem with its own conditions on the mirror planes
+    (`fem.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity (−1, 1)
+    is (1, −1) with x and y exchanged, and need not be solved.
     """
-    parts = condensation(body, ports, rectangles, plate)
-    S, L, C, residual = _eliminate(body, parts)
-    return CondensedCell(
-        ports=ports, stiffness=S, reach=L, compliance=C, unknowns=body.matrix.shape[0], residual=residual
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Condensation:
-    """A body's system split into what follows port modes and what is eliminated; notation of `condense`."""
-
-    inner: NDArray[np.int64]  #: I, numbers of unknowns
-    outer: NDArray[np.int64]  #: B
-    n_ports: int  #: columns of Φ that are port modes; those after them are motions of a plate
-    K_II: sp.csr_matrix
-    K_IB: sp.csr_matrix
-    K_BB: sp.csr_matrix
-    modes: FloatArray  #: Φ, (len(outer), n_ports) or 6 more columns
-    loads: FloatArray  #: f, (unknowns, k·3)
-
-    @property
-    def has_plate(self) -> bool:
-        return self.modes.shape[1] > self.n_ports
-
-    @classmethod
-    def of(
-        cls,
-        body: ElasticBody,
-        at_ports: NDArray[np.int64],
-        modes: FloatArray,
-        loads: FloatArray,
-        plate: Plate | None = None,
-        parity: Parity | None = None,
-    ) -> "Condensation":
-        """Split a system of which some displacement degrees of freedom follow modes, and those at a plate its motions.
-
-        Shapes: `at_ports` (n,), `modes` (n, n_ports). Of the motions only those of the parity count, if one is given.
-        """
-        n_ports = modes.shape[1]
-        at_modes = at_ports
-        if plate is not None:
-            at_plate, motions = plate.followers(body.free, body.basis.doflocs, parity)
-            at_modes, place = np.unique(np.concatenate([at_ports, at_plate]), return_inverse=True)
-            modes = block_diag(modes, motions)[np.argsort(place)]
-        on_mode = np.zeros(body.matrix.shape[0], dtype=bool)
-        on_mode[np.searchsorted(body.free, at_modes)] = True
-        inner, outer = np.flatnonzero(~on_mode), np.flatnonzero(on_mode)
-        of_inner = body.matrix[inner]
-        return cls(
-            inner=inner,
-            outer=outer,
-            n_ports=n_ports,
-            K_II=of_inner[:, inner].tocsr(),
-            K_IB=of_inner[:, outer],
-            K_BB=body.matrix[outer][:, outer],
-            modes=modes,
-            loads=loads,
-        )
-
-
-def condensation(
-    body: ElasticBody, ports: PortModes, rectangles: FloatArray, plate: Plate | None = None
-) -> Condensation:
-    """Split a whole cell's system; parameters as in `condense`."""
-    nodes = body.basis.doflocs
-    on_side = (np.abs(nodes[:2]) > ports.half_mm * (1 - ON_FACE)).any(axis=0)
-    at_ports = body.free[on_side[body.free // 3]]  # displacement degrees of freedom on the side faces
-    number, place = np.unique(at_ports // 3, return_inverse=True)
-    modes = np.zeros((len(at_ports), ports.n_modes, 3))
-    modes[np.arange(len(at_ports)), :, at_ports % 3] = ports.values(nodes[:, number].T)[place]
-    loads = body.loads(patch_means(body.basis, rectangles).T.toarray())
-    return Condensation.of(body, at_ports, modes.reshape(len(at_ports), -1), loads, plate)
-
-
-def condense_by_parity(
-    basis: GridBasis,
-    stiffness: sp.csr_matrix,
-    ports: PortModes,
-    rectangles: FloatArray,
-    plate: Plate | None = None,
-) -> CondensedCell:
-    """Condense a cell that is its own mirror image in x and in y, from a grid of its quarter x, y ∈ [0, a].
-
-    A displacement splits into four parities, each a problem of the quarter with its own conditions on the mirror planes
-    (`fem.discretization.mirrors`); four quarters cost far less than one whole. Where the grid is the same in x and y,
-    parity (−1, 1) is (1, −1) with x and y exchanged, and need not be solved. `rectangles` may lie anywhere on the whole
-    cell, a plate only in its middle. Otherwise as `condense`; `stiffness` is that of `grid_stiffness` on the quarter.
-    """
-    k = len(rectangles)
-    square = _is_square(basis.grid)
+    k, copies = len(rectangles), 2 ** len(body.mirrors)
+    square = copies == 4 and inside is None and body.is_square
     if square:
         rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
-    means = _image_means(basis, rectangles)
-    parts = {
-        parity: _parity_part(basis, stiffness, ports, means, parity, plate)
-        for parity in parities(QUARTER)
-        if not (square and parity == (-1, 1))
-    }
+    area_mm2 = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)
+    means = [
+        body.integrals(flipped_rectangles(rectangles, flipped)).toarray() / area_mm2[:, None]
+        for flipped, _ in images(body.mirrors, (1, 1))
+    ]
+    parts = {}
+    for parity in parities(body.mirrors):
+        if square and parity == (-1, 1):
+            continue
+        forces = np.zeros((len(rectangles), 3, len(body.points_mm), 3))  # all images of a rectangle, on the part
+        for (_, signs), mean in zip(images(body.mirrors, parity), means, strict=True):
+            for axis in range(3):
+                forces[:, axis, :, axis] += signs[axis] * mean
+        loads = body.gathered(forces.reshape(-1, *forces.shape[2:]), parity)
+        parts[parity] = _eliminated(body, ports, loads, parity, copies, inside)
     if square:
         parts[-1, 1] = parts[1, -1].exchanged(twins=np.roll(np.arange(2 * k), k))
-    return CondensedCell(
-        ports=ports,
+    return replace(
+        next(iter(parts.values())),
         stiffness=np.sum([part.stiffness for part in parts.values()], axis=0),
-        reach=np.sum([part.reach[:, : 3 * k] for part in parts.values()], axis=0),
-        compliance=np.sum([part.compliance[: 3 * k, : 3 * k] for part in parts.values()], axis=0),
-        unknowns=max(part.unknowns for part in parts.values()),
+        transfer=np.sum([part.transfer for part in parts.values()], axis=0)[:, : 3 * k],
+        compliance=np.sum([part.compliance for part in parts.values()], axis=0)[: 3 * k, : 3 * k],
         residual=max(part.residual for part in parts.values()),
     )
 
 
-def _parity_part(
-    basis: GridBasis,
-    stiffness: sp.csr_matrix,
+def _eliminated(
+    body: CellBody,
     ports: PortModes,
-    means: FloatArray,
+    loads: FloatArray,
     parity: Parity,
-    plate: Plate | None,
+    copies: int,
+    inside: list[tuple[Parity, FloatArray]] | None,
 ) -> CondensedCell:
-    """The share of a cell's matrices that displacements of one parity have; `means` of `_image_means`."""
-    nodes = basis.doflocs
-    on_side = nodes[:2].max(axis=0) > ports.half_mm * (1 - ON_FACE)
-    body = grid_body(basis, stiffness, mirrors=parity)
-    at_ports = body.free[on_side[body.free // 3]]
-    number, place = np.unique(at_ports // 3, return_inverse=True)
-    expanded, share = ports.of_parity(parity)
-    values = ports.values(nodes[:, number].T)
-    modes = np.stack([values @ expanded[component::3] for component in range(3)], axis=1)[place, at_ports % 3]
-    # what a rectangle sees of a displacement of this parity, all four images of it gathered on the quarter
-    signs = np.stack([signs for _, signs in images(QUARTER, parity)])
-    gathered = np.einsum("nqki,qi->nki", means, signs).reshape(len(means), -1)
-    parts = Condensation.of(body, at_ports, modes, body.loads(gathered), plate, parity)
-    S, L, C, residual = _eliminate(body, parts)
+    """What a cell does in fields of a parity: `condense` of one of its copies, under loads (m, k·3) on the unknowns."""
+    points, numbers = body.points_mm, body.numbers
+    on_side = (np.abs(points[:, :2]) > ports.half_mm * (1 - ON_FACE)).any(axis=1) & (numbers[:, 0] >= 0)
+    K, follows = body.matrix(parity), numbers[on_side].ravel()
+    block = K.blocksize[0] if K.format == "bsr" else 1
+    is_outer = np.zeros(K.shape[0] // block, dtype=bool)
+    is_outer[follows // block] = True
+    I, B = (np.flatnonzero(some) for some in (~is_outer, is_outer))  # noqa: E741
+    outer, inner = ((some[:, None] * block + np.arange(block)).ravel() for some in (B, I))
+    expand, share = ports.of_parity(parity)
+    modes = np.zeros((len(outer), expand.shape[1]))  # Φ
+    modes[np.searchsorted(outer, follows)] = (expand.T @ np.kron(ports.values(points[on_side]), np.eye(3)).T).T
+    factor = Factor(_part(K, I, I), definite=body.definite, upper=True)
+    rhs = np.hstack([_part(K, I, B) @ modes + _part(K, B, I).T @ modes, loads[inner]])
+    n = modes.shape[1]
+    if inside is None:
+        product = schur_product(factor, rhs)
+        _, residual = checked_solve(factor, rhs[:, n : n + 3])
+    else:
+        x, residual = checked_solve(factor, rhs)
+        product = rhs.T @ x
+        solution = np.zeros((K.shape[0], rhs.shape[1]))
+        solution[inner], solution[outer, :n] = x * np.repeat([-1.0, 1.0], [n, x.shape[1] - n]), modes
+        by_ports, by_forces = np.split(body.displacements(solution, parity), [n])
+        by_ports = np.tensordot(share.toarray(), by_ports, (0, 0))
+        inside.append((parity, np.concatenate([by_ports, by_forces / copies])))
+    S = modes.T @ (whole(_part(K, B, B)) @ modes) - product[:n, :n]
+    L = modes.T @ loads[outer] - product[:n, n:]
+    C = product[n:, n:] / copies
+    S = copies * (share.T @ (share.T @ S).T)
     return CondensedCell(
         ports=ports,
-        stiffness=4 * (share.T @ (share.T @ S).T),
-        reach=share.T @ L,
-        compliance=C / 4,
-        unknowns=len(body.free),
+        stiffness=(S + S.T) / 2,
+        transfer=share.T @ L,
+        compliance=(C + C.T) / 2,
+        unknowns=K.shape[0],
         residual=residual,
     )
 
 
-def _is_square(grid: Grid) -> bool:
-    """True if a grid stays the same when x and y are exchanged."""
-    if not (np.array_equal(grid.x, grid.y) and grid.lean[0] == grid.lean[1]):
-        return False
-    region = np.broadcast_to(grid.region, grid.shape)
-    return np.array_equal(region, region.swapaxes(0, 1))
-
-
-def _image_means(basis: GridBasis, rectangles: FloatArray) -> FloatArray:
-    """`patch_means` of rectangles (k, 4) in their four mirror images, shape (n_displacement, 4, k, 3)."""
-    mirrored = [flipped_rectangles(rectangles, flipped) for flipped, _ in images(QUARTER, (1, 1))]
-    different, number = np.unique(np.vstack(mirrored), axis=0, return_inverse=True)
-    means = patch_means(basis, different).T.toarray().reshape(-1, len(different), 3)
-    return means[:, number.reshape(len(mirrored), -1)]
-
-
-def _eliminate(body: ElasticBody, parts: Condensation) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """S, L and C of `condense`, and the residual of some of the solves: the first rectangle's, or a plate's motions."""
-    factor = Factor(parts.K_II, definite=body.n_pressure == 0)
-    n, loads = parts.modes.shape[1], parts.loads
-    rhs = np.hstack([parts.K_IB @ parts.modes, loads[parts.inner]])
-    product = schur_product(factor, rhs)
-    S = parts.modes.T @ (parts.K_BB @ parts.modes) - product[:n, :n]
-    L = parts.modes.T @ loads[parts.outer] - product[:n, n:]
-    C = product[n:, n:]
-    _, residual = checked_solve(factor, rhs[:, parts.n_ports :][:, :3])
-    if parts.has_plate:
-        S, L, C, *_ = without_plate(S, L, C, parts.n_ports)
-    return (S + S.T) / 2, L, (C + C.T) / 2, residual
+def _part(K: SparseMatrix, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> SparseMatrix:
+    """Some rows and columns of a matrix, by the number of its blocks if it is stored in such."""
+    if K.format != "bsr":
+        return K[rows][:, cols]
+    number = np.arange(1, len(K.indices) + 1)
+    some = sp.csr_matrix((number, K.indices, K.indptr))[rows][:, cols]
+    block = K.blocksize[0]
+    shape = (block * len(rows), block * len(cols))
+    return sp.bsr_matrix((K.data[some.data - 1], some.indices, some.indptr), shape=shape)

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from fem.array.coupled_cells import COLUMNS, CoupledArray
 from fem.array.interior import CellInterior, design_interior
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_unit, pad_plate, rolled, unrolled
+from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_unit, rolled, unrolled
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
     EXTRAPOLATED,
@@ -82,7 +82,7 @@ def conducted_pillars(
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
     alone = lone_unit(design)
     rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
-    interior = design_interior(design, rectangles, pad_plate(design), progress)
+    interior = design_interior(design, rectangles, progress)
     electrics = design.electrics
     piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
     progress("conduction")
@@ -95,7 +95,7 @@ def conducted_pillars(
     n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
-    electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
+    electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
     seen = _of_unit_loads(interior, rows, cols, np.vstack([first, modes.functionals, electrodes]))
     accurate = rolled(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
     rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
@@ -232,7 +232,7 @@ def _of_unit_loads(interior: CellInterior, rows: int, cols: int, functionals: Fl
     found = np.empty((n_cells, len(functionals), n_cells * 3))
     for first in range(0, n_cells, COLUMNS // 3):
         loaded = np.arange(first, min(first + COLUMNS // 3, n_cells))
-        forces = np.zeros((n_cells, interior.cell.reach.shape[1], len(loaded), 3))
+        forces = np.zeros((n_cells, interior.cell.transfer.shape[1], len(loaded), 3))
         for k, number in enumerate(loaded):
             forces[number, range(3), k, range(3)] = 1.0
         pushed = forces.reshape(*forces.shape[:2], -1)

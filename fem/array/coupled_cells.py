@@ -50,11 +50,11 @@ class CoupledArray:
             Relative residual of the solve.
         """
         q, residual = self.port_displacements(forces)
-        return self.cell.reach.T @ q + self.cell.compliance @ forces, residual
+        return self.cell.transfer.T @ q + self.cell.compliance @ forces, residual
 
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
-        rhs = self._gathered(self.cell.reach @ forces)
+        rhs = self._gathered(self.cell.transfer @ forces)
         q, residual = checked_solve(self._factor, rhs, self._product)
         return q[self._dofs], residual
 
@@ -68,7 +68,7 @@ class CoupledArray:
         at_once = max(1, COLUMNS // len(loads))  # bounds the memory
         for first in range(0, self.n_cells, at_once):
             loaded = np.arange(first, min(first + at_once, self.n_cells))
-            forces = np.zeros((self.n_cells, self.cell.reach.shape[1], len(loaded), len(loads)))
+            forces = np.zeros((self.n_cells, self.cell.transfer.shape[1], len(loaded), len(loads)))
             for k, number in enumerate(loaded):
                 forces[number, loads, k, np.arange(len(loads))] = 1.0
             moved, misfit = self.moved(forces.reshape(*forces.shape[:2], -1))
@@ -104,7 +104,7 @@ class CoupledArray:
         observed.
         """
         seen, n = [*loads, *observed], self.n_cells
-        forces = np.zeros((n, self.cell.reach.shape[1], n, len(seen)))
+        forces = np.zeros((n, self.cell.transfer.shape[1], n, len(seen)))
         for number in range(n):
             forces[number, seen, number, np.arange(len(seen))] = 1.0
         q, residual = self.port_displacements(forces.reshape(*forces.shape[:2], -1))

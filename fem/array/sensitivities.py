@@ -14,23 +14,22 @@ from typing import Self
 
 import numpy as np
 
-from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
+from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import box_cell
 from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import (
     PADS,
-    cell_grid,
+    cell_lines,
     electrode_means,
     influence_range,
     is_mirrored,
     lone_unit,
-    pad_plate,
     unrolled,
-    whole_grid,
+    whole_lines,
 )
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.mirrors import QUARTER, flipped_rectangles
+from fem.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
@@ -45,9 +44,9 @@ LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
 EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
-FAR = 1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
+TRUNCATED = 1e-3  #: influence below this, relative to a pad's own, is left out of the derivatives of large arrays
 DIMS = ("parameter", *INFLUENCE_DIMS)
-Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, reach and compliance, per unit
+Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
 Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
 PILLARS_YOUNG = "pillar_material.young_mpa"
 SCALES = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that the others and B itself tell
@@ -126,7 +125,7 @@ def _derivatives(
 ) -> dict[str, FloatArray]:
     """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, n_upper, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
-    reach = influence_range(design, FAR)
+    reach = influence_range(design, TRUNCATED)
     rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
     progress(f"coupling {rows} × {cols}")
     found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, electrode_means(design))
@@ -187,7 +186,7 @@ def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float])
     width = above - below
     return (
         (plus.stiffness - minus.stiffness) / width,
-        (plus.reach - minus.reach) / width,
+        (plus.transfer - minus.transfer) / width,
         (plus.compliance - minus.compliance) / width,
     )
 
@@ -200,28 +199,24 @@ def _is_quarter(design: SensorDesign) -> bool:
 def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:
     """The cell of a design near another, on the other's grid, its lines moved along with the height and the plate."""
     ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE, DEGREE)
-    quarter = _is_quarter(design) and _is_quarter(side)
-    grid = _moved(cell_grid(design, LEVEL), design, side, quarter)
-    basis, plate = GridBasis(grid), pad_plate(side)
-    if quarter:
-        return condense_by_parity(basis, grid_stiffness(basis, [side.matrix_material]), ports, rectangles, plate)
-    rubbers, shares = [side.matrix_material], None
+    is_quarter = _is_quarter(design) and _is_quarter(side)
+    lines, shares = _moved(cell_lines(design, LEVEL), design, side, is_quarter), None
     if not side.is_homogeneous:
-        pillars = pillar_shares(side.unit, *grid.lines)
-        rubbers, shares = [*rubbers, side.pillar_material], np.stack([1 - pillars, pillars])
-    return condense(grid_body(basis, grid_stiffness(basis, rubbers, shares)), ports, rectangles, plate)
+        pillars = pillar_shares(side.unit, *lines)
+        shares = np.stack([1 - pillars, pillars])
+    return condense(box_cell(lone_unit(side), lines, is_quarter, shares), ports, rectangles)
 
 
-def _moved(quarter: Grid, design: SensorDesign, side: SensorDesign, is_quarter: bool) -> Grid:
-    """The grid of a design, moved to a side's height and, under stiff pads, to its plate's edges."""
-    grid = quarter if is_quarter else whole_grid(quarter)
+def _moved(quarter: list[FloatArray], design: SensorDesign, side: SensorDesign, is_quarter: bool) -> list[FloatArray]:
+    """The lines of a design's cell, moved to a side's height and, under stiff pads, to its plate's edges."""
+    x, y, z = quarter if is_quarter else whole_lines(quarter)
     half, lines = design.array.pitch_mm / 2, []
-    for axis, line in enumerate((grid.x, grid.y)):
+    for axis, line in enumerate((x, y)):
         before, after = (pad_squares(lone_unit(one))[0, axis::2] for one in (design, side))
         if design.pad.kind == "stiff":
             line = np.interp(line, [-half, *before, half], [-half, *after, half])
         lines.append(line)
-    return replace(grid, x=lines[0], y=lines[1], z=grid.z * (side.unit.height_mm / design.unit.height_mm))
+    return [*lines, z * (side.unit.height_mm / design.unit.height_mm)]
 
 
 def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:

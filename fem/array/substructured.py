@@ -14,21 +14,22 @@ from typing import NamedTuple
 import numpy as np
 from skfem import MeshTet
 
-from fem.array.cell import CondensedCell, PortModes, condense, condense_by_parity
+from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import BoxCell, TetrahedralCell, box_cell
 from fem.array.response import ArrayResponse
+from fem.boxes.lines import Attractor, graded_lines
 from fem.discretization.elasticity import ElasticBody, taylor_hood
-from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from fem.discretization.plate import Plate
-from fem.discretization.richardson import richardson_factor
+from fem.levels import richardson_factor
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.files import digest
 from geometry.storage.kept import kept, read_arrays, write_arrays
 
-MATRICES = ("stiffness", "reach", "compliance")  #: of a condensed cell
+MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,6 +70,7 @@ GRID_STAGES = {
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
+RATE = 2.5  #: power of the level by which condensed cells converge, between coarse levels
 #: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured with soft pads
 GRID_RATE = {"soft": 3.0, "stiff": 2.5}
 #: fraction of the extrapolation's step kept as the error estimate: for rates from 2.3 to 4 of soft pads; of stiff ones
@@ -226,10 +228,10 @@ def _cell_of_stage(
             cell = two
         answer = array_of(cell)
         step_on = LEVEL_ERROR[design.pad.kind] * block_error(array_of(two), answer)
-        levels = step_on or richardson_factor(coarse, fine) * block_error(array_of(one), answer)
+        levels = step_on or richardson_factor(coarse, fine, RATE) * block_error(array_of(one), answer)
     else:
         cell, answer = two, array_of(two)
-        levels = richardson_factor(coarse, fine) * block_error(array_of(one), answer)
+        levels = richardson_factor(coarse, fine, RATE) * block_error(array_of(one), answer)
     slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
     ports = PORT_ERROR * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
     seconds["mesh"] += meshed_one + meshed_two
@@ -324,30 +326,25 @@ def condensed_cell(
     """
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     start = perf_counter()
-    if design.is_homogeneous:
-        quarter = cell_grid(design, int(level))
-        basis = GridBasis(quarter if is_mirrored(design) else whole_grid(quarter))
-        meshed = perf_counter() - start
-        stiffness = grid_stiffness(basis, [design.matrix_material])
-        if is_mirrored(design):
-            return condense_by_parity(basis, stiffness, ports, rectangles, pad_plate(design)), meshed
-        return condense(grid_body(basis, stiffness), ports, rectangles, pad_plate(design)), meshed
+    body = cell_body(design, level)
+    meshed = 0.0 if design.is_homogeneous else perf_counter() - start
+    return condense(body, ports, rectangles), meshed
+
+
+def cell_body(design: SensorDesign, level: float, is_whole: bool = False) -> BoxCell | TetrahedralCell:
+    """A design's cell at a level of refinement, or, unless the whole is asked for, its quarter where that is enough."""
     alone = lone_unit(design)
+    if design.is_homogeneous:
+        lines, is_quarter = cell_lines(design, int(level)), is_mirrored(design) and not is_whole
+        return box_cell(alone, lines if is_quarter else whole_lines(lines), is_quarter)
     mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
-    meshed = perf_counter() - start
-    return condense(elastic_body(alone, mesh), ports, rectangles, pad_plate(design)), meshed
+    plate = Plate(pad_squares(alone)[0], design.unit.height_mm) if design.pad.kind == "stiff" else None
+    return TetrahedralCell(elastic_body(alone, mesh), plate, mesh.region.astype(np.int64))
 
 
 def is_mirrored(design: SensorDesign) -> bool:
     """True if a cell of one rubber is its own mirror image: it is unless a plate lies off its middle."""
     return design.pad.kind == "soft" or design.pad.offset_x_mm == design.pad.offset_y_mm == 0.0
-
-
-def pad_plate(design: SensorDesign) -> Plate | None:
-    """The plate on a cell's pad, None for soft pads."""
-    if design.pad.kind == "soft":
-        return None
-    return Plate(pad_squares(lone_unit(design))[0], design.unit.height_mm)
 
 
 def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
@@ -361,8 +358,8 @@ def lone_unit(design: SensorDesign) -> SensorDesign:
     return replace(design, array=replace(design.array, rows=1, cols=1))
 
 
-def cell_grid(design: SensorDesign, level: int) -> Grid:
-    """Grid of the quarter x, y ∈ [0, pitch/2] of a homogeneous cell, crowding at the edges of pad and electrodes."""
+def cell_lines(design: SensorDesign, level: int) -> list[FloatArray]:
+    """Lines x, y, z of a homogeneous cell's quarter x, y ≥ 0, crowding at the edges of pad and electrodes."""
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
     alone = lone_unit(design)
     length = min(height, design.pad.size_mm)
@@ -379,12 +376,13 @@ def cell_grid(design: SensorDesign, level: int) -> Grid:
     z = graded_lines(
         [0.0, height], [Attractor(height, length, weights.top), Attractor(0.0, length, weights.base)], level
     )
-    return Grid(x=lines[0], y=lines[1], z=z)
+    return [*lines, z]
 
 
-def whole_grid(quarter: Grid) -> Grid:
-    """The grid of a cell from that of its quarter."""
-    return Grid(x=mirrored(quarter.x), y=mirrored(quarter.y), z=quarter.z)
+def whole_lines(quarter: list[FloatArray]) -> list[FloatArray]:
+    """Lines of a cell from those of its quarter."""
+    x, y, z = quarter
+    return [mirrored(x), mirrored(y), z]
 
 
 def mirrored(lines: FloatArray) -> FloatArray:

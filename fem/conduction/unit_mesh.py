@@ -14,12 +14,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.boxes.lagrange import shape_functions
 from fem.conduction.hexahedra import Hexahedra, joined
 from fem.discretization.elasticity import IntArray
-from fem.discretization.lagrange import shape_functions
 from geometry.design import Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, lower_electrodes, pillar_ends, pillar_sections, upper_electrodes
+from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections
 from geometry.prism import unit_prisms
 
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
@@ -68,7 +68,7 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     the values there follow one polynomial of the elements' order, which suits both.
     """
     h, half, layout = unit.height_mm, unit.pillar_width_mm / 2, unit.layout
-    electrodes, slack = np.vstack([upper_electrodes(unit), lower_electrodes(unit)]), 1e-6 * unit.pillar_width_mm
+    electrodes, slack = electrode_centres(unit), 1e-6 * unit.pillar_width_mm
     corners: list[FloatArray] = []
     nodes: list[FloatArray] = []
     elements, n = [], 0

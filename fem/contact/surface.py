@@ -116,7 +116,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     own, plain = _cells(design, tiles)
     progress(f"coupling {rows} × {cols}")
     loads = range(3 * tiles**2)
-    observed = range(own.reach.shape[1])
+    observed = range(own.transfer.shape[1])
     moved, _ = CoupledArray(own, rows, cols).influence(loads, observed)
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
     endless = endless_influence(plain, wide)[..., : len(loads)]
@@ -175,13 +175,13 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
         follows += [*(edge + axis * face + np.arange(face))]
         far += [(sign > 0 and axis == 0, sign > 0 and axis == 1)] * face
     n, far_x, far_y = len(follows), *np.array(far).T
-    spectrum = np.empty((wide, wide // 2 + 1, cell.reach.shape[1], cell.reach.shape[1]), dtype=complex)
+    spectrum = np.empty((wide, wide // 2 + 1, cell.transfer.shape[1], cell.transfer.shape[1]), dtype=complex)
     for b, a in np.ndindex(*spectrum.shape[:2]):
         phase = np.exp(2j * np.pi / wide * (a * far_x + b * far_y))
         tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, edge + 2 * face))
         adjoint = tied.conj().T.tocsr()
         S = (tied.T @ (adjoint @ cell.stiffness).T).T
-        L = adjoint @ cell.reach
+        L = adjoint @ cell.transfer
         spectrum[b, a] = L.conj().T @ np.linalg.solve(S, L)
     influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
     influence[0, 0] += cell.compliance

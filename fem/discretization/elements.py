@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementHex1, ElementTetP1
 
-from fem.discretization.grid import ELEMENT, GridBasis
+from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import ELEMENT, SKFEM_NODES
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are
@@ -26,10 +27,14 @@ class Elements:
     region: NDArray[np.int64]  #: (m,)
 
     @classmethod
-    def of_basis(cls, basis: Basis | GridBasis, region: NDArray[np.int64]) -> "Elements":
-        """The elements of a scikit-fem basis or of a grid's; `region` (m,)."""
-        element = ELEMENT if isinstance(basis, GridBasis) else basis.elem
-        return cls(element, basis.doflocs.T.copy(), basis.element_dofs.T.astype(np.int64), region)
+    def of_basis(cls, basis: Basis, region: NDArray[np.int64]) -> "Elements":
+        """The elements of a scikit-fem basis; `region` (m,)."""
+        return cls(basis.elem, basis.doflocs.T.copy(), basis.element_dofs.T.astype(np.int64), region)
+
+    @classmethod
+    def of_boxes(cls, boxes: Boxes) -> "Elements":
+        """Quadratic boxes."""
+        return cls(ELEMENT, boxes.points_mm, boxes.nodes[:, SKFEM_NODES], boxes.region)
 
     @property
     def is_box(self) -> bool:

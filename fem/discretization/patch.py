@@ -10,7 +10,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis
 
-from fem.discretization.grid import GridBasis
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
@@ -19,17 +18,14 @@ class PatchError(TriPillarError, ValueError):
     """A rectangle that does not lie wholly on the top face."""
 
 
-def patch_means(basis: Basis | GridBasis, rectangles: FloatArray) -> sp.csr_matrix:
+def patch_means(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     """Rows that take nodal displacements to mean displacements of rectangles (k, 4) of the top face.
 
     Shape (k·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of a
     unit force spread evenly over that rectangle.
     """
     area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
-    integrals = (
-        basis.patch_integrals(rectangles) if isinstance(basis, GridBasis) else patch_integrals(basis, rectangles)
-    )
-    return sp.kron(sp.diags_array(1 / area_mm2) @ integrals, sp.eye_array(3), format="csr")
+    return sp.kron(sp.diags_array(1 / area_mm2) @ patch_integrals(basis, rectangles), sp.eye_array(3), format="csr")
 
 
 def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:

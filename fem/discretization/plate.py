@@ -5,13 +5,12 @@ that arrays, files and pictures need not know of plates. In a body of its own th
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.discretization.mirrors import Mirror, Parity, flipped_rectangles
+from fem.mirrors import Parity
 from geometry.layout import FloatArray
 
 #: parity of each motion about x = 0 and y = 0: translations along x, y, z, then rotations about x, y, z
@@ -69,23 +68,6 @@ class Plate:
         return moved
 
 
-def folded_plates(
-    rectangles_mm: FloatArray, height_mm: float, mirrors: tuple[Mirror, ...], parity: Parity
-) -> list[tuple[Plate, Parity]]:
-    """The plates that the solved part of a mirrored body has, and the parity of their motions for `Plate.followers`.
-
-    Plates (k, 4) beyond a mirror are images of those before it; one that a mirror cuts keeps motions of the parity.
-    """
-    found: dict[tuple[float, ...], tuple[Plate, Parity]] = {}
-    for rectangle in rectangles_mm:
-        middle, size = rectangle.reshape(2, 2).mean(axis=0), rectangle[2:] - rectangle[:2]
-        off = {mirror.axis: middle[mirror.axis] - mirror.position_mm for mirror in mirrors}
-        own = flipped_rectangles(rectangle, tuple(mirror for mirror in mirrors if off[mirror.axis] < 0))
-        cut = [parity[axis] if abs(off.get(axis, np.inf)) < ON_PLATE * size[axis] else 0 for axis in (0, 1)]
-        found[tuple(own.round(9))] = Plate(own, height_mm), (cut[0], cut[1])
-    return list(found.values())
-
-
 def tied(n: int, plates: list[tuple[NDArray[np.int64], FloatArray]]) -> sp.csr_matrix:
     """All unknowns (n,) from those that no plate binds, and then the motions of every plate: T, shape (n, m).
 
@@ -99,17 +81,3 @@ def tied(n: int, plates: list[tuple[NDArray[np.int64], FloatArray]]) -> sp.csr_m
         rows, columns = np.repeat(places, motions.shape[1]), np.tile(np.arange(motions.shape[1]), len(places))
         parts.append(sp.csr_matrix((motions.ravel(), (rows, columns)), shape=(n, motions.shape[1])))
     return sp.hstack(parts, format="csr")
-
-
-def without_plate(
-    S: FloatArray, L: FloatArray, C: FloatArray, n_ports: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Let a cell's plate settle: S, L and C of its ports from those of its ports and, after them, its motions.
-
-    The plate moves by r = R f − Q q, with R = S_rr⁻¹ L_r and Q = S_rr⁻¹ S_rq, in the notation of `cell.CondensedCell`;
-    Q and R come after S, L and C.
-    """
-    q, r = slice(None, n_ports), slice(n_ports, None)
-    follows: Any = np.linalg.solve(S[r, r], np.hstack([S[r, q], L[r]]))
-    by_ports, by_loads = follows[:, :n_ports], follows[:, n_ports:]
-    return S[q, q] - S[q, r] @ by_ports, L[q] - S[q, r] @ by_loads, C + L[r].T @ by_loads, by_ports, by_loads

@@ -58,7 +58,8 @@ def corner_stress(
     u : array, shape (n_nodes, 3, c)
         c answers [mm].
     pressure : array, shape (n_pressure, c), optional
-        p = λ div u of the mixed form, numbered as `elasticity.pressure_dofs` does [MPa]; without it λ div u itself.
+        p = λ div u of the mixed form, numbered as `elasticity.pressure_dofs` does [MPa]; without it λ times the linear
+        part of div u in each element, which is the pressure of boxes.
 
     Returns
     -------
@@ -66,9 +67,9 @@ def corner_stress(
     """
     number, n_answers = corner_numbers(elements), u.shape[2]
     lame_mpa, mu_mpa = lame_of_regions(material, elements.region, 0.0 if pressure is None else MIN_POISSON)
-    if pressure is not None:
-        lame_mpa = np.zeros_like(lame_mpa)
     sampled, to_corners = _samples(elements)
+    gauss, linear = _linear_part(elements, sampled)
+    at_gauss = shape_gradients(elements.element, gauss)
     slopes = shape_gradients(elements.element, sampled)  # (q, a, k)
     # what an element's corner adds to the mean there: (n_corners, m·n_of_element)
     weight = np.repeat(elements.volumes_mm3, number.shape[1])
@@ -80,7 +81,11 @@ def corner_stress(
         some = slice(first, first + width)
         gradient = np.einsum("qak,eki,eajc->eqijc", slopes, elements.inverse_jacobian[some], u[elements.nodes[some]],
                              optimize=True)  # fmt: skip
-        stress = _hooke(gradient, lame_mpa[some], mu_mpa[some])
+        stress = _sheared(gradient, mu_mpa[some])
+        if pressure is None:
+            inverse = elements.inverse_jacobian[some]
+            div = np.einsum("qak,eki,eaic->eqc", at_gauss, inverse, u[elements.nodes[some]], optimize=True)
+            stress[:, :, :3] += (lame_mpa[some, None, None] * (linear @ div))[:, :, None]
         at_corners = np.einsum("vq,eqsc->evsc", to_corners, stress)
         columns = slice(first * number.shape[1], (first + len(stress)) * number.shape[1])
         total += average[:, columns] @ at_corners.reshape(-1, 6 * n_answers)
@@ -131,12 +136,21 @@ def _samples(elements: Elements) -> tuple[FloatArray, FloatArray]:
     return (corners - 0.5) / np.sqrt(3) + 0.5, shape_values(elements.corner_element, (corners - 0.5) * np.sqrt(3) + 0.5)
 
 
-def _hooke(gradient: FloatArray, lame_mpa: FloatArray, mu_mpa: FloatArray) -> FloatArray:
-    """λ div u I + 2μ ε(u) of displacement gradients (m, q, 3, 3, c), shape (m, q, 6, c)."""
+def _linear_part(elements: Elements, sampled: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (3, g) of an element, and what takes values there to the linear part of them at `sampled`, (q, g)."""
+    if not elements.is_box:
+        return sampled, np.eye(sampled.shape[1])  # gradients of P2 are linear
+    x, w = np.polynomial.legendre.leggauss(3)
+    points = np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1) / 2 + 0.5
+    weights = np.einsum("i,j,k->ijk", w, w, w).ravel()
+    functions, wanted = (np.column_stack([np.ones(at.shape[1]), at.T - 0.5]) for at in (points, sampled))
+    return points, wanted @ np.linalg.solve(functions.T @ (weights[:, None] * functions), functions.T * weights)
+
+
+def _sheared(gradient: FloatArray, mu_mpa: FloatArray) -> FloatArray:
+    """2μ ε(u) of displacement gradients (m, q, 3, 3, c), shape (m, q, 6, c)."""
     mu = mu_mpa[:, None, None]
-    stress = np.stack([mu * (gradient[:, :, i, j] + gradient[:, :, j, i]) for i, j in COMPONENTS], axis=2)
-    stress[:, :, :3] += (lame_mpa[:, None, None] * np.einsum("eqiic->eqc", gradient))[:, :, None]
-    return stress
+    return np.stack([mu * (gradient[:, :, i, j] + gradient[:, :, j, i]) for i, j in COMPONENTS], axis=2)
 
 
 def von_mises(stress_mpa: FloatArray) -> FloatArray:

@@ -61,7 +61,7 @@ class PillarReader:
 
 def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
-    by_level = F.reshape(*F.shape[:2], -1, ACROSS**2, ALONG, 3, 3)
+    by_level = F.reshape(*F.shape[:2], F.shape[2] // (ACROSS**2 * ALONG), ACROSS**2, ALONG, 3, 3)
     kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
     count = kept.sum(axis=3, keepdims=True)
     mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)

@@ -42,13 +42,13 @@ IntArray = NDArray[np.int64]
 class FiniteSamples:
     """Answers to m samples of loads on an array of k units."""
 
-    displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
+    displacement_mm: FloatArray  #: of the electrodes, (m, k, n_upper, 3)
     settled: NDArray[np.bool_]  #: where it is an answer, (m,)
     change: FloatArray  #: of the pads' motion by the last iteration, relative, (m,); infinite where none converged
     iterations: IntArray  #: (m,)
     error_estimate: FloatArray  #: of the displacements, relative, (m,)
     resistance_ratio: (
-        FloatArray  #: resistances by conduction over those of eq. 1, (m, k, 3); 1 where eq. 1 is asked for
+        FloatArray  #: resistances by conduction over those of eq. 1, (m, k, n_pillars); 1 where eq. 1 is asked for
     )
     ratio_error: FloatArray  #: largest estimated error of these, (m,)
 
@@ -59,11 +59,11 @@ class SampleSolver:
     Parameters
     ----------
     design : SensorDesign
-    influence_mm_per_n : array, shape (k, 2, 3, k, 3), optional
+    influence_mm_per_n : array, shape (k, n_upper, 3, k, 3), optional
         Linear response of the electrodes by a much finer grid, per newton on each pad; None leaves each grid its own.
     unwanted : function, optional
-        Displacements (m, k, 2, 3) to booleans (m,): of samples that need no answer, such as those far beyond a cap of
-        strain. These are given up before they have settled; they are the slowest.
+        Displacements (m, k, n_upper, 3) to booleans (m,): of samples that need no answer, such as those far beyond a
+        cap of strain. These are given up before they have settled; they are the slowest.
 
     Raises
     ------
@@ -114,9 +114,10 @@ class SampleSolver:
         """
         preload = self._nearest_preloads(force_n)
         m, k = force_n.shape[:2]
-        moved, estimate, change = np.empty((m, k, 2, 3)), np.empty(m), np.zeros(m)
+        layout = self.design.unit.layout
+        moved, estimate, change = np.empty((m, k, len(layout.upper), 3)), np.empty(m), np.zeros(m)
         iterations = np.zeros(m, dtype=np.int64)
-        ratio, ratio_error = np.ones((m, k, 3)), np.zeros(m)
+        ratio, ratio_error = np.ones((m, k, len(layout.pillars))), np.zeros(m)
         for level in PRELOADS_MPA:
             mine = np.flatnonzero(preload == level)
             for first in range(0, len(mine), AT_ONCE):
@@ -136,7 +137,8 @@ class SampleSolver:
     def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
         """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
 
-        Small linear ones are added that bring the electrodes to their answer (k, 2, 3) [mm], as nearly as forces can.
+        Small linear ones are added that bring the electrodes to their answer (k, n_upper, 3) [mm], as nearly as forces
+        can.
         """
         preload = float(self._nearest_preloads(force_n[None])[0])
         found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
@@ -153,9 +155,9 @@ class SampleSolver:
     def _together(
         self, preload: float, force_n: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-        """Displacements (m, k, 2, 3), what is left of the grids' error, last changes and iterations of a few samples.
+        """Displacements (m, k, n_upper, 3), the grids' error that is left, last changes and iterations of some samples.
 
-        Also ratios of resistances (m, k, 3) and their largest error (m,).
+        Also ratios of resistances (m, k, n_pillars) and their largest error (m,).
 
         The series cost nothing where a sample has not settled.
         """
@@ -163,7 +165,8 @@ class SampleSolver:
         moved = self._answers(self.coarse, coarse)
         change = coarse.change
         left = np.full(len(force_n), np.inf)
-        ratio, ratio_error = np.ones((*force_n.shape[:2], 3)), np.zeros(len(force_n))
+        ratio = np.ones((*force_n.shape[:2], len(self.design.unit.layout.pillars)))
+        ratio_error = np.zeros(len(force_n))
         on = np.flatnonzero(coarse.change <= TOLERANCE)
         if not len(on):
             return moved, left, change, coarse.iterations, ratio, ratio_error
@@ -196,7 +199,7 @@ class SampleSolver:
         return self._corrected(array, array.electrodes(found.state.shift, found.state.rotation))
 
     def _corrected(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
-        """Displacements (m, k, 2, 3) with the much finer linear response in place of the grid's own."""
+        """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
         if self._influence is None:
             return moved
         flat = moved.reshape(len(moved), -1)

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import lattice_boxes
 from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.grid import lattice_boxes
+from fem.factor import FactorMemoryError
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.levels import Convergence
 from fem.mirrors import Mirror
@@ -88,9 +89,9 @@ def solve_finite(
         watch.spent("assemble")
         try:
             equilibrium = find_equilibrium(system)
-        except UnreachableLoadError as error:
+        except (UnreachableLoadError, FactorMemoryError) as error:
             # with one grid or none there is no estimate to give; and finer grids are right about what buckles
-            if not np.isfinite(estimate) or error.is_unstable:
+            if not np.isfinite(estimate) or getattr(error, "is_unstable", False):
                 raise
             steps.append(f"level {level}: {error} The answer is that of the grid before.")
             break

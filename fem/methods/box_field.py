@@ -5,18 +5,21 @@ pictures of stress come from one grid of many small ones (`picture_field`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.discretization.grid import VTK_PLACES, Grid, GridBasis, grid_body, grid_stiffness, lattice_boxes
-from fem.discretization.mirrors import Parity, flipped_points, folded_integrals, images, parities
-from fem.discretization.plate import folded_plates, tied
+from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import VTK_PLACES, lattice_boxes
 from fem.factor import Factor, checked_solve
 from fem.methods.plan import Plan
+from fem.mirrors import Parity, flipped_points, images, parities
+from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON, Field
+from fem.system import System
 from geometry.layout import FloatArray
 
 PER_HEIGHT, PER_WIDTH = 4, 24  #: boxes of a picture to the body's height and to its greatest extent, at least
@@ -82,7 +85,7 @@ ACROSS = 15  #: such boxes to the greatest extent of a flat body, where that mak
 THIN = 0.15  #: layer on either side of an edge at which the stress is singular, relative to the smallest part
 
 
-def picture_grid(scene: Scene, plan: Plan) -> Grid:
+def picture_boxes(scene: Scene, plan: Plan) -> Boxes:
     """Boxes of the solved part, evenly wide but for a thin layer at every edge of the body, its regions and loads."""
     outline, height = scene.outline, scene.height_mm
     widest = height * max(WIDEST, max(outline.section_mm) / height / ACROSS)
@@ -102,9 +105,8 @@ def picture_grid(scene: Scene, plan: Plan) -> Grid:
         lines.append(_layered(places, widest, scene.rounding_mm))
     heights = [z for prism in prisms for z in (prism.base_mm[2], prism.top_mm[2])]
     x, y, z = *lines, _layered(dict.fromkeys(heights, thin), widest, scene.rounding_mm)
-    middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (x, y, z)), indexing="ij"), axis=-1)
-    region = regions_at(middles.reshape(-1, 3), plan.regions).reshape(middles.shape[:3])
-    return Grid(x=x, y=y, z=z, lean=outline.lean, region=region)
+    boxes = Boxes.between((x, y, z), lean=outline.lean)
+    return replace(boxes, region=regions_at((boxes.low + boxes.high) / 2, plan.regions))
 
 
 def _layered(places: dict[float, float], widest: float, slack: float) -> FloatArray:
@@ -123,30 +125,14 @@ def _layered(places: dict[float, float], widest: float, slack: float) -> FloatAr
 
 
 def picture_field(scene: Scene, plan: Plan) -> Field:
-    """Displacement of the whole body on a grid that is fine enough for pictures, not to the scene's tolerance."""
-    grid = picture_grid(scene, plan)
-    basis = GridBasis(grid)
-    stiffness = grid_stiffness(basis, [scene.material, *(material for _, material in plan.regions)])
-
-    def integral(rectangle: FloatArray) -> FloatArray:
-        return basis.patch_integrals(rectangle[None]).toarray()[0]
-
-    parts = []
-    shift = np.tile(np.array(grid.lean) * scene.height_mm, 2)
-    places = basis.doflocs - np.array([*grid.lean, 0.0])[:, None] * basis.doflocs[2]
-    for parity in parities(plan.mirrors):
-        body = grid_body(basis, stiffness, parity)
-        forces = np.zeros((basis.N, 3))
-        for load in scene.dead_loads:
-            integrals = folded_integrals(integral, np.array(load.rectangle), plan.mirrors, parity)
-            forces += 0.5 ** len(plan.mirrors) * integrals * np.array(load.traction_mpa)
-        plates = []
-        for plate, own in folded_plates(scene.plate_rectangles_mm - shift, scene.height_mm, plan.mirrors, parity):
-            at_plate, motions = plate.followers(body.free, places, own)
-            plates.append((np.searchsorted(body.free, at_plate), motions))
-        T = tied(body.matrix.shape[0], plates)
-        matrix = (T.T @ body.matrix @ T).tocsr() if plates else body.matrix
-        x, _ = checked_solve(Factor(matrix, definite=True), T.T @ body.loads(forces.reshape(-1, 1)))
-        parts.append((parity, body.displacements(T @ x).reshape(-1, 3)))
-    halves, cells = lattice_boxes(grid.lines)
+    """Displacement of the whole body on boxes that are fine enough for pictures, not to the scene's tolerance."""
+    boxes = picture_boxes(scene, plan)
+    body = RubberBody.of(boxes, [scene.material, *(material for _, material in plan.regions)])
+    system = System(body, scene.loads, plan.mirrors, parities(plan.mirrors)[0])
+    blocks, parts = system.rest_tangent(), []
+    for part in (system.of_parity(parity) for parity in parities(plan.mirrors)):
+        factor = Factor(part.matrix(blocks), definite=True, upper=True)
+        y, _ = checked_solve(factor, part.loads_on(part.rest()).reshape(-1, 1))
+        parts.append((part.parity, part.displaced(y)[0]))
+    halves, cells = lattice_boxes(boxes.lines)
     return unfolded_field(scene, plan, crossings(halves), cells, parts)

@@ -13,8 +13,8 @@ from threadpoolctl import ThreadpoolController
 
 from fem.boxes.boxes import Boxes
 from fem.boxes.lagrange import lobatto_points
+from fem.boxes.lattice import lattice_boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
-from fem.discretization.grid import lattice_boxes
 from fem.discretization.indicator import dual_weights
 from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively

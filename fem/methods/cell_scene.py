@@ -5,8 +5,8 @@ from time import perf_counter
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import GRID_RATE, LEVEL_ERROR, cell_stages, condensed_cell
-from fem.discretization.richardson import richardson_factor
+from fem.array.substructured import GRID_RATE, LEVEL_ERROR, RATE, cell_stages, condensed_cell
+from fem.levels import richardson_factor
 from fem.methods.plan import Plan
 from fem.scene.cells import Share, design_of_cells, forces_on_cells, split_by_cells
 from fem.scene.checks import SceneError
@@ -63,7 +63,7 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
             of_levels = LEVEL_ERROR[design.pad.kind] * factor * largest_error(one, two)
             two = {name: mean + factor * (mean - one[name]) for name, mean in two.items()}
         else:
-            of_levels = richardson_factor(coarse, fine) * largest_error(one, two)
+            of_levels = richardson_factor(coarse, fine, RATE) * largest_error(one, two)
         estimate = of_levels + of_ports
         steps.append(f"cells of level {fine:g}, ports of degree {degree}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:

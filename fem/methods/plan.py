@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from fem.discretization.mirrors import Mirror, flipped_points, flipped_rectangles, parities
+from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
 from fem.scene.cells import has_alike_plates
 from fem.scene.checks import SceneError
 from fem.scene.loads import Rectangle

@@ -173,11 +173,8 @@ def explained(error: OSError, path: Path | None = None) -> str:
     if sys.platform != "win32" and error.errno == errno.EFBIG:
         import resource
 
-        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-        return (
-            f"{named}: the disk is full for this process, whose files may have {_size(limit)} at most (ulimit -f): "
-            "nothing was written; raise the limit."
-        )
+        limit = f"whose files may have {_size(resource.getrlimit(resource.RLIMIT_FSIZE)[0])} at most (ulimit -f)"
+        return f"{named}: the disk is full for this process, {limit}: nothing was written; raise the limit."
     if error.errno in FULL:
         place = next((folder for folder in (path or Path()).absolute().parents if folder.exists()), Path())
         free = f" ({_size(shutil.disk_usage(place).free)} left in {place})" if path else ""

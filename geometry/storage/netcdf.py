@@ -52,24 +52,13 @@ def read_netcdf(
     made_by: str,
     optional: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> "xr.Dataset":
-    """Read the variables named in `wanted`, each with its dims in the order given there.
-
-    Parameters
-    ----------
-    path : Path
-        File to read.
-    wanted : mapping
-        Dims of every variable that must be there, {variable: dims}.
-    made_by : str
-        Command that writes such files, for the message of a refusal.
-    optional : mapping
-        The same of variables that are read where they are there.
+    """Read the variables named in `wanted`, {variable: dims}, and those of `optional` that are there, on these dims.
 
     Raises
     ------
     FileFormatError
         If the file is missing, states another hash than its content's, is truncated or no NetCDF file, lacks a
-        variable or has it on other dims.
+        variable or has it on other dims; the message says which command such files are `made_by`.
     """
     import xarray as xr
 
@@ -94,17 +83,14 @@ def chosen_variables(
     optional: Mapping[str, tuple[str, ...]],
 ) -> "xr.Dataset":
     """The variables of an open file that `read_netcdf` reads, unread yet; errors as there."""
-    missing = [name for name in wanted if name not in opened]
-    if missing:
-        raise FileFormatError(
-            f"{path} has no variable '{missing[0]}', only {sorted(map(str, opened.data_vars))}: "
-            f"give a file made by '{made_by}'."
-        )
     wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
     for name, dims in wanted.items():
-        if set(opened[name].dims) != set(dims):
-            raise FileFormatError(
-                f"{path}: '{name}' has the dims {opened[name].dims}, expected {dims}: give a file made by '{made_by}'."
-            )
+        if name not in opened:
+            said = f" has no variable '{name}', only {sorted(map(str, opened.data_vars))}"
+        elif set(opened[name].dims) != set(dims):
+            said = f": '{name}' has the dims {opened[name].dims}, expected {dims}"
+        else:
+            continue
+        raise FileFormatError(f"{path}{said}: give a file made by '{made_by}'.")
     data = opened[list(wanted)]
     return data.assign({name: data[name].transpose(*dims) for name, dims in wanted.items()})

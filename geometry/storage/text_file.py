@@ -44,15 +44,13 @@ def why_unreadable(error: Exception) -> str:
     >>> why_unreadable(FileNotFoundError(2, "No such file or directory", "x.toml"))
     'no such file'
     """
-    if isinstance(error, FileNotFoundError):
-        return "no such file"
-    if isinstance(error, IsADirectoryError):
-        return "a folder, not a file"
-    if isinstance(error, PermissionError):
-        return "may not be read"
-    if isinstance(error, UnicodeDecodeError):
-        return "not a text file in UTF-8"
-    return str(getattr(error, "strerror", None) or error)
+    said = {
+        FileNotFoundError: "no such file",
+        IsADirectoryError: "a folder, not a file",
+        PermissionError: "may not be read",
+        UnicodeDecodeError: "not a text file in UTF-8",
+    }
+    return said.get(type(error)) or str(getattr(error, "strerror", None) or error)
 
 
 Table = dict[str, Any]

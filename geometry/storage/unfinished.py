@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from geometry.errors import DesignError
-
 MARK = ".tripillar-"  #: in the names of these folders
 _OURS = re.compile(rf"\..*{re.escape(MARK)}[a-z0-9_]{{8}}")
 _of_this_process: set[Path] = set()
@@ -39,38 +37,6 @@ def unfinished_folder(place: Path, name: str) -> Iterator[Path]:
         _of_this_process.discard(folder)
         if lock >= 0:
             os.close(lock)
-
-
-@contextmanager
-def kept_folder(folder: Path) -> Iterator[None]:
-    """A folder that stays when the process is ended, for the next one to go on; one process uses it at a time.
-
-    Raises
-    ------
-    DesignError
-        If another process uses it.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        file = (folder / "lock").open("wb")
-    except OSError:
-        with suppress(OSError):
-            folder.rmdir()
-        raise
-    with file:
-        try:
-            if sys.platform == "win32":
-                import msvcrt
-
-                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-            else:
-                import fcntl
-
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if isinstance(error, BlockingIOError | PermissionError):
-                raise DesignError(f"{folder} is used by another process: wait for it, or end it first.") from None
-        yield  # a file system without locks is trusted
 
 
 def remove_at_end(folder: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from decoupler.data.columns import Calibration
-from geometry.design import quantity, require_numbers
+from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import write_text
@@ -35,7 +35,7 @@ class Electronics:
     amplifier_gain: float = quantity(1e5, "open-loop gain of the amplifiers")
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        require_sound(self)
         self.crossbar(Info())  # refuses what no crossbar has
 
     def crossbar(self, info: Info) -> Crossbar:

@@ -4,6 +4,7 @@ Every response is computed in a process of its own, without cache. Where `refere
 response, the error against them is given for the loaded unit and its first neighbours.
 """
 
+from dataclasses import replace
 from functools import partial
 from operator import eq
 from pathlib import Path
@@ -13,12 +14,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from fem.array.meshed import box_cell
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import cell_grid
+from fem.array.substructured import cell_lines
 from fem.array.unit_check import meshed_response
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
@@ -74,27 +74,30 @@ def by_mesh(design: SensorDesign) -> ArrayResponse:
     return meshed_response(design, sensor_mesh(design, suited_settings(design))[0])
 
 
-def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
+def by_whole_array(design: SensorDesign, level: int) -> ArrayResponse:
     """The contrast to condensing one cell: copies of its grid side by side, factored as one body."""
     start = perf_counter()
-    cell = cell_grid(design, level)
+    x, y, z = cell_lines(design, level)
     rows, cols = design.array.rows, design.array.cols
-    basis = GridBasis(Grid(x=_tiled(cell.x, cols), y=_tiled(cell.y, rows), z=cell.z))
-    body = grid_body(basis, grid_stiffness(basis, [design.matrix_material]))
-    pads = patch_means(basis, pad_squares(design))
-    electrodes = patch_means(basis, electrode_squares(design))
+    cell = box_cell(replace(design, pad=replace(design.pad, kind="soft")), (_tiled(x, cols), _tiled(y, rows), z), False)
+    pads, electrodes = (
+        cell.integrals(squares).toarray() / (squares[:, 2:] - squares[:, :2]).prod(axis=1)[:, None]
+        for squares in (pad_squares(design), electrode_squares(design))
+    )
+    forces = np.einsum("kn,ac->kanc", pads, np.eye(3)).reshape(3 * len(pads), -1, 3)
+    K, loads = cell.matrix((0, 0)), cell.gathered(forces, (0, 0))
     assembled = perf_counter()
-    factor = Factor(body.matrix, definite=True)
+    factor = Factor(K, definite=True, upper=True)
     factored = perf_counter()
-    solution, residual = checked_solve(factor, body.loads(pads.T.toarray()))
-    influence = electrodes @ body.displacements(solution)
+    solution, residual = checked_solve(factor, loads)
+    influence = np.einsum("en,knc->eck", electrodes, cell.displacements(solution, (0, 0)))
     return ArrayResponse(
         design=design,
         influence_mm_per_n=influence.reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
         residual=residual,
-        unknowns=body.matrix.shape[0],
+        unknowns=K.shape[0],
         seconds={"assemble": assembled - start, "factor": factored - assembled, "solve": perf_counter() - factored},
-        method="whole grid",
+        method="whole array",
     )
 
 
@@ -110,8 +113,8 @@ CONTENDERS = [
     for matrix, name, solve, units in (
         (SAME, "cells", partial(by_settings, tolerance=1e-3), (2, 6, 12, 24, 48)),
         (SAME, "cells, 1e-2", partial(by_settings, tolerance=1e-2), (6,)),
-        (SAME, "whole array, same hexahedra, level 1", partial(by_whole_grid, level=1), (2, 6)),
-        (SAME, "whole array, same hexahedra, level 2", partial(by_whole_grid, level=2), (6,)),
+        (SAME, "whole array, same boxes, level 1", partial(by_whole_array, level=1), (2, 6)),
+        (SAME, "whole array, same boxes, level 2", partial(by_whole_array, level=2), (6,)),
         (SAME, "whole array, Taylor-Hood", by_mesh, (2, 6)),
         (SAME, "layer", partial(by_settings, method="layer"), (6,)),
         (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),

@@ -5,11 +5,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-
 from fem.discretization.box_mesh import AxisTree, BoxMesh
 from fem.discretization.box_system import BoxSystem
-from fem.discretization.lagrange import lobatto_points
-from fem.factor import Factor, SolverError
+
+from fem.boxes.lagrange import lobatto_points
+from fem.factor import Factor
 from fem.methods.box_refinement import ORDER, first_mesh, marked
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene

@@ -92,7 +92,7 @@ def test_exchanging_x_and_y_twice_changes_nothing(cell):
     assert np.array_equal(swap[swap], np.arange(PORTS.n_modes * 3))
     twice = cell.exchanged(np.arange(2)).exchanged(np.arange(2))
     assert np.array_equal(twice.stiffness, cell.stiffness)
-    assert np.array_equal(twice.reach, cell.reach)
+    assert np.array_equal(twice.transfer, cell.transfer)
     points = np.array([[HALF, 2.0, 3.0], [-1.0, -HALF, 5.0], [HALF, HALF, 10.0]])
     q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
     here = PORTS.values(points) @ q.reshape(-1, 3)
@@ -160,7 +160,7 @@ def test_lower_degrees_are_part_of_higher_ones(whole_cell):
     cut = high.of_degree(2)
     assert cut.ports == low.ports
     assert np.allclose(cut.stiffness, low.stiffness, rtol=0, atol=1e-11 * np.abs(low.stiffness).max())
-    assert np.allclose(cut.reach, low.reach, rtol=0, atol=1e-11)
+    assert np.allclose(cut.transfer, low.transfer, rtol=0, atol=1e-11)
 
 
 def test_modes_vanish_at_the_base_and_bubbles_at_the_edges():

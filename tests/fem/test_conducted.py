@@ -52,7 +52,7 @@ def pressed(coarse):
     design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     interior = design_interior(design, np.vstack([pad_squares(design), electrode_squares(design)]))
     seen = module._of_unit_loads(interior, 1, 1, np.eye(interior.cell.stiffness.shape[0] + 3))[0]
-    electrodes = np.hstack([interior.cell.reach[:, 3:].T, interior.cell.compliance[3:, :3]])
+    electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
     influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "design_interior", lambda *_: interior)

@@ -10,6 +10,7 @@ from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response
 from fem.conduction.potentials import unit_conductances
 from fem.conduction.reduced import reduced_conduction
+from fem.finite.samples import SampleSolver
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import FileFormatError
 from geometry.layout import pillar_shares, pillar_volumes, rest_lengths
@@ -60,6 +61,24 @@ def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path):
 def test_derivatives_have_every_electrode():
     four, of_paper = (response_sensitivities(one, SETTINGS)[0].influence_mm_per_n for one in (DESIGN, PAPERS))
     assert four[:, :, :, :2] == pytest.approx(of_paper, abs=1e-9)
+
+
+def test_samples_at_finite_strain_have_every_electrode_and_pillar():
+    lone = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
+    force_n = 144.0 * np.array([[[0.1, 0.05, -0.5]]])
+    of_paper, found = (SampleSolver(replace(lone, unit=unit)).displacements(force_n) for unit in (Unit(), UNIT))
+    assert found.settled.all()
+    assert found.displacement_mm[:, :, :2] == pytest.approx(of_paper.displacement_mm, abs=1e-9)
+    assert found.resistance_ratio.shape == (1, 1, 4)
+    # pillars at the same places, whose ends others share, change by strain nearly alike
+    change, theirs = (
+        samples.resistance_ratio[0, 0]
+        * rest_lengths(unit) ** 2
+        / pillar_volumes(unit)
+        / unit_conductances(unit).pillars_per_mm
+        for samples, unit in ((found, UNIT), (of_paper, Unit()))
+    )
+    assert change[:2] == pytest.approx(theirs[[0, 2]], rel=1e-3)
 
 
 def test_conduction_of_four_pillars():

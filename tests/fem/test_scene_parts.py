@@ -9,7 +9,7 @@ from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
 from fem.discretization.elasticity import taylor_hood
 from fem.discretization.elements import Elements
-from fem.discretization.grid import VTK_PLACES
+from fem.boxes.lattice import VTK_PLACES
 from fem.factor import Factor, checked_solve
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts

@@ -16,7 +16,7 @@ from geometry.mesh import (
     boundary_faces,
     cell_volumes,
     check_volumes,
-    interfaces,
+    faces_between,
     mesh_quality,
     outward,
     read_mesh,
@@ -187,12 +187,14 @@ def test_boundary_of_a_cut_cube_is_two_triangles_a_side(tets):
     assert sorted(map(tuple, np.sort(lone, axis=1))) == [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]
 
 
-def test_interfaces_lie_between_regions():
+def test_faces_lie_between_two_cells_or_on_the_boundary():
     """Of the cube in 5, the one in the middle has a face with each of the others."""
-    faces, sides = interfaces(cube().cells, np.array([0, 0, 0, 0, 1]))
-    assert len(faces) == 4
-    assert (np.sort(sides, axis=1)[:, 1] == 4).all()
-    assert len(interfaces(cube().cells, np.zeros(5, dtype=np.int64))[0]) == 0
+    faces, sides = faces_between(cube().cells)
+    inner = sides[:, 1] >= 0
+    assert (inner.sum(), (~inner).sum()) == (4, 12)
+    assert sorted(map(tuple, np.sort(sides[inner], axis=1))) == [(k, 4) for k in range(4)]
+    for face, own in zip(faces, sides, strict=True):
+        assert all(np.isin(face, cube().cells[cell]).all() for cell in own[own >= 0])
 
 
 def wavy_cube(shift_mm: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fem.discretization.grid import Grid
+from fem.boxes.boxes import Boxes
 from fem.finite.newton import find_equilibrium
-from fem.finite.rubber_body import RubberBody
-from fem.finite.system import FiniteSystem
+from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.system import System
 from geometry.design import Material
 from studies.bench.peers.felupe_peer import felupe_displacements
 
@@ -24,8 +24,8 @@ LOADS: dict[str, Load] = {
 @pytest.mark.parametrize("load", LOADS.values(), ids=LOADS)
 def test_felupe_finds_the_same_displacements_on_the_same_mesh(load):
     pytest.importorskip("felupe")
-    body = RubberBody(Grid(x=LINE, y=LINE, z=np.array([0.0, 4.0, 8.0, 10.0])), [Material()])
-    found = find_equilibrium(FiniteSystem(body, [load]))
+    body = RubberBody.of(Boxes.between([LINE, LINE, np.array([0.0, 4.0, 8.0, 10.0])]), [Material(model="neo-hookean")])
+    found = find_equilibrium(System(body, [load]))
     peer = felupe_displacements(body, [load], found.state)
     assert np.abs(peer).max() > 1.0
     assert np.abs(peer - found.state.u).max() < 1e-8 * np.abs(peer).max()

@@ -138,8 +138,8 @@ def dataset(
     from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
+    from dataset.zarr_folder import is_zarr
     from fem.contact.surface import require_bare
-    from geometry.storage.zarr_folder import is_zarr
     from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
     from tripillar.sweep.leaves import LeafJob, make_directory

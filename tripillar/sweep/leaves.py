@@ -6,8 +6,9 @@ Until then they are in a folder beside it, so that a killed run is taken up agai
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,13 @@ from dataset.measurement import Readout
 from dataset.samples import LABELS, Samples
 from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
 from dataset.stored import is_current, read_samples
+from dataset.zarr_folder import chunk_name, put
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError, NotWrittenError, TriPillarError
 from geometry.storage.files import digest, reported, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
-from geometry.storage.unfinished import kept_folder
-from geometry.storage.zarr_folder import chunk_name, put
 from tripillar.sweep.tasks import Task, TaskRow, ThisProcess, failed_task_row, made_rows
 from tripillar.sweep.workers import Workers, open_workers
 from tripillar.terminal.interrupts import last_words
@@ -257,3 +257,35 @@ def _chunk(name: str, number: int) -> str:
 
 def _hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+@contextmanager
+def kept_folder(folder: Path) -> Iterator[None]:
+    """A folder that stays when the process is ended, for the next one to go on; one process uses it at a time.
+
+    Raises
+    ------
+    DesignError
+        If another process uses it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        file = (folder / "lock").open("wb")
+    except OSError:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
+    with file:
+        try:
+            if sys.platform == "win32":
+                import msvcrt
+
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if isinstance(error, BlockingIOError | PermissionError):
+                raise DesignError(f"{folder} is used by another process: wait for it, or end it first.") from None
+        yield  # a file system without locks is trusted

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from dataset import Imperfections
 from fem.array.solving import ResponseSettings
-from geometry.design import SensorDesign, quantity, require_numbers
+from geometry.design import SensorDesign, quantity, require_sound
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.storage.text_file import StrictTables, read_text, tables_of
@@ -31,7 +31,7 @@ class Judging:
     train: bool = False  #: the joint network is trained as well
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        require_sound(self)
         ResponseSettings(tolerance=self.tolerance)
         Imperfections(noise=self.noise, bits=self.bits)
         if not self.noise and self.bits is None:

@@ -14,7 +14,6 @@ from geometry.design import SensorDesign
 from geometry.design_file import read_design, states_twin
 from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.storage.files import require_file, require_folder
-from geometry.storage.zarr_folder import is_zarr, require_zarr_place
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -125,6 +124,8 @@ def output_file(path: Path | None) -> Path | None:
 
 def output_samples(path: Path) -> Path:
     """The same of a data set: a file, or a zarr directory."""
+    from dataset.zarr_folder import is_zarr, require_zarr_place
+
     if is_zarr(path):
         require_zarr_place(path, "resistance_ohm")
     else:

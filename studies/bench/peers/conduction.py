@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from fem.discretization.grid import Grid
 from scipy.interpolate import RegularGridInterpolator
 
 from dataset.resistance import pillar_lengths
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
-from fem.discretization.grid import Grid
 from fem.finite.gradients import PointGradients
 from fem.finite.solving import solve_finite
 from fem.scene.loads import DeadLoad, Load, StiffLoad
@@ -23,12 +23,11 @@ from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
 from geometry.layout import (
     FloatArray,
+    electrode_centres,
     electrode_squares,
-    lower_electrodes,
     pad_squares,
     pillar_volumes,
     unit_centres,
-    upper_electrodes,
 )
 from geometry.prism import pillar_prisms
 
@@ -124,8 +123,7 @@ class NgsolveUnit:
         for other in others:
             one = one + other
         h, e, self.names = unit.height_mm, unit.electrode_mm / 2, unit.layout.terminals
-        middles = np.vstack([upper_electrodes(unit), lower_electrodes(unit)]).tolist()
-        places = dict(zip(self.names, middles, strict=True))
+        places = dict(zip(self.names, electrode_centres(unit).tolist(), strict=True))
         shape = Glue([one, *[_face((x - e, y - e, x + e, y + e), z) for x, y, z in places.values()]])
         for face in shape.faces:
             for name, (x, y, z) in places.items():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fem.boxes.boxes import Boxes
+from fem.factor import Factor, FactorMemoryError
 from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.finite.solving import finite_boxes, solve_finite, unfolded
 from fem.methods.plan import make_plan
@@ -164,6 +165,12 @@ def test_plates_that_touch_are_refused():
 def test_a_load_off_the_grid_s_lines_is_refused():
     with pytest.raises(SceneError, match="no line at x = 1 mm"):
         System(BODY, [StiffLoad(center_mm=(7.5, 7.5), size_mm=(13.0, 12.0), force_n=(0.0, 0.0, -1.0))])
+
+
+def test_too_little_memory_is_not_told_as_a_load_out_of_reach():
+    system = System(BODY, loads_of("follower", 1.0))
+    with pytest.raises(FactorMemoryError):
+        find_equilibrium(system, Factor(symmetric=False, memory_gb=1e-9))
 
 
 def test_both_solvers_agree():
