@@ -9,7 +9,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.discretization.elasticity import ElasticBody
 from fem.discretization.elements import Elements
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
@@ -19,6 +18,7 @@ from fem.rubber.body import RubberBody
 from fem.rubber.law import Linear
 from fem.scene.loads import StiffLoad
 from fem.system import System
+from fem.tetrahedra.taylor_hood import TaylorHood
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pad_squares
 
@@ -95,7 +95,7 @@ def box_cell(
 class TetrahedralCell:
     """A cell of tetrahedra, its plate, if any, bonded to its top; as `cell.CellBody`."""
 
-    body: ElasticBody
+    body: TaylorHood
     plate: Plate | None
     region: NDArray[np.int64]  #: of the tetrahedra
     mirrors: tuple[Mirror, ...] = ()

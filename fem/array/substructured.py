@@ -20,9 +20,9 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import BoxCell, TetrahedralCell, box_cell
 from fem.array.response import ArrayResponse
 from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.plate import Plate
 from fem.levels import richardson_factor
+from fem.tetrahedra.taylor_hood import TaylorHood, taylor_hood
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -347,7 +347,7 @@ def is_mirrored(design: SensorDesign) -> bool:
     return design.pad.kind == "soft" or design.pad.offset_x_mm == design.pad.offset_y_mm == 0.0
 
 
-def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
+def elastic_body(design: SensorDesign, mesh: TetMesh) -> TaylorHood:
     """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
     skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
     return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)

@@ -22,7 +22,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
 
-from fem.discretization.patch import patch_integrals
 from fem.factor import whole
 from fem.rubber.law import LAWS, Law, Strain
 from geometry.design import Material
@@ -38,21 +37,13 @@ PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
 class TaylorHood:
     """A meshed body of rubber, its base z = 0 clamped.
 
-    Displacements have shape (n_nodes, 3) [mm], pressures (n_pressure,) [MPa]. Unknowns are those of the free nodes,
-    component i of the n-th of them is 3 n + i, then the pressures.
+    Displacement degrees of freedom interleave: component i of node n is 3 n + i. Unknowns are the free ones, then the
+    pressures. States are displacements (n_nodes, 3) [mm] and pressures (n_pressure,) [MPa].
     """
 
     basis: Basis  #: scikit-fem's, of one component of the displacement
     corners: IntArray  #: number of the pressure at each corner of each element, (4, m)
     law: Law  #: its λ and μ of shape (m, 1)
-
-    @classmethod
-    def of(cls, mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> "TaylorHood":
-        """A mesh of which each element (m,) holds the material that its region numbers; all are of one model."""
-        raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
-        shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
-        law = LAWS[materials[0].model].of(raised, shares)
-        return cls(Basis(mesh, ElementTetP2(), intorder=2), pressure_numbers(mesh, region), law)
 
     @property
     def mesh(self) -> MeshTet:
@@ -71,28 +62,32 @@ class TaylorHood:
     def n_pressure(self) -> int:
         return int(self.corners.max()) + 1
 
+    @property
+    def n_displacement(self) -> int:
+        """Number of displacement degrees of freedom, clamped ones included."""
+        return 3 * self.n_nodes
+
+    @cached_property
+    def _free_nodes(self) -> IntArray:
+        return np.flatnonzero(self.basis.doflocs[2] != 0.0)
+
     @cached_property
     def free(self) -> IntArray:
-        """Nodes off the base."""
-        return np.flatnonzero(self.basis.doflocs[2] != 0.0)
+        """Displacement degrees of freedom off the base."""
+        return (3 * self._free_nodes[:, None] + np.arange(3)).ravel()
 
     @property
     def n_unknowns(self) -> int:
-        return 3 * len(self.free) + self.n_pressure
-
-    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
-        """∫ φ dA of every node's function over rectangles (k, 4) of the top face, (k, n_nodes) [mm²]."""
-        return patch_integrals(self.basis, rectangles)
+        return len(self.free) + self.n_pressure
 
     def loads(self, forces: FloatArray) -> FloatArray:
-        """Right-hand sides (n_unknowns, k) of nodal forces (n_nodes, 3, k) [N]."""
-        k = forces.shape[2]
-        return np.vstack([forces[self.free].reshape(-1, k), np.zeros((self.n_pressure, k))])
+        """Right-hand sides (n_unknowns, k) of nodal forces (n_displacement, k) [N]."""
+        return np.vstack([forces[self.free], np.zeros((self.n_pressure, forces.shape[1]))])
 
     def displacements(self, solution: FloatArray) -> FloatArray:
-        """Nodal displacements (n_nodes, 3, k) [mm] of solutions (n_unknowns, k)."""
-        u = np.zeros((self.n_nodes, 3, solution.shape[1]))
-        u[self.free] = solution[: 3 * len(self.free)].reshape(-1, 3, solution.shape[1])
+        """Nodal displacements (n_displacement, k) [mm] of solutions (n_unknowns, k)."""
+        u = np.zeros((self.n_displacement, solution.shape[1]))
+        u[self.free] = solution[: len(self.free)]
         return u
 
     # elements
@@ -158,28 +153,30 @@ class TaylorHood:
     def _pairs(self) -> tuple[IntArray, IntArray, IntArray]:
         """Rows and columns of the blocks of free nodes on and above the diagonal, and the element pairs they sum."""
         number = np.full(self.n_nodes, -1, dtype=np.int64)
-        number[self.free] = np.arange(len(self.free))
+        number[self._free_nodes] = np.arange(len(self._free_nodes))
         own = number[self.basis.element_dofs.T]
         rows, cols = np.broadcast_arrays(own[:, :, None], own[:, None, :])
         kept = np.flatnonzero((rows >= 0) & (rows <= cols))
-        keys, place = np.unique(rows.ravel()[kept] * len(self.free) + cols.ravel()[kept], return_inverse=True)
+        keys, place = np.unique(rows.ravel()[kept] * len(self._free_nodes) + cols.ravel()[kept], return_inverse=True)
         entry = np.full(rows.size, -1, dtype=np.int64)
         entry[kept] = place
-        return keys // len(self.free), keys % len(self.free), entry.reshape(len(own), -1)
+        rows, cols = np.divmod(keys, len(self._free_nodes))
+        return rows, cols, entry.reshape(len(own), -1)
 
     def tangent(self, u: FloatArray, p: FloatArray) -> sp.csr_matrix:
         """The linearised equations at a state, upper triangle, (n_unknowns, n_unknowns)."""
         rows, cols, entry = self._pairs
-        n, data, pulls = 3 * len(self.free), np.zeros((len(rows) + 1, 9)), []
+        n, data, pulls = len(self.free), np.zeros((len(rows) + 1, 9)), []
         for some, K, pull in self._blocks(u, p):
             places = entry[some].ravel()  # what is left out is summed last, by −1
-            sums = sp.csr_matrix((np.ones(len(places)), (places % len(data), np.arange(len(places)))), (len(data), len(places)))
+            shape = (len(data), len(places))
+            sums = sp.csr_matrix((np.ones(len(places)), (places % len(data), np.arange(len(places)))), shape)
             data += sums @ K.reshape(-1, 9)
             pulls.append(pull)
         i, j = np.divmod(np.arange(9), 3)
         above = (rows < cols)[:, None] | (i <= j)
         number = np.full((self.n_nodes, 3), -1, dtype=np.int64)
-        number[self.free] = np.arange(n).reshape(-1, 3)
+        number[self._free_nodes] = np.arange(n).reshape(-1, 3)
         col = np.broadcast_to(n + self.corners.T[:, :, None, None], (len(entry), 4, 10, 3)).ravel()
         row = np.broadcast_to(number[self.basis.element_dofs.T][:, None], (len(entry), 4, 10, 3)).ravel()
         inside = row >= 0
@@ -205,8 +202,24 @@ class TaylorHood:
         return whole(self.upper)
 
 
-def pressure_numbers(mesh: MeshTet, region: IntArray) -> IntArray:
+def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> TaylorHood:
+    """A mesh of which each element (m,) holds the material that its region numbers; all are of one model."""
+    raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
+    shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
+    law = LAWS[materials[0].model].of(raised, shares)
+    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), pressure_dofs(mesh, region), law)
+
+
+def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
     """Number of the pressure at each corner of each element, (4, m): elements of one region share it at a point."""
     keys = mesh.t.astype(np.int64) * (int(region.max()) + 1) + region
     _, numbers = np.unique(keys, return_inverse=True)
     return numbers.reshape(keys.shape)
+
+
+def lame_of_regions(
+    material: Sequence[Material], region: IntArray, min_poisson: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
+    table = np.array([Material(young_mpa=m.young_mpa, poisson=max(m.poisson, min_poisson)).lame_mpa for m in material])
+    return table[region, 0], table[region, 1]

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 
 from fem.array.cell import PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.interior import MESH_DEGREE, cell_interior
 from fem.array.solving import solve_response
 from fem.array.substructured import condensed_cell
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.fields.array_field import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
+from fem.discretization.mirrors import flipped_points, images, parities
 
 from fem.array.cell import PortModes, condense, condense_by_parity, lobatto
 from fem.array.coupled_cells import CoupledArray
 from fem.discretization import mirrors
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.mirrors import flipped_points, images, parities
 from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
 from geometry.design import Material

@@ -10,11 +10,11 @@ import numpy as np
 import psutil
 import pytest
 import scipy.sparse as sp
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 
 from fem import factor as module
-from fem.discretization.elasticity import taylor_hood
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name
+from fem.tetrahedra.taylor_hood import taylor_hood
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

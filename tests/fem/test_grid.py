@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from skfem import Basis, ElementHex2, ElementVector, MeshHex
 from skfem.models.elasticity import linear_elasticity
 
-from fem.discretization.grid import Attractor, Grid, GridBasis, graded_lines, grid_body, grid_stiffness
 from fem.factor import Factor, checked_solve
 from geometry.design import Material
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 
 from fem.array.cell import PortModes, condense, condense_by_parity
 from fem.array.solving import ResponseSettings, solve_response
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.plate import Plate
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from skfem import Basis, ElementTetP1, ElementTetP2
 
 from fem.discretization.elements import Elements
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
 from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises

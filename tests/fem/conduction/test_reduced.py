@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 import pytest
+from fem.discretization.grid import Grid, GridBasis
 
 from fem.conduction.potentials import pillars_per_mm, unit_conductances, unit_conductors
 from fem.conduction.reduced import REDUCED_ERROR, reduced_conduction
-from fem.discretization.grid import Grid, GridBasis
 from fem.finite.gradients import PointGradients
 from geometry.design import Unit
 
