@@ -135,7 +135,7 @@ class PatchCompliance:
 
 
 def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and the numbers (m,) of tiles.
+    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and those tiles (m,).
 
     The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A row that is
     too short has lines.

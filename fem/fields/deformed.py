@@ -9,7 +9,6 @@ from skfem import Element, ElementHex2, ElementTetP2
 
 from fem.array.meshed import cell_lines
 from fem.boxes.lattice import VTK_PLACES
-from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import FiniteArrayField, between_nodes, finite_array_field, finite_field, no_stress
@@ -27,6 +26,7 @@ from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
 )
+from fem.tetrahedra.taylor_hood import IntArray
 from geometry.design import Unit
 from geometry.layout import (
     FloatArray,

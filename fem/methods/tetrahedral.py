@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
     cell_sizes,
@@ -27,6 +26,7 @@ from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch
+from fem.tetrahedra.taylor_hood import MIN_POISSON, lame_of_regions, taylor_hood
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
@@ -71,10 +71,10 @@ class BisectedTetrahedra:
         for rectangle in scene.plate_rectangles_mm:
             bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
             plates.append((np.searchsorted(body.free, bonded), own))
-        motions = tied(body.matrix.shape[0], plates)
-        matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
+        motions = tied(body.n_unknowns, plates)
+        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if plates else body.upper
         watch.spent("assemble")
-        factor = Factor(matrix)
+        factor = Factor(matrix, upper=True)
         watch.spent("factor")
 
         pushing = motions.T @ body.loads(forces)
