@@ -21,7 +21,7 @@ MAX_PROBES = 20  #: that have unit loads of their own; of more, `N_SUMS` sums wi
 N_SUMS = 24
 PRESSURE_WEIGHT = 0.25  #: of pressures beside shear strains
 LARGEST_RATIO = 1.2  #: of error to η, where no change has shown it
-LEAST_RATIOS = (0.7, 0.4, 0.15)  #: least ratio believed after two, three and more meshes
+LEAST_RATIOS = (0.8, 0.6, 0.3)  #: least ratio believed after two, three and more meshes
 SAFETY = 1.5  #: factor on the ratio that changes have shown
 
 
