@@ -19,7 +19,6 @@ from fem.discretization.indicator import (
 )
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
-from fem.discretization.richardson import MIN_MESHES
 from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
 from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
@@ -32,13 +31,14 @@ from geometry.layout import FloatArray
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
 LAST_SHARE = 0.65  #: the same, where little is missing
+MIN_MARKED = 0.12  #: of all elements: few hold the share where rubbers differ 100 times, and the mesh would hardly grow
 EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
 
 
 class BisectedTetrahedra:
     """A scene on Taylor-Hood tetrahedra."""
 
-    min_meshes = MIN_MESHES
+    min_meshes = 3
 
     def __init__(self, scene: Scene, plan: Plan, mesh: MeshTet) -> None:
         self.scene, self.mesh = scene, mesh
@@ -57,7 +57,9 @@ class BisectedTetrahedra:
         return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh = bisected(self.mesh, largest_contributors(indicators, SHARE if excess > 1.5 else LAST_SHARE))
+        least = int(MIN_MARKED * self.mesh.nelements)
+        marked = largest_contributors(indicators, SHARE if excess > 1.5 else LAST_SHARE)
+        self.mesh = bisected(self.mesh, marked if len(marked) > least else np.argsort(-indicators)[:least])
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, mesh = self.scene, self.mesh
