@@ -27,7 +27,7 @@ from fem.rubber.law import LAWS, Law, Strain
 from geometry.design import Material
 from geometry.layout import FloatArray
 
-IntArray = NDArray[np.integer]
+IntArray = NDArray[np.int64]
 MIN_POISSON = 1e-6  #: to which ν is raised: 1/λ grows without bound as ν → 0; changes no stress by more than that share
 AT_ONCE = 8_000  #: elements whose matrices are made at a time: some 60 MB
 PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
