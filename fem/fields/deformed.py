@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Element, ElementHex2, ElementTetP2
 
-from fem.array.substructured import cell_lines, whole_lines
+from fem.array.meshed import cell_lines
 from fem.boxes.lattice import VTK_PLACES
 from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
@@ -212,7 +212,7 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
 def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
     design = array.design
-    local = np.stack(np.meshgrid(*whole_lines(cell_lines(design, FINENESS)), indexing="ij"), axis=-1)
+    local = np.stack(np.meshgrid(*cell_lines(design, FINENESS), indexing="ij"), axis=-1)
     nx, ny, nz = (count - 1 for count in local.shape[:3])
     cols, rows = design.array.cols, design.array.rows
     shape = (cols * nx + 1, rows * ny + 1, nz + 1)

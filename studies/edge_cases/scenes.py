@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from fem.array.closed_forms import mean_compliance
 from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import condensed_cell, lone_unit
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import PADS, condensed_cell, lone_unit
+from fem.array.substructured import PADS
 from fem.discretization.elasticity import taylor_hood
 from fem.factor import Factor, checked_solve
 from fem.methods.solving import solve_scene
