@@ -284,13 +284,11 @@ def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Cont
     beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
     of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / found.depth_mm + SIDE_ERROR * beside**2
     at_electrodes = TABLE_ERROR + ELECTRODE_ERROR * _difference(between.electrodes_mm(force_n), found.electrode_mm)
-    return replace(
-        found,
-        error_estimate=float(left * _difference(coarse.force_n, found.force_n) + of_tiles),
-        electrode_error_estimate=float(
-            left * _difference(coarse.electrode_mm, found.electrode_mm) + of_tiles + at_electrodes
-        ),
+    forces, electrodes = (
+        float(left * _difference(getattr(coarse, name), getattr(found, name)) + of_tiles)
+        for name in ("force_n", "electrode_mm")
     )
+    return replace(found, error_estimate=forces, electrode_error_estimate=electrodes + at_electrodes)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:
