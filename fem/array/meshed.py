@@ -14,7 +14,6 @@ from skfem import MeshTet
 from fem.array.cell import CellBody, CondensedCell, PortModes, condense
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
 from fem.factor import SparseMatrix
@@ -23,6 +22,7 @@ from fem.rubber.body import RubberBody
 from fem.rubber.law import LAWS
 from fem.scene.loads import StiffLoad
 from fem.system import System
+from fem.tetrahedra.taylor_hood import TaylorHood, taylor_hood
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -116,7 +116,7 @@ class BoxCell:
 class TetCell:
     """A whole cell of Taylor-Hood tetrahedra; see `cell.CellBody`."""
 
-    body: ElasticBody
+    body: TaylorHood
     plate: FloatArray | None = None  #: rectangle (4,) of its top that a plate is bonded to
     mirrors: tuple[Mirror, ...] = ()
     definite: bool = False
@@ -207,7 +207,7 @@ def mirrored(lines: FloatArray) -> FloatArray:
     return np.concatenate([-lines[:0:-1], lines])
 
 
-def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
+def elastic_body(design: SensorDesign, mesh: TetMesh) -> TaylorHood:
     """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
     skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
     return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
