@@ -1,7 +1,7 @@
 """Presses a rigid shape into an array's top and drags it along, at small strain: open this file first."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -46,17 +46,84 @@ class ContactError(TriPillarError, ValueError):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Contact:
+class Indentation:
+    """A rigid shape pressed into an array's top, and then dragged along it."""
+
+    design: SensorDesign
+    shape: Shape = field(repr=False)
+    depth_mm: float
+    at_mm: tuple[float, float]
+    slide_mm: tuple[float, float]
+    friction: float
+
+    def __post_init__(self) -> None:
+        for name, place in (("at_mm", self.at_mm), ("slide_mm", self.slide_mm)):
+            if not np.isfinite(place).all():
+                raise ContactError(f"{name}={place[0]:g},{place[1]:g} must be finite numbers.")
+        height_mm, most_mm = self.design.unit.height_mm, max(self.design.slab_mm[:2])
+        if not 0 < self.depth_mm < height_mm:
+            raise ContactError(
+                f"depth_mm={self.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far "
+                "the shape goes down."
+            )
+        if not 0 <= self.friction <= MAX_FRICTION:
+            raise ContactError(f"friction={self.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
+        if np.abs(self.slide_mm).max() > most_mm:
+            x, y = self.slide_mm
+            raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most_mm:g} mm along x and y.")
+
+    def heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
+        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
+        x, y = np.array(self.at_mm) + past_mm
+        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+
+    def solved(self, compliance: PatchCompliance, increments: int) -> tuple["Contact", NDArray[np.bool_]]:
+        """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
+        patch, slide = compliance.patch, np.array(self.slide_mm, dtype=float)
+        stages = [(self.depth_mm, slide)]
+        if self.friction:
+            steps = np.arange(1, increments + 1) / increments
+            stages = [(self.depth_mm * step, 0 * slide) for step in steps]
+            stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
+        force = moved = np.zeros((3 if self.friction else 1, patch.ny, patch.nx))  # the last component into the body
+        slid = past = np.zeros(2)  # of the shape; of the shape over the rubber
+        touched = np.zeros((patch.ny, patch.nx), dtype=bool)
+        for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
+            step, tolerance = slide_mm - slid, TOLERANCE if number == len(stages) else ON_THE_WAY
+            slip = -moved[:-1] - step[: len(moved) - 1, None, None]
+            slid, ahead = slide_mm, past if self.friction else slide_mm
+            for _ in range(PASSES if step.any() else 1):  # again if it slipped past the rubber farther than assumed
+                past = ahead
+                apart = np.stack([*slip, self.heights_mm(patch, past) + self.depth_mm - depth_mm])
+                force, moved = balanced(compliance.pressed_mm, apart, self.friction, force, tolerance)
+                if self.friction and step.any():
+                    dragged = (moved[:2] * force[2]).sum(axis=(1, 2)) / max(force[2].sum(), np.finfo(float).tiny)
+                    ahead = slide_mm - dragged
+                if np.abs(ahead - past).max() < SMALL_STEP * min(patch.cell_mm):
+                    break
+            touched |= (depth_mm == self.depth_mm) & (force[-1] > 0)
+        whole = np.zeros((3, patch.ny, patch.nx))
+        whole[-len(force) :] = force
+        moved = compliance.moved_mm(whole * UP)
+        contact = Contact(
+            **{one.name: getattr(self, one.name) for one in fields(Indentation)},
+            patch=patch,
+            cell_force_n=whole,
+            displacement_mm=moved,
+            gap_mm=self.heights_mm(patch, past) - moved[2],
+            force_n=patch.unit_forces(whole, self.design),
+            electrode_mm=compliance.electrodes_mm(whole * UP),
+        )
+        return contact, touched
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contact(Indentation):
     """A rigid shape in balance with the array's top.
 
     Forces act on the sensor, along x and y of the array; along z they are positive in compression.
     """
 
-    design: SensorDesign
-    depth_mm: float
-    at_mm: tuple[float, float]
-    slide_mm: tuple[float, float]
-    friction: float
     patch: Patch = field(repr=False)
     cell_force_n: FloatArray = field(repr=False)  #: (3, ny, nx) on the patch's cells, z positive in compression
     displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
@@ -183,19 +250,25 @@ def press(
     if not isinstance(sensor, SurfaceCompliance):
         require_type("sensor", sensor, SensorDesign, "give a design, or its surface_compliance")
     design = sensor.design if isinstance(sensor, SurfaceCompliance) else sensor
-    path = _Path(design, shape, depth_mm, at_mm, slide_mm, friction)
-    _require_sane(path, cells)
-    wide = _patch(design, *path.box(shape.half_extents_mm(PILE_UP * depth_mm)), cells // 2)
-    if wide is None:
-        raise _missed(path)
-    surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
-    coarse, touched = path.followed(PatchCompliance(surface, wide), 1)
-    if not touched.any():
-        raise _missed(path)
+    path = Indentation(design=design, shape=shape, depth_mm=depth_mm, at_mm=at_mm, slide_mm=slide_mm, friction=friction)
+    if not MIN_CELLS <= cells <= MAX_CELLS:
+        raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
+    start, half_mm = np.array(at_mm), shape.half_extents_mm(PILE_UP * depth_mm)
+    end = start + slide_mm
+    wide = _patch(design, np.minimum(start, end) - half_mm, np.maximum(start, end) + half_mm, cells // 2)
+    touched = np.zeros((0, 0), dtype=bool)
+    if wide is not None:
+        surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
+        coarse, touched = path.solved(PatchCompliance(surface, wide), 1)
+    if wide is None or not touched.any():
+        x, y, _ = design.slab_mm
+        raise ContactError(
+            f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
+            f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
+        )
     fine = _patch(design, *_around(wide, touched), cells)
     assert fine is not None  # it is part of the wide one
-    found, _ = path.followed(PatchCompliance(surface, fine), INCREMENTS)
-    return _judged(found, coarse, surface)
+    return _judged(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse, surface)
 
 
 def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Contact:
@@ -211,108 +284,15 @@ def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Cont
     beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
     of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / found.depth_mm + SIDE_ERROR * beside**2
     at_electrodes = TABLE_ERROR + ELECTRODE_ERROR * _difference(between.electrodes_mm(force_n), found.electrode_mm)
-    return replace(
-        found,
-        error_estimate=float(left * _difference(coarse.force_n, found.force_n) + of_tiles),
-        electrode_error_estimate=float(
-            left * _difference(coarse.electrode_mm, found.electrode_mm) + of_tiles + at_electrodes
-        ),
+    forces, electrodes = (
+        float(left * _difference(getattr(coarse, name), getattr(found, name)) + of_tiles)
+        for name in ("force_n", "electrode_mm")
     )
+    return replace(found, error_estimate=forces, electrode_error_estimate=electrodes + at_electrodes)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:
     return float(np.linalg.norm(one - other) / max(np.linalg.norm(other), np.finfo(float).tiny))
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """One indentation: a shape, its depth and its slide."""
-
-    design: SensorDesign
-    shape: Shape
-    depth_mm: float
-    at_mm: tuple[float, float]
-    slide_mm: tuple[float, float]
-    friction: float
-
-    def box(self, half_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Corners of what a shape of these half extents passes over."""
-        start, end = np.array(self.at_mm), np.array(self.at_mm) + self.slide_mm
-        return np.minimum(start, end) - half_mm, np.maximum(start, end) + half_mm
-
-    def followed(self, compliance: PatchCompliance, increments: int) -> tuple[Contact, NDArray[np.bool_]]:
-        """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
-        patch, slide = compliance.patch, np.array(self.slide_mm, dtype=float)
-        stages = [(self.depth_mm, slide)]
-        if self.friction:
-            steps = np.arange(1, increments + 1) / increments
-            stages = [(self.depth_mm * step, 0 * slide) for step in steps]
-            stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
-        nothing = np.zeros((3 if self.friction else 1, patch.ny, patch.nx))
-        now, touched = _Increment(nothing, nothing, 0 * slide, 0 * slide), np.zeros((patch.ny, patch.nx), dtype=bool)
-        for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
-            tolerance = TOLERANCE if number == len(stages) else ON_THE_WAY
-            now = self._after(now, compliance, depth_mm, slide_mm, tolerance)
-            touched |= (depth_mm == self.depth_mm) & (now.force_n[-1] > 0)
-        force = np.zeros((3, patch.ny, patch.nx))
-        force[-len(nothing) :] = now.force_n
-        moved = compliance.moved_mm(force * UP)
-        contact = Contact(
-            design=self.design,
-            depth_mm=self.depth_mm,
-            at_mm=self.at_mm,
-            slide_mm=self.slide_mm,
-            friction=self.friction,
-            patch=patch,
-            cell_force_n=force,
-            displacement_mm=moved,
-            gap_mm=self._heights_mm(patch, now.past_mm) - moved[2],
-            force_n=patch.unit_forces(force, self.design),
-            electrode_mm=compliance.electrodes_mm(force * UP),
-        )
-        return contact, touched
-
-    def _heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
-        """Height of the shape above the undeformed top, (ny, nx), where it has gone past the rubber so far."""
-        x, y = patch.x_mm - self.at_mm[0] - past_mm[0], patch.y_mm[:, None] - self.at_mm[1] - past_mm[1]
-        return self.shape.heights_mm(x, y) - self.depth_mm
-
-    def _after(
-        self,
-        before: "_Increment",
-        compliance: PatchCompliance,
-        depth_mm: float,
-        slide_mm: FloatArray,
-        tolerance: float,
-    ) -> "_Increment":
-        """The next increment; again if the shape slipped past the rubber farther than was assumed."""
-        patch, step = compliance.patch, slide_mm - before.slide_mm
-        now, past = before, before.past_mm if self.friction else slide_mm
-        for _ in range(PASSES if self.friction and step.any() else 1):
-            gap = self._heights_mm(patch, past) + self.depth_mm - depth_mm
-            slip = -before.moved_mm[:-1] - step[: len(now.moved_mm) - 1, None, None]
-            solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n, tolerance)
-            now = _Increment(*solved, slide_mm, past)
-            past = slide_mm - _dragged(now) if self.friction else slide_mm
-            if np.abs(past - now.past_mm).max() < SMALL_STEP * min(patch.cell_mm):
-                break
-        return now
-
-
-@dataclass(frozen=True, eq=False)
-class _Increment:
-    """A balanced state on the way; the last component points into the body."""
-
-    force_n: FloatArray  #: (3, ny, nx), or (1, ny, nx) without friction
-    moved_mm: FloatArray  #: the same
-    slide_mm: FloatArray  #: (2,), of the shape
-    past_mm: FloatArray  #: (2,), of the shape over the rubber
-
-
-def _dragged(now: _Increment) -> FloatArray:
-    """Mean displacement of the rubber along x and y under the pressure, (2,) [mm]."""
-    pressing = now.force_n[2]
-    return (now.moved_mm[:2] * pressing).sum(axis=(1, 2)) / max(pressing.sum(), np.finfo(float).tiny)
 
 
 def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells: int) -> Patch | None:
@@ -333,30 +313,3 @@ def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, Floa
     last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
     low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
     return low + first * cell, low + last * cell
-
-
-def _require_sane(path: _Path, cells: int) -> None:
-    for name, place in (("at_mm", path.at_mm), ("slide_mm", path.slide_mm)):
-        if not np.isfinite(place).all():
-            raise ContactError(f"{name}={place[0]:g},{place[1]:g} must be finite numbers.")
-    height_mm = path.design.unit.height_mm
-    if not 0 < path.depth_mm < height_mm:
-        raise ContactError(
-            f"depth_mm={path.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far the "
-            "shape goes down."
-        )
-    if not 0 <= path.friction <= MAX_FRICTION:
-        raise ContactError(f"friction={path.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
-    most, (x, y) = max(path.design.slab_mm[:2]), path.slide_mm
-    if max(abs(x), abs(y)) > most:
-        raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most:g} mm along x and y.")
-    if not MIN_CELLS <= cells <= MAX_CELLS:
-        raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
-
-
-def _missed(path: _Path) -> ContactError:
-    x, y, _ = path.design.slab_mm
-    return ContactError(
-        f"the shape misses the sensor at at_mm={path.at_mm[0]:g},{path.at_mm[1]:g}, depth {path.depth_mm:g} mm: the "
-        f"top reaches from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
-    )

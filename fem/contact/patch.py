@@ -39,12 +39,12 @@ class Patch:
     @property
     def x_mm(self) -> FloatArray:
         """Middles of the cells along x, (nx,)."""
-        return self.low_mm[0] + (np.arange(self.nx) + 0.5) * self.cell_mm[0]
+        return _middles(self.low_mm[0], self.high_mm[0], self.nx)
 
     @property
     def y_mm(self) -> FloatArray:
         """Middles of the cells along y, (ny,)."""
-        return self.low_mm[1] + (np.arange(self.ny) + 0.5) * self.cell_mm[1]
+        return _middles(self.low_mm[1], self.high_mm[1], self.ny)
 
     def unit_forces(self, force_n: FloatArray, design: SensorDesign) -> FloatArray:
         """Force on each unit's share of the top, pitch × pitch, (rows, cols, 3) [N]; cells on a border are divided."""
@@ -78,7 +78,7 @@ class PatchCompliance:
         )
         moved = np.einsum("abyx,byx->ayx", spectrum[-k:, -k:], fft.rfft2(force_n, size))
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
-        tiles = (self._near(k) @ self._on_tiles(force_n).ravel()).reshape(k, len(self._rows[1]), -1)
+        tiles = (self._near(k) @ self._on_tiles(force_n).ravel()).reshape(k, self._rows[0].shape[1], -1)
         return layer + self._rows[0] @ tiles @ self._columns[0].T
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
@@ -88,7 +88,7 @@ class PatchCompliance:
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
-        near = self.surface.on_electrodes[..., *self._tiles]
+        near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
         rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._on_tiles(force_n).ravel()
         return (self._electrodes_of_layer(force_n).ravel() + rest).reshape(near.shape[:4])
 
@@ -112,30 +112,29 @@ class PatchCompliance:
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
 
     @cached_property
-    def _columns(self) -> tuple[FloatArray, FloatArray]:
-        """Shares of the patch's columns in columns of tiles, and these' numbers."""
+    def _columns(self) -> tuple[FloatArray, slice]:
+        """Shares of the patch's columns in columns of tiles, and which tiles these are."""
         return _shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm, self.degree)
 
     @cached_property
-    def _rows(self) -> tuple[FloatArray, FloatArray]:
+    def _rows(self) -> tuple[FloatArray, slice]:
         return _shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
-
-    @property
-    def _tiles(self) -> tuple[slice, slice]:
-        """Rows and columns of tiles that the patch needs."""
-        rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
-        return rows, columns
 
     def _near(self, k: int) -> FloatArray:
         """What is added to the layer on these tiles, along the last k axes, (k·n, k·n) [mm/N]."""
         if k not in self._blocks:
-            part = self.surface.on_tiles[-k:, *self._tiles, -k:, *self._tiles]
+            tiles = slice(3 - k, 3), self._rows[1], self._columns[1]
+            part = self.surface.on_tiles[*tiles, *tiles]
             self._blocks[k] = part.reshape(int(np.prod(part.shape[:3])), -1)
         return self._blocks[k]
 
 
-def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and those tiles (m,).
+def _middles(low_mm: float, high_mm: float, count: int) -> FloatArray:
+    return np.asarray(low_mm + (np.arange(count) + 0.5) * (high_mm - low_mm) / count)
+
+
+def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, slice]:
+    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and which m tiles.
 
     The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A row that is
     too short has lines.
@@ -146,11 +145,10 @@ def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> t
     # the slope of the polynomial through sums of tiles at their edges
     lagrange = np.linalg.inv(np.vander(np.arange(degree + 2.0), increasing=True))
     powers = np.vander(at - first, degree + 1, increasing=True) * np.arange(1, degree + 2)
-    numbers = np.arange(first.min(), first.max() + degree + 1)
-    shares = np.zeros((len(at), len(numbers)))
-    own = first[:, None] - numbers[0] + np.arange(degree + 1)
+    start, stop = int(first.min()), int(first.max()) + degree + 1
+    shares, own = np.zeros((len(at), stop - start)), first[:, None] - start + np.arange(degree + 1)
     shares[np.arange(len(at))[:, None], own] = powers @ lagrange[1:] @ np.tri(degree + 2, degree + 1, -1)
-    return shares, numbers
+    return shares, slice(start, stop)
 
 
 def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np.ndarray, FloatArray]:

@@ -35,7 +35,7 @@ class Sphere:
     radius_mm: float
 
     def __post_init__(self) -> None:
-        _require_size(radius_mm=self.radius_mm)
+        _require(radius_mm=self.radius_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return _arc(np.hypot(x_mm, y_mm), self.radius_mm)
@@ -54,8 +54,7 @@ class Cylinder:
     turn_deg: float = 0.0  #: of its axis from x towards y
 
     def __post_init__(self) -> None:
-        _require_size(radius_mm=self.radius_mm, length_mm=self.length_mm)
-        _require_turn(self.turn_deg)
+        _require(self.turn_deg, radius_mm=self.radius_mm, length_mm=self.length_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         along, across = _turned(x_mm, y_mm, self.turn_deg)
@@ -74,18 +73,14 @@ class Flat:
     turn_deg: float = 0.0  #: of its own x from x towards y
 
     def __post_init__(self) -> None:
-        if self.radius_mm is None:
-            for side in self.size_mm:
-                _require_size(size_mm=side)
-        else:
-            _require_size(radius_mm=self.radius_mm)
-        _require_turn(self.turn_deg)
+        for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
+            _require(self.turn_deg, **{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        if self.radius_mm is not None:
-            return np.where(np.hypot(x_mm, y_mm) <= self.radius_mm, 0.0, np.inf)
         along, across = _turned(x_mm, y_mm, self.turn_deg)
         inside = (np.abs(along) <= self.size_mm[0] / 2) & (np.abs(across) <= self.size_mm[1] / 2)
+        if self.radius_mm is not None:
+            inside = np.hypot(x_mm, y_mm) <= self.radius_mm
         return np.where(inside, 0.0, np.inf)
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
@@ -144,7 +139,7 @@ def solid_of(triangles_mm: FloatArray) -> Solid:
     """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
-    _require_size(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
+    _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
     step = size[:2].max() / RASTER
     x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
@@ -153,8 +148,10 @@ def solid_of(triangles_mm: FloatArray) -> Solid:
     doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     edge = 1e-9 * step
     for k in np.flatnonzero(doubled < 0):  # what looks down; upright faces have no area from below
-        columns = slice(*np.searchsorted(x, [corners[k, :, 0].min() - edge, corners[k, :, 0].max() + edge]))
-        rows = slice(*np.searchsorted(y, [corners[k, :, 1].min() - edge, corners[k, :, 1].max() + edge]))
+        columns, rows = (
+            slice(*np.searchsorted(line, [corners[k, :, d].min() - edge, corners[k, :, d].max() + edge]))
+            for d, line in enumerate((x, y))
+        )
         px, py = x[None, columns] - ax[k], y[rows, None] - ay[k]
         b = (px * (cy - ay)[k] - py * (cx - ax)[k]) / doubled[k]
         c = (py * (bx - ax)[k] - px * (by - ay)[k]) / doubled[k]
@@ -186,12 +183,9 @@ def _box(half_along: float, half_across: float, turn_deg: float) -> tuple[float,
     return float(half_along * cos + half_across * sin), float(half_along * sin + half_across * cos)
 
 
-def _require_size(**lengths: float) -> None:
+def _require(turn_deg: float = 0.0, **lengths: float) -> None:
     for name, length in lengths.items():
         if not 1e-3 <= length <= MAX_MM:
             raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")
-
-
-def _require_turn(turn_deg: float) -> None:
     if not abs(turn_deg) <= 360:
         raise ShapeError(f"turn_deg={turn_deg:g} must be from -360 to 360 degrees.")
