@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, Readout, measured
-from geometry.design import quantity, require_numbers
+from geometry.design import quantity, require_sound
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.wiring import crossing_of_pillar, crossings
@@ -42,7 +42,7 @@ class Imperfections:
     dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        require_sound(self)
         if not 0 <= self.gain_spread < 1:
             raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
         if not 0 <= self.offset_ohm <= 1e6:  # far below OPEN_OHM

@@ -11,13 +11,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import brentq
 
-from fem.scene.solution import largest_error
+from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
 
 Answer = Mapping[str, FloatArray]  #: displacements of probes, or whatever else is compared by name
-Difference = Callable[[Answer, Answer], float]  #: an answer's relative error against another
+Change = Callable[[Answer, Answer, Answer], float]  #: of one answer to another, relative to a third
 
 SAFETY = 1.5  #: factor on the error that the observed rate says
+
+
+def largest_change(one: Answer, other: Answer, reference: Answer) -> float:
+    """Largest change of a probe from one answer to another, relative to a reference as `relative_errors` says."""
+    difference = {name: other[name] - one[name] for name in reference}
+    return max(relative_errors(difference, reference).values(), default=0.0)
 
 
 def richardson_factor(coarse: float, fine: float, rate: float) -> float:
@@ -56,7 +62,7 @@ class Convergence:
 
     rates: tuple[float, float]  #: least and greatest rate of convergence that is believed
     is_extrapolated: bool = False  #: whether the best answer is the limit that the last two levels tend to
-    difference: Difference = largest_error
+    change: Change = largest_change
     levels: list[float] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
 
@@ -71,7 +77,7 @@ class Convergence:
         if len(self.levels) < 3:
             return self.rates[0]
         one, two, three = self.answers[-3:]
-        changes = self.difference(one, two), self.difference(two, three)
+        changes = self.change(one, two, three), self.change(two, three, three)
         a, b, c = self.levels[-3:]
         return observed_rate((a, b, c), changes, self.rates)
 
@@ -96,7 +102,7 @@ class Convergence:
         """
         if len(self.answers) < 2:
             return np.inf
-        return SAFETY * self.factor * self.difference(self.answers[-2], self.answers[-1])
+        return SAFETY * self.factor * self.change(*self.answers[-2:], self.answers[-1])
 
 
 def to_tolerance(

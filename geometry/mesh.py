@@ -21,8 +21,8 @@ from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
+from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
-from geometry.storage.kept import kept
 from geometry.storage.seal import BLANK, require_intact, sealed
 from geometry.surface import check_surface
 

@@ -12,8 +12,8 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError
+from geometry.storage.cache import kept
 from geometry.storage.files import digest
-from geometry.storage.kept import kept
 
 VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {

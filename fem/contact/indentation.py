@@ -1,34 +1,42 @@
 """Presses a rigid shape into an array's top and drags it along, at small strain: open this file first."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.contact.coulomb import TOLERANCE, balanced
-from fem.contact.patch import Patch, PatchCompliance, tile_integrals
+from fem.contact.coulomb import balanced
+from fem.contact.patch import FINER_DEGREE, Patch, PatchCompliance
 from fem.contact.shapes import Shape
 from fem.contact.surface import SurfaceCompliance, surface_compliance
+from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError, require_type
 from geometry.layout import FloatArray
 
-CELLS = 48  #: of the grid along the longer side of a contact
-COARSE_CELLS = 24  #: of the grid on which the contact's extent is found
-REACH = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer, which piles up
+CELLS = 48  #: of the grid along the longer side of a contact; half as many where the contact's extent is found
+MIN_CELLS, MAX_CELLS = 16, 256
+NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has across at least
+PILE_UP = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer
 MARGIN = 1  #: coarse cells around the contact
-PRESS_STEPS, SLIDE_STEPS = 4, 4  #: increments of depth, and then of slide, where there is friction
-ON_THE_WAY = 1e-3  #: tolerance of increments before the last
+INCREMENTS = 4  #: of depth, and then of slide, where there is friction; one on the coarse grid
+TOLERANCE, ON_THE_WAY = 1e-4, 1e-3  #: of forces, of the last increment and of those before
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
-NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has across at least
 MIN_MM = 1e-6  #: of a side of a patch
-MIN_CELLS, MAX_CELLS = 8, 256
-STICKS = 1 - 1e-3  #: of the largest friction: below, a cell sticks
-FREE, SLIPPING, STICKING = range(3)
+STICK_LIMIT = 1 - 1e-3  #: of the largest friction: below, a cell sticks
+OPEN, SLIP, STICK = range(3)
+
+RATE = 1.0  #: least rate at which forces converge with cells and increments
+#: error of forces over the root mean square, under the pressure, of what polynomials of `FINER_DEGREE` between tiles
+#: change, relative to the depth; of electrodes over what these change there. Both from 250 random contacts on four
+#: sensors, by tiles a third as large
+TILE_ERROR, ELECTRODE_ERROR = 2.0, 3.0
+TABLE_ERROR = 4e-3  #: of electrodes, by a table of a quarter of its step
+SIDE_ERROR = 0.3  #: of the force of a contact right at the array's side, where one tile holds all that the side adds
 
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 
@@ -54,7 +62,9 @@ class Contact:
     displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
     gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
     force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
-    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes
+    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes along x, y, z
+    error_estimate: float = np.inf  #: relative error of the units' forces, as a norm over all of them
+    electrode_error_estimate: float = np.inf  #: the same of the electrodes' displacements
 
     @cached_property
     def pressure_mpa(self) -> FloatArray:
@@ -81,9 +91,8 @@ class Contact:
     @property
     def centre_mm(self) -> FloatArray:
         """Centre of pressure, x and y [mm]."""
-        pressing = self.cell_force_n[2]
-        x, y = (pressing * self.patch.x_mm).sum(), (pressing * self.patch.y_mm[:, None]).sum()
-        return np.array([x, y]) / pressing.sum()
+        about_x, about_y, _ = self.moment_nmm
+        return np.array([about_y, -about_x]) / self.cell_force_n[2].sum()
 
     @property
     def area_mm2(self) -> float:
@@ -105,15 +114,15 @@ class Contact:
     @property
     def sticking(self) -> float:
         """Share of the contact's area that sticks."""
-        return float((self.state == STICKING).sum() / max(1, (self.state != FREE).sum()))
+        return float((self.state == STICK).sum() / max(1, (self.state != OPEN).sum()))
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
-        """`FREE`, `SLIPPING` or `STICKING` of every cell of the patch, (ny, nx)."""
+        """`OPEN`, `SLIP` or `STICK` of every cell of the patch, (ny, nx)."""
         touching = self.cell_force_n[2] > 0
         limit = self.friction * self.cell_force_n[2]
-        sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICKS * limit)
-        return np.where(sticks, STICKING, np.where(touching, SLIPPING, FREE)).astype(np.int8)
+        sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICK_LIMIT * limit)
+        return np.where(sticks, STICK, np.where(touching, SLIP, OPEN)).astype(np.int8)
 
 
 def press(
@@ -164,24 +173,55 @@ def press(
     Notes
     -----
     Linear elasticity on the undeformed top: strains of more than some 10 % are only roughly right, whatever the grid.
-    With friction, depth and slide grow in `PRESS_STEPS` and `SLIDE_STEPS` increments, each of them Coulomb's law on the
-    slip since the last. Where a shape drags the rubber along, its place over the rubber moves by its slip alone.
+    With friction, depth and slide grow in `INCREMENTS` each, every one Coulomb's law on the slip since the last. Where
+    a shape drags the rubber along, its place over the rubber moves by its slip alone.
+
+    A coarse grid, with one increment each, finds where the shape touches; the fine grid covers that. The error is
+    estimated as the sum of two: what both grids differ by, at first order, times `SAFETY`; and what is lost between the
+    tiles on which rims and other pillars count, see `TILE_ERROR` and `SIDE_ERROR`.
     """
     if not isinstance(sensor, SurfaceCompliance):
         require_type("sensor", sensor, SensorDesign, "give a design, or its surface_compliance")
     design = sensor.design if isinstance(sensor, SurfaceCompliance) else sensor
     path = _Path(design, shape, depth_mm, at_mm, slide_mm, friction)
     _require_sane(path, cells)
-    wide = _patch(design, *path.box(shape.reach_mm(REACH * depth_mm)), COARSE_CELLS)
+    wide = _patch(design, *path.box(shape.half_extents_mm(PILE_UP * depth_mm)), cells // 2)
     if wide is None:
         raise _missed(path)
     surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
-    touching = path.touching(PatchCompliance(surface, wide))
-    if not touching.any():
+    coarse, touched = path.followed(PatchCompliance(surface, wide), 1)
+    if not touched.any():
         raise _missed(path)
-    fine = _patch(design, *_around(wide, touching), cells)
+    fine = _patch(design, *_around(wide, touched), cells)
     assert fine is not None  # it is part of the wide one
-    return path.followed(PatchCompliance(surface, fine))
+    found, _ = path.followed(PatchCompliance(surface, fine), INCREMENTS)
+    return _judged(found, coarse, surface)
+
+
+def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Contact:
+    """A contact with estimates of its errors, by one on a coarser grid."""
+    patch, force_n = found.patch, found.cell_force_n * UP
+    finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
+    left = SAFETY * richardson_factor(1.0, finer, RATE)
+    between = PatchCompliance(surface, patch, FINER_DEGREE)
+    pressing = found.cell_force_n[2] / found.cell_force_n[2].sum()
+    off = ((between.moved_mm(force_n) - found.displacement_mm) ** 2).sum(axis=0)
+    half = np.array(found.design.slab_mm[:2]) / 2
+    to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
+    beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
+    of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / found.depth_mm + SIDE_ERROR * beside**2
+    at_electrodes = TABLE_ERROR + ELECTRODE_ERROR * _difference(between.electrodes_mm(force_n), found.electrode_mm)
+    return replace(
+        found,
+        error_estimate=float(left * _difference(coarse.force_n, found.force_n) + of_tiles),
+        electrode_error_estimate=float(
+            left * _difference(coarse.electrode_mm, found.electrode_mm) + of_tiles + at_electrodes
+        ),
+    )
+
+
+def _difference(one: FloatArray, other: FloatArray) -> float:
+    return float(np.linalg.norm(one - other) / max(np.linalg.norm(other), np.finfo(float).tiny))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,25 +235,30 @@ class _Path:
     slide_mm: tuple[float, float]
     friction: float
 
-    def box(self, reach_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Corners of what a shape of this reach passes over."""
+    def box(self, half_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """Corners of what a shape of these half extents passes over."""
         start, end = np.array(self.at_mm), np.array(self.at_mm) + self.slide_mm
-        return np.minimum(start, end) - reach_mm, np.maximum(start, end) + reach_mm
+        return np.minimum(start, end) - half_mm, np.maximum(start, end) + half_mm
 
-    def followed(self, compliance: PatchCompliance) -> Contact:
-        """Press and slide on a grid, and gather what is asked."""
-        design, patch = self.design, compliance.patch
-        shape = (3 if self.friction else 1, patch.ny, patch.nx)
-        now = _Increment(np.zeros(shape), np.zeros(shape), np.zeros(2), np.zeros(2))
-        *before, last = self._increments()
-        for depth_mm, slide_mm in before:
-            now = self._after(now, compliance, depth_mm, slide_mm, ON_THE_WAY)
-        now = self._after(now, compliance, *last, TOLERANCE)
+    def followed(self, compliance: PatchCompliance, increments: int) -> tuple[Contact, NDArray[np.bool_]]:
+        """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
+        patch, slide = compliance.patch, np.array(self.slide_mm, dtype=float)
+        stages = [(self.depth_mm, slide)]
+        if self.friction:
+            steps = np.arange(1, increments + 1) / increments
+            stages = [(self.depth_mm * step, 0 * slide) for step in steps]
+            stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
+        nothing = np.zeros((3 if self.friction else 1, patch.ny, patch.nx))
+        now, touched = _Increment(nothing, nothing, 0 * slide, 0 * slide), np.zeros((patch.ny, patch.nx), dtype=bool)
+        for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
+            tolerance = TOLERANCE if number == len(stages) else ON_THE_WAY
+            now = self._after(now, compliance, depth_mm, slide_mm, tolerance)
+            touched |= (depth_mm == self.depth_mm) & (now.force_n[-1] > 0)
         force = np.zeros((3, patch.ny, patch.nx))
-        force[-shape[0] :] = now.force_n
+        force[-len(nothing) :] = now.force_n
         moved = compliance.moved_mm(force * UP)
-        return Contact(
-            design=design,
+        contact = Contact(
+            design=self.design,
             depth_mm=self.depth_mm,
             at_mm=self.at_mm,
             slide_mm=self.slide_mm,
@@ -222,32 +267,15 @@ class _Path:
             cell_force_n=force,
             displacement_mm=moved,
             gap_mm=self._heights_mm(patch, now.past_mm) - moved[2],
-            force_n=tile_integrals(patch, force, design.array.rows, design.array.cols, design.array.pitch_mm),
+            force_n=patch.unit_forces(force, self.design),
             electrode_mm=compliance.electrodes_mm(force * UP),
         )
-
-    def touching(self, compliance: PatchCompliance) -> NDArray[np.bool_]:
-        """Cells of a grid that touch without friction, before or after the slide."""
-        patch = compliance.patch
-        found = np.zeros((patch.ny, patch.nx), dtype=bool)
-        for slide_mm in {(0.0, 0.0), (float(self.slide_mm[0]), float(self.slide_mm[1]))}:
-            gap = self._heights_mm(patch, np.array(slide_mm))[None]
-            found |= balanced(compliance.pressed_mm, gap, 0.0, np.zeros_like(gap)).force_n[0] > 0
-        return found
-
-    def _increments(self) -> list[tuple[float, FloatArray]]:
-        """Depth and slide after each increment."""
-        slide = np.array(self.slide_mm, dtype=float)
-        if not self.friction:
-            return [(self.depth_mm, slide)]
-        pressed = [(self.depth_mm * k / PRESS_STEPS, np.zeros(2)) for k in range(1, PRESS_STEPS + 1)]
-        dragged = [(self.depth_mm, slide * k / SLIDE_STEPS) for k in range(1, SLIDE_STEPS + 1)]
-        return pressed + (dragged if slide.any() else [])
+        return contact, touched
 
     def _heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
-        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
-        x, y = np.array(self.at_mm) + past_mm
-        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+        """Height of the shape above the undeformed top, (ny, nx), where it has gone past the rubber so far."""
+        x, y = patch.x_mm - self.at_mm[0] - past_mm[0], patch.y_mm[:, None] - self.at_mm[1] - past_mm[1]
+        return self.shape.heights_mm(x, y) - self.depth_mm
 
     def _after(
         self,
@@ -262,9 +290,9 @@ class _Path:
         now, past = before, before.past_mm if self.friction else slide_mm
         for _ in range(PASSES if self.friction and step.any() else 1):
             gap = self._heights_mm(patch, past) + self.depth_mm - depth_mm
-            slip = -before.moved_mm[:-1] - step[:, None, None] if self.friction else before.moved_mm[:-1]
+            slip = -before.moved_mm[:-1] - step[: len(now.moved_mm) - 1, None, None]
             solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n, tolerance)
-            now = _Increment(solved.force_n, solved.moved_mm, slide_mm, past)
+            now = _Increment(*solved, slide_mm, past)
             past = slide_mm - _dragged(now) if self.friction else slide_mm
             if np.abs(past - now.past_mm).max() < SMALL_STEP * min(patch.cell_mm):
                 break

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -23,7 +24,7 @@ class Shape(Protocol):
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Height of the underside at points, infinite where there is none [mm]; x and y broadcast."""
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         """Half the extent along x and y of what lies below a height [mm]."""
 
 
@@ -39,7 +40,7 @@ class Sphere:
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return _arc(np.hypot(x_mm, y_mm), self.radius_mm)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         half = _half_chord(self.radius_mm, height_mm)
         return half, half
 
@@ -60,7 +61,7 @@ class Cylinder:
         along, across = _turned(x_mm, y_mm, self.turn_deg)
         return np.where(np.abs(along) <= self.length_mm / 2, _arc(across, self.radius_mm), np.inf)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         return _box(self.length_mm / 2, _half_chord(self.radius_mm, height_mm), self.turn_deg)
 
 
@@ -87,7 +88,7 @@ class Flat:
         inside = (np.abs(along) <= self.size_mm[0] / 2) & (np.abs(across) <= self.size_mm[1] / 2)
         return np.where(inside, 0.0, np.inf)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         if self.radius_mm is not None:
             return self.radius_mm, self.radius_mm
         return _box(self.size_mm[0] / 2, self.size_mm[1] / 2, self.turn_deg)
@@ -102,21 +103,14 @@ class Solid:
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        column, row = (
-            (places - line[0]) / (line[1] - line[0]) for places, line in ((x_mm, self.x_mm), (y_mm, self.y_mm))
-        )
-        column, row = np.broadcast_arrays(column, row)
-        j = np.clip(np.floor(column).astype(np.int64), 0, len(self.x_mm) - 2)
-        i = np.clip(np.floor(row).astype(np.int64), 0, len(self.y_mm) - 2)
-        right, up = column - j, row - i
-        corners = np.stack([self.map_mm[i + di, j + dj] for di in (0, 1) for dj in (0, 1)])
-        weights = np.stack([(1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right])
-        inside = (right >= 0) & (right <= 1) & (up >= 0) & (up <= 1) & np.isfinite(corners).all(axis=0)
-        found = np.full(column.shape, np.inf)
-        found[inside] = (corners[:, inside] * weights[:, inside]).sum(axis=0)
-        return found
+        """Between points of the map; infinite where one of them is."""
+        lines = (self.y_mm, self.x_mm)
+        between = RegularGridInterpolator(lines, self.map_mm, bounds_error=False, fill_value=np.inf)
+        with np.errstate(invalid="ignore"):
+            found = between(np.stack(np.broadcast_arrays(y_mm, x_mm), axis=-1))
+        return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         low = self.map_mm < height_mm
         x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
         return float(np.abs(x).max()), float(np.abs(y).max())

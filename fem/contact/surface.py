@@ -17,13 +17,13 @@ import scipy.sparse as sp
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import condensed_cell, elastic_body, lone_unit
+from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
 from geometry.design import Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.mesh import sensor_mesh, suited_settings
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
-from geometry.storage.kept import kept, read_arrays, write_arrays
 
 VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
 TILES_PER_HEIGHT = 4.0
@@ -153,7 +153,7 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
     own, _ = condensed_cell(design, MESH_LEVEL, MESH_DEGREE, rectangles)
     matrix = replace(alone, pillar_material=design.matrix_material)
-    return own, condense(elastic_body(matrix, mesh), own.ports, rectangles)
+    return own, condense(TetCell(elastic_body(matrix, mesh)), own.ports, rectangles)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:

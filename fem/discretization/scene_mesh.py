@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
-from fem.discretization.elasticity import IntArray
 from fem.discretization.indicator import cell_sizes
 from fem.scene.scene import Scene
+from fem.tetrahedra.taylor_hood import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface, tetrahedralized
 from geometry.prism import Prism, prisms_at

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Element, ElementHex2, ElementTetP2
 
-from fem.array.substructured import cell_lines, whole_lines
+from fem.array.meshed import cell_lines
 from fem.boxes.lattice import VTK_PLACES
-from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import FiniteArrayField, boxes_of, finite_array_field, finite_field, no_stress
@@ -27,8 +26,16 @@ from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
 )
+from fem.tetrahedra.taylor_hood import IntArray
 from geometry.design import Unit
-from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import (
+    FloatArray,
+    lower_electrodes,
+    pillar_ends,
+    pillar_sections,
+    unit_centres,
+    upper_electrodes,
+)
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
 ACROSS = 12  #: squares along a pad's side
@@ -145,8 +152,8 @@ def column_surface(ends: FloatArray, section: FloatArray, slices: int, around: i
 
 def electrode_surface(unit: Unit) -> Quads:
     """The electrodes of a unit in its own frame, the upper ones first."""
-    size = np.full(2, unit.electrode_mm)
-    return joined([rectangle_surface(at, size, AROUND) for at in electrode_centres(unit)])
+    places = (*upper_electrodes(unit), *lower_electrodes(unit))
+    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in places])
 
 
 def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Quads:
@@ -212,7 +219,7 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
 def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
     design = array.design
-    local = np.stack(np.meshgrid(*whole_lines(cell_lines(design, FINENESS)), indexing="ij"), axis=-1)
+    local = np.stack(np.meshgrid(*cell_lines(design, FINENESS), indexing="ij"), axis=-1)
     nx, ny, nz = (count - 1 for count in local.shape[:3])
     cols, rows = design.array.cols, design.array.rows
     shape = (cols * nx + 1, rows * ny + 1, nz + 1)

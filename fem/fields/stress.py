@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions
 from fem.discretization.elements import Elements, shape_gradients, shape_values
+from fem.tetrahedra.taylor_hood import MIN_POISSON, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray
 

@@ -164,7 +164,7 @@ def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mi
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
     share = {1: "half", 2: "a quarter"}[len(mirrors)]
     count = len(parities(mirrors))
-    loads = "the loads as well" if count == 1 else f"the loads are split into {count} even and odd parts"
+    loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
     reason = f"the body mirrors in {planes} mm, {loads}"
     return mirrors, Decision(name="symmetry", choice=f"{share} of the body", reason=reason)
 

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
     cell_sizes,
@@ -20,13 +19,14 @@ from fem.discretization.indicator import (
 )
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
-from fem.discretization.richardson import MIN_MESHES
+from fem.discretization.richardson import errors_by_indicators
 from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
 from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch
+from fem.tetrahedra.taylor_hood import MIN_POISSON, lame_of_regions, taylor_hood
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
@@ -38,10 +38,9 @@ EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first 
 class BisectedTetrahedra:
     """A scene on Taylor-Hood tetrahedra."""
 
-    min_meshes = MIN_MESHES
-
     def __init__(self, scene: Scene, plan: Plan, mesh: MeshTet) -> None:
         self.scene, self.mesh = scene, mesh
+        self.history: list[tuple[float, FloatArray]] = []  #: sum of indicators and probes of every mesh
         self.prisms = [prism for prism, _ in plan.regions]
         #: the different rubbers, the body's first
         self.materials = list(dict.fromkeys([scene.material, *(material for _, material in plan.regions)]))
@@ -50,8 +49,9 @@ class BisectedTetrahedra:
     def __str__(self) -> str:
         return f"{self.mesh.nelements} tetrahedra"
 
-    def is_trusted(self) -> bool:
-        return True
+    def error(self) -> float:
+        names = [probe.name for probe in self.scene.probes]
+        return max(errors_by_indicators(names, self.history).values())
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
@@ -71,10 +71,10 @@ class BisectedTetrahedra:
         for rectangle in scene.plate_rectangles_mm:
             bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
             plates.append((np.searchsorted(body.free, bonded), own))
-        motions = tied(body.matrix.shape[0], plates)
-        matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
+        motions = tied(body.n_unknowns, plates)
+        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if plates else body.upper
         watch.spent("assemble")
-        factor = Factor(matrix)
+        factor = Factor(matrix, upper=True)
         watch.spent("factor")
 
         pushing = motions.T @ body.loads(forces)
@@ -100,12 +100,14 @@ class BisectedTetrahedra:
             residuals_of(z[:, k], y[n:, k], shapes[k], scene.probe_rectangles_mm) for k in range(duals.shape[1])
         ]
         watch.spent("assemble")
+        indicators = probe_indicators(of_answer, of_duals, scales)
+        self.history.append((float(indicators.sum()), probes))
         return MeshAnswer(
             probes=probes,
             energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
             residual=max(residual, dual_residual),
             unknowns=matrix.shape[0],
-            indicators=probe_indicators(of_answer, of_duals, scales),
+            indicators=indicators,
             field=lambda: Field(
                 points_mm=body.basis.doflocs.T.copy(),
                 cells=body.basis.element_dofs.T.astype(np.int64),  # scikit-fem's order of nodes is VTK's

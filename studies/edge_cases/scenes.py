@@ -10,14 +10,15 @@ from threadpoolctl import threadpool_limits
 
 from fem.array.closed_forms import mean_compliance
 from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import condensed_cell, lone_unit
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import PADS, condensed_cell, lone_unit
-from fem.discretization.elasticity import taylor_hood
+from fem.array.substructured import PADS
 from fem.factor import Factor, checked_solve
 from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
+from fem.tetrahedra.taylor_hood import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, mesh_quality

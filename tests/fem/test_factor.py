@@ -12,17 +12,20 @@ import pytest
 import scipy.sparse as sp
 
 from fem import factor as module
-from fem.discretization.elasticity import taylor_hood
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name
+from fem.boxes.boxes import Boxes
+from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name, whole
+from fem.rubber.body import RubberBody
+from fem.system import System
+from fem.tetrahedra.taylor_hood import taylor_hood
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 
 
 def elastic(poisson, boxes=(3, 3, 2)):
     """Stiffness of a slab of Q2 boxes of 2 mm: definite; near ν = 0.5 its condition number is 1e7."""
-    basis = GridBasis(Grid(**{axis: np.linspace(0.0, 2.0 * n, n + 1) for axis, n in zip("xyz", boxes, strict=True)}))
-    return grid_body(basis, grid_stiffness(basis, [Material(poisson=poisson)])).matrix
+    lines = [np.linspace(0.0, 2.0 * n, n + 1) for n in boxes]
+    system = System(RubberBody.of(Boxes.between(lines), [Material(poisson=poisson)]))
+    return whole(system.matrix(system.rest_tangent()))
 
 
 def mixed():

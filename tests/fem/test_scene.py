@@ -217,7 +217,7 @@ def test_overlap_agrees_with_points_in_both():
             )
             for _ in range(2)
         )
-        both = bool((one.holds(points, -1e-9) & other.holds(points, -1e-9)).any())
+        both = bool((one.holds(points) & other.holds(points)).any())
         assert one.cuts(other, 1e-9) if both else not one.cuts(other, 0.5)
         seen.append(both)
     assert 10 < sum(seen) < 40

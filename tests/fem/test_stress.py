@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from skfem import Basis, ElementTetP1, ElementTetP2
 
+from fem.boxes.boxes import Boxes
 from fem.discretization.elements import Elements
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
 from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
+from fem.rubber.body import RubberBody
+from fem.scene.loads import DeadLoad
+from fem.system import System
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
@@ -24,10 +27,8 @@ def hooke(material, strain):
 
 
 def grid_elements(lean=(0.2, -0.1)):
-    basis = GridBasis(
-        Grid(x=np.array([0.0, 1.0, 3.0, 4.0]), y=np.array([0.0, 2.0, 3.0]), z=np.array([0.0, 1.5, 2.0]), lean=lean)
-    )
-    return Elements.of_basis(basis, np.zeros(basis.element_dofs.shape[1], dtype=np.int64))
+    lines = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 3.0]), np.array([0.0, 1.5, 2.0])
+    return Elements.of_boxes(Boxes.between(lines, lean=lean))
 
 
 def all_elements(disordered_cube):
@@ -54,8 +55,8 @@ def test_points_are_found_where_they_are(disordered_cube):
 
 def test_a_point_far_from_all_centres_is_found_too():
     """Of long flat boxes the nearest centres are not those of the box that holds a point at its end."""
-    basis = GridBasis(Grid(x=np.array([0.0, 100.0]), y=np.array([0.0, 1.0]), z=np.linspace(0, 1, 41)))
-    elements = Elements.of_basis(basis, np.zeros(40, dtype=np.int64))
+    boxes = Boxes.between([np.array([0.0, 100.0]), np.array([0.0, 1.0]), np.linspace(0, 1, 41)])
+    elements = Elements.of_boxes(boxes)
     places, local = elements.places(np.array([[99.0, 0.5, 0.0125], [1.0, 0.5, 0.9875]]))
     assert np.array_equal(places, [0, 39])
     assert np.allclose(local, [[0.99, 0.5, 0.5], [0.01, 0.5, 0.5]])
@@ -96,19 +97,21 @@ def test_the_pressure_of_the_mixed_form_is_what_its_elements_know(disordered_cub
 def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     """A column between frictionless walls: σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), by solving, not by interpolating."""
     material = Material(young_mpa=6.1, poisson=poisson)
-    basis = GridBasis(Grid(x=np.array([0.0, 1.0, 4.0]), y=np.array([0.0, 2.0, 4.0]), z=np.array([0.0, 1.0, 3.0])))
-    stiffness = grid_stiffness(basis, [material])
-    held = np.zeros((basis.N, 3), dtype=bool)
-    for axis in range(3):
-        place = basis.doflocs[axis]
-        held[:, axis] = (place == 0.0) | ((place == 4.0) & (axis < 2))
-    free = np.flatnonzero(~held.ravel())
-    force = -2.0 * 16.0 * patch_means(basis, np.array([[0.0, 0.0, 4.0, 4.0]])).T.toarray()[:, 2:]
-    u = np.zeros((3 * basis.N, 1))
-    K = stiffness[free][:, free].tocsr()
-    u[free], _ = checked_solve(Factor(K, definite=True), force[free])
-    elements = Elements.of_basis(basis, np.zeros(8, dtype=np.int64))
-    found = corner_stress(elements, [material], u.reshape(-1, 3, 1)).stress_mpa[..., 0]
+    boxes = Boxes.between([np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 4.0]), np.array([0.0, 1.0, 3.0])])
+    K = RubberBody.of(boxes, [material]).rest_stiffness()
+    free = np.ones((boxes.n_nodes, 3), dtype=bool)
+    for axis, place in enumerate(boxes.points_mm.T):
+        free[:, axis] = ~((place == 0.0) | ((place == 4.0) & (axis < 2)))
+    unknown = np.flatnonzero(free)
+    dofs = (3 * boxes.nodes[:, :, None] + np.arange(3)).reshape(len(boxes.nodes), -1)
+    rows, columns = (np.broadcast_to(at, (*dofs.shape, dofs.shape[1])) for at in (dofs[:, :, None], dofs[:, None]))
+    entries = K.transpose(0, 1, 3, 2, 4).ravel(), (rows.ravel(), columns.ravel())
+    matrix = sp.csr_matrix(entries, shape=(3 * boxes.n_nodes,) * 2)[unknown][:, unknown]
+    force = np.zeros((boxes.n_nodes, 3))
+    force[:, 2] = -2.0 * boxes.integrals(np.array([0.0, 0.0, 4.0, 4.0])).toarray()[0]
+    u = np.zeros((3 * boxes.n_nodes, 1))
+    u[unknown], _ = checked_solve(Factor(matrix, definite=True), force.reshape(-1, 1)[unknown])
+    found = corner_stress(Elements.of_boxes(boxes), [material], u.reshape(-1, 3, 1)).stress_mpa[..., 0]
     side = -2.0 * poisson / (1 - poisson)
     assert np.abs(found - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 1e-8  # rounding, times λ/μ = 5000 at ν = 0.4999
 
@@ -117,12 +120,13 @@ def test_a_clamped_block_hands_its_load_down():
     """Locking would show here: ν = 0.4999, base clamped. Mean σ_zz of every section is the load over the area."""
     material = Material(young_mpa=6.1, poisson=0.4999)
     lines = np.linspace(0.0, 10.0, 7)
-    basis = GridBasis(Grid(x=lines, y=lines, z=np.linspace(0.0, 10.0, 7)))
-    body = grid_body(basis, grid_stiffness(basis, [material]))
-    force = -100.0 * patch_means(basis, np.array([[0.0, 0.0, 10.0, 10.0]])).T.toarray()[:, 2:]
-    x, _ = checked_solve(Factor(body.matrix, definite=True), body.loads(force))
-    elements = Elements.of_basis(basis, np.zeros(basis.element_dofs.shape[1], dtype=np.int64))
-    stress = corner_stress(elements, [material], body.displacements(x).reshape(-1, 3, 1))
+    boxes = Boxes.between([lines, lines, lines])
+    load = DeadLoad(center_mm=(5.0, 5.0), size_mm=(10.0, 10.0), traction_mpa=(0.0, 0.0, -1.0))
+    system = System(RubberBody.of(boxes, [material]), [load])
+    factor = Factor(system.matrix(system.rest_tangent()), definite=True, upper=True)
+    x, _ = checked_solve(factor, system.loads_on(system.rest()).reshape(-1, 1))
+    elements = Elements.of_boxes(boxes)
+    stress = corner_stress(elements, [material], system.displaced(x)[0][..., None])
     t, w = np.polynomial.legendre.leggauss(24)
     for z in (2.0, 5.0, 8.0):
         points = np.array([[5 * a + 5, 5 * b + 5, z] for a in t for b in t])

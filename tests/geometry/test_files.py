@@ -4,7 +4,6 @@ import os
 import signal
 import stat
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,19 +12,14 @@ from geometry import Array, Material, SensorDesign
 from geometry.storage.files import cache_folder, digest, replacing, uninterrupted
 
 
-def write_half(path: Path) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text("ne")
-        raise RuntimeError("half way")
-
-
 @pytest.mark.parametrize("old", ["old", None])
 def test_body_that_raises_leaves_what_was_there_and_no_litter(tmp_path, old):
     path = tmp_path / "data.txt"
     if old:
         path.write_text(old)
-    with pytest.raises(RuntimeError, match="half way"):
-        write_half(path)
+    with pytest.raises(RuntimeError, match="half way"), replacing(path) as temporary:  # noqa: PT012, both are the point
+        temporary.write_text("ne")
+        raise RuntimeError("half way")
     assert {each: each.read_text() for each in tmp_path.iterdir()} == ({path: old} if old else {})
 
 
@@ -48,23 +42,16 @@ def test_files_have_the_permissions_that_open_gives(tmp_path, umask):
     try:
         with replacing(tmp_path / "ours") as temporary:
             temporary.write_text("new")
-        (tmp_path / "plain").write_text("new")
     finally:
         os.umask(before)
-    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "plain")]
-    assert modes[0] == modes[1] == 0o666 & ~umask
-
-
-def test_digest_is_the_same_in_every_process():
-    """Pinned: a change here makes every cache and every recorded key worthless."""
-    assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
+    assert stat.S_IMODE((tmp_path / "ours").stat().st_mode) == 0o666 & ~umask
 
 
 def test_digest_changes_with_every_field_but_not_with_the_order_of_a_dict():
+    """Pinned: a change of the first one makes every cache and every recorded key worthless."""
+    assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
     design = SensorDesign()
     assert digest(design) == digest(SensorDesign(array=Array(pitch_mm=15)))
-    assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1})
-    assert len(digest(design)) == 16
     others = [
         replace(design, resistivity_ohm_mm=4001.0),
         replace(design, array=Array(rows=5)),
@@ -78,8 +65,7 @@ def test_digest_changes_with_every_field_but_not_with_the_order_of_a_dict():
 
 
 def test_digest_changes_with_dtype_shape_and_value_of_an_array_not_with_its_memory():
-    array = np.arange(6.0)
-    one_bit = array.copy()
+    array, one_bit = np.arange(6.0), np.arange(6.0)
     one_bit[3] = np.nextafter(one_bit[3], 4.0)
     table = array.reshape(2, 3)
     others = [one_bit, table, table.T, array.reshape(3, 2), array.astype(np.float32), array.view(np.int64)]
@@ -103,8 +89,5 @@ def test_an_interrupt_waits_for_the_block_and_then_comes():
         finished.append(True)
     assert finished
     assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_no_interrupt_means_nothing_happens():
-    with uninterrupted():
+    with uninterrupted():  # nothing comes
         pass

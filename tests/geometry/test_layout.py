@@ -14,6 +14,7 @@ from geometry.layout import (
     Electrode,
     Layout,
     Pillar,
+    electrode_centres,
     electrode_squares,
     pad_squares,
     pillar_ends,
@@ -27,101 +28,78 @@ from geometry.layout import (
 EXACT = 1e-14  # rounding
 
 
-def test_orders_are_those_of_the_file_contract():
-    assert (AXES, ELECTRODES, PILLARS) == (("x", "y", "z"), ("U1", "U2"), ("z", "x", "y"))
-
-
-def test_papers_unit():
+def test_papers_unit_in_the_orders_of_the_file_contract():
     """U1 and U2 over L1's row; z stands from L1 to U1, x leans from L2 to U1, y from L1 to U2."""
-    U1, U2, L1, L2 = (-5.0, -5.0, 10.0), (-5.0, 5.0, 10.0), (-5.0, -5.0, 0.0), (5.0, -5.0, 0.0)
-    assert upper_electrodes(Unit()).tolist() == [list(U1), list(U2)]
-    assert pillar_ends(Unit()).tolist() == [[list(bottom), list(top)] for bottom, top in ((L1, U1), (L2, U1), (L1, U2))]
-    oblique = 10 * np.sqrt(2)
+    assert (AXES, ELECTRODES, PILLARS, PILLAR_TOP) == (("x", "y", "z"), ("U1", "U2"), ("z", "x", "y"), (0, 0, 1))
+    U1, U2, L1, L2 = [-5.0, -5.0, 10.0], [-5.0, 5.0, 10.0], [-5.0, -5.0, 0.0], [5.0, -5.0, 0.0]
+    assert electrode_centres(Unit()).tolist() == [U1, U2, L1, L2]
+    assert upper_electrodes(Unit()).tolist() == [U1, U2]
+    assert pillar_ends(Unit()).tolist() == [[L1, U1], [L2, U1], [L1, U2]]
+    oblique, wide = 10 * np.sqrt(2), 2 * np.sqrt(2)
     assert rest_lengths(Unit()) == pytest.approx([10.0, oblique, oblique], rel=EXACT)
     assert pillar_volumes(Unit()) == pytest.approx([40.0, 4 * oblique, 4 * oblique], rel=EXACT)
-    wide = 2 * np.sqrt(2)
     assert pillar_sections(Unit()) == pytest.approx(np.array([[2, 2], [wide, 2], [2, wide]]), rel=EXACT)
 
 
-def test_top_of_each_pillar_is_the_electrode_that_moves_with_it(design):
-    assert np.array_equal(pillar_ends(design.unit)[:, 1], upper_electrodes(design.unit)[list(PILLAR_TOP)])
-
-
-def test_volume_is_horizontal_section_times_height(design):
+def test_pillars_end_under_their_electrodes_with_the_volume_of_section_times_height(design):
     """Cavalieri: the second route to V = S·l."""
+    tops = upper_electrodes(design.unit)[list(design.unit.layout.pillar_top)]
+    assert np.array_equal(pillar_ends(design.unit)[:, 1], tops)
     by_sections = pillar_sections(design.unit).prod(axis=1) * design.unit.height_mm
     assert pillar_volumes(design.unit) == pytest.approx(by_sections, rel=EXACT)
 
 
-def test_units_run_along_x_first():
+def test_units_run_along_x_first_with_their_electrodes_as_squares():
     design = SensorDesign(array=Array(rows=2, cols=3, pitch_mm=16.0))
-    centres = unit_centres(design)
-    for i in range(2):
-        for j in range(3):
-            assert centres[i * 3 + j].tolist() == [(j - 1) * 16.0, (i - 0.5) * 16.0]
-
-
-def test_array_is_centred_on_the_origin(design):
-    assert unit_centres(design).sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-11)  # rounding of 36 sums
-
-
-def test_electrodes_are_unit_major_squares_over_the_pillars_tops():
-    design = SensorDesign(array=Array(rows=2, cols=3))
     squares = electrode_squares(design).reshape(6, 2, 4)
     for k, (x, y) in enumerate(unit_centres(design)):
+        i, j = divmod(k, 3)
+        assert (x, y) == ((j - 1) * 16.0, (i - 0.5) * 16.0)
         for e, (ex, ey, _) in enumerate(upper_electrodes(design.unit)):
             assert squares[k, e].tolist() == [x + ex - 1, y + ey - 1, x + ex + 1, y + ey + 1]
 
 
-def test_pads_are_squares_about_their_offset():
+def test_pads_are_squares_about_their_offset_and_the_papers_cover_both_electrodes():
     design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0))
     assert pad_squares(design).tolist() == [[-14.5, 0.0, -10.5, 4.0], [0.5, 0.0, 4.5, 4.0]]
-
-
-def test_papers_pad_covers_both_upper_electrodes():
-    design = SensorDesign()
-    pads, electrodes = pad_squares(design)[:, None], electrode_squares(design).reshape(-1, 2, 4)
+    pads, electrodes = (squares(SensorDesign()).reshape(36, -1, 4) for squares in (pad_squares, electrode_squares))
     assert (electrodes[..., :2] >= pads[..., :2]).all()
     assert (electrodes[..., 2:] <= pads[..., 2:]).all()
 
 
-def test_everything_lies_on_its_own_share_of_the_slab(design):
-    half = design.array.pitch_mm / 2 + 1e-12
+def test_everything_is_centred_and_lies_on_its_own_share_of_the_slab(design):
     centres = unit_centres(design)
-    pads = pad_squares(design).reshape(-1, 2, 2) - centres[:, None]
-    electrodes = electrode_squares(design).reshape(-1, 4, 2) - centres[:, None]
-    assert np.abs(pads).max() <= half
-    assert np.abs(electrodes).max() <= half
+    assert centres.sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-11)  # rounding of 36 sums
+    for squares in (pad_squares(design), electrode_squares(design)):
+        corners = squares.reshape(len(centres), -1, 2) - centres[:, None]
+        assert np.abs(corners).max() <= design.array.pitch_mm / 2 + 1e-12
 
 
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
 Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
+WRONG = {
+    "two electrodes are named U1": (UPPER, (Electrode("U1", (0.0, 0.0)),), (Z, X)),
+    r"two lower electrodes lie at \(-1.0, 0.0\)": (UPPER, (*LOWER, Electrode("L2", (-1.0, 0.0))), (Z, X)),
+    "two pillars are named z": (UPPER, LOWER, (Z, Pillar("z", "L1", "U2"))),
+    r"two pillars join \('L1', 'U2'\)": (UPPER, LOWER, (Z, X, Pillar("y", "L1", "U2"))),
+    "pillar x joins U1 and U2: it must stand on one of L1": (UPPER, LOWER, (Z, Pillar("x", "U1", "U2"))),
+    "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
+    "no pillar joins electrodes": ((), (), ()),
+    "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
+}
 
 
-@pytest.mark.parametrize(
-    ("parts", "says"),
-    [
-        ((UPPER, (Electrode("U1", (0.0, 0.0)),), (Z, X)), "two electrodes are named U1"),
-        ((UPPER, (*LOWER, Electrode("L2", (-1.0, 0.0))), (Z, X)), r"two lower electrodes lie at \(-1.0, 0.0\)"),
-        ((UPPER, LOWER, (Z, Pillar("z", "L1", "U2"))), "two pillars are named z"),
-        ((UPPER, LOWER, (Z, X, Pillar("y", "L1", "U2"))), r"two pillars join \('L1', 'U2'\)"),
-        ((UPPER, LOWER, (Z, Pillar("x", "U1", "U2"))), "pillar x joins U1 and U2: it must stand on one of L1 and end"),
-        ((UPPER, LOWER, (Z,)), "no pillar joins U2: each needs one"),
-        (((), (), ()), "no pillar joins electrodes"),
-        (((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)), "pillar z leans along x and along y"),
-    ],
-)
-def test_layouts_that_make_no_unit_are_refused_by_name(parts, says):
-    Layout(UPPER, LOWER, (Z, X))
+@pytest.mark.parametrize("says", WRONG)
+def test_layouts_that_make_no_unit_are_refused_by_name(says):
     with pytest.raises(DesignError, match=says):
-        Layout(*parts)
+        Layout(*WRONG[says])
 
 
-def test_ends_of_pillars_and_electrodes_may_not_meet_in_any_layout():
-    """Two uprights of 2 mm a span apart along x alone, electrodes of 3 mm."""
-    for width, electrode, least in ((2.0, 1.0, 2.0), (2.0, 3.0, 3.0)):
-        uprights = Layout(UPPER, (*LOWER, Electrode("L2", (1.0, 0.0))), (Z, Pillar("w", "L2", "U2")))
-        unit = Unit(span_mm=least + 1e-9, pillar_width_mm=width, electrode_mm=electrode, layout=uprights)
-        assert unit.footprint_mm == pytest.approx(least + max(width, electrode))
-        with pytest.raises(DesignError, match=f"it must be above {least:g}"):
-            replace(unit, span_mm=least)
+@pytest.mark.parametrize(("electrode", "least"), [(1.0, 2.0), (3.0, 3.0)])
+def test_ends_of_pillars_and_electrodes_may_not_meet_in_any_layout(electrode, least):
+    """Two uprights of 2 mm, a span apart along x alone."""
+    uprights = Layout(UPPER, (*LOWER, Electrode("L2", (1.0, 0.0))), (Z, Pillar("w", "L2", "U2")))
+    unit = Unit(span_mm=least + 1e-9, electrode_mm=electrode, layout=uprights)
+    assert unit.footprint_mm == pytest.approx(least + max(2.0, electrode))
+    with pytest.raises(DesignError, match=f"it must be above {least:g}"):
+        replace(unit, span_mm=least)

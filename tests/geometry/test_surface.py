@@ -7,39 +7,22 @@ from trimesh import Trimesh
 
 from geometry import GeometryError, SensorDesign
 from geometry.cad import array_solid, matrix_solid, pillar_solids, unit_solid
-from geometry.layout import pillar_volumes
 from geometry.surface import check_surface, surface_from_solid, write_surface
+from tests.geometry.closed_forms import union_mm3
 
 UNIT = SensorDesign().unit
 
 
-@pytest.fixture(scope="module")
-def unit_surface() -> Trimesh:
-    return surface_from_solid(unit_solid(UNIT))
-
-
-@pytest.fixture(scope="module")
-def volume_mm3() -> float:
-    return unit_solid(UNIT).volume
-
-
-def test_surfaces_enclose_what_their_solids_do(design):
-    for solid in (
-        *pillar_solids(design.unit),
-        unit_solid(design.unit),
-        array_solid(design),
-        matrix_solid(design),
-    ):
+def test_surfaces_enclose_what_their_solids_do_with_their_topology(design):
+    """Euler: V − F/2 is 2 a body and 2 less a tunnel; a unit, open at four ends, bores three."""
+    array, matrix = array_solid(design), matrix_solid(design)
+    for solid in (*pillar_solids(design.unit), unit_solid(design.unit), array, matrix):
         surface = surface_from_solid(solid)
         check_surface(surface, solid.volume, "body")
         assert surface.volume == pytest.approx(solid.volume, rel=1e-12)  # flat faces: exact but for rounding
-
-
-def test_surfaces_have_the_topology_of_their_solids(design):
-    """Euler: V − F/2 is 2 a body and 2 less a tunnel; a unit, open at four ends, bores three."""
-    array, matrix = surface_from_solid(array_solid(design)), surface_from_solid(matrix_solid(design))
-    assert len(array.vertices) - len(array.faces) / 2 == 2 * design.n_units
-    assert len(matrix.vertices) - len(matrix.faces) / 2 == 2 - 2 * 3 * design.n_units
+    for solid, euler in ((array, 2 * design.n_units), (matrix, 2 - 2 * 3 * design.n_units)):
+        surface = surface_from_solid(solid)
+        assert len(surface.vertices) - len(surface.faces) / 2 == euler
 
 
 def damaged(kind: str, surface: Trimesh) -> Trimesh:
@@ -75,30 +58,25 @@ def damaged(kind: str, surface: Trimesh) -> Trimesh:
         *((factor, r"encloses .* mm³, its solid 141.823376 mm³") for factor in ("1.000001", "0.999999", "nan")),
     ],
 )
-def test_damaged_surfaces_are_refused(unit_surface, volume_mm3, kind, says):
-    broken = damaged(kind, unit_surface)
+def test_damaged_surfaces_are_refused(kind, says):
+    broken = damaged(kind, surface_from_solid(unit_solid(UNIT)))
     if kind == "T-junction":
-        assert broken.volume == pytest.approx(volume_mm3, rel=1e-12)
+        assert broken.volume == pytest.approx(union_mm3(UNIT), rel=1e-12)
     with pytest.raises(GeometryError, match=says):
-        check_surface(broken, volume_mm3, "unit")
+        check_surface(broken, union_mm3(UNIT), "unit")
 
 
-def test_pillars_that_overlap_instead_of_being_one_body_are_refused(volume_mm3):
+def test_pillars_that_overlap_instead_of_being_one_body_are_refused():
     pillars = [surface_from_solid(pillar) for pillar in pillar_solids(UNIT)]
-    offsets = np.cumsum([0, *(len(p.vertices) for p in pillars[:-1])])
-    heap = Trimesh(
-        np.vstack([p.vertices for p in pillars]),
-        np.vstack([p.faces + offset for p, offset in zip(pillars, offsets, strict=True)]),
-    )
-    check_surface(heap, pillar_volumes(UNIT).sum(), "heap")  # closed, outward: only the union's volume tells
+    heap = trimesh.util.concatenate(pillars)
+    check_surface(heap, sum(pillar.volume for pillar in pillars), "heap")  # closed, outward: only the volume tells
     with pytest.raises(GeometryError, match="encloses"):
-        check_surface(heap, volume_mm3, "heap")
+        check_surface(heap, union_mm3(UNIT), "heap")
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
 def test_written_surface_passes_the_same_check_when_read(design, tmp_path, suffix):
     solid = array_solid(design)
     write_surface(surface_from_solid(solid), tmp_path / f"array.{suffix}")
-    body = trimesh.load_mesh(tmp_path / f"array.{suffix}")
-    check_surface(Trimesh(body.vertices, body.faces), solid.volume, "array")
+    check_surface(trimesh.load_mesh(tmp_path / f"array.{suffix}"), solid.volume, "array")
     assert [path.name for path in tmp_path.iterdir()] == [f"array.{suffix}"]

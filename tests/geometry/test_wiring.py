@@ -6,57 +6,46 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.layout import PILLARS
+from geometry.layout import SONG2018
 from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars, pillar_of_crossing
+from tests.fem.layouts import FOUR
 
-SIZES = [(1, 1), (1, 2), (2, 1), (3, 5), (6, 6)]
 PAGE = Path(__file__).parents[2] / "docs" / "frames.md"
 
 # The 1 × 2 array by hand: row wires 0 (U1) and 1 (U2), column wires 0 and 1 (L1 and L2 of unit 0), 2 and 3.
 ONE_BY_TWO = [
     # row wire, column wire, array row, array column, pillar
-    (0, 0, 0, 0, "z"),
-    (0, 1, 0, 0, "x"),
-    (0, 2, 0, 1, "z"),
-    (0, 3, 0, 1, "x"),
-    (1, 0, 0, 0, "y"),
-    (1, 2, 0, 1, "y"),
-]
+    (0, 0, 0, 0, "z"), (0, 1, 0, 0, "x"), (0, 2, 0, 1, "z"), (0, 3, 0, 1, "x"), (1, 0, 0, 0, "y"), (1, 2, 0, 1, "y"),
+]  # fmt: skip
 
 
-def test_order_of_a_1_by_2_array_is_the_hand_written_one():
+def test_order_of_a_1_by_2_array_is_the_hand_written_one_and_the_pages():
     assert crossings(1, 2).tolist() == [[r, c] for r, c, *_ in ONE_BY_TWO]
-    pillars = crossing_of_pillar(1, 2)
     for place, (*_, row, col, pillar) in enumerate(ONE_BY_TWO):
-        assert pillars[row, col, PILLARS.index(pillar)] == place
-
-
-def test_page_lists_the_same_order():
+        assert crossing_of_pillar(1, 2)[row, col, SONG2018.pillar_names.index(pillar)] == place
     listed = re.findall(r"^\| (\d) \| (\d) \| (\d) \| (\d) \| (\d) \| ([xyz]) \|$", PAGE.read_text(), re.MULTILINE)
     assert [(*map(int, line[1:5]), line[5]) for line in listed] == ONE_BY_TWO
 
 
-@pytest.mark.parametrize(("rows", "cols"), SIZES)
-def test_every_pillar_has_a_crossing_of_its_own_where_its_electrodes_wires_cross(rows, cols):
-    """Sent row-major, never (U2, L2); the design's table read the other way gives the place of each pillar."""
-    wires = crossings(rows, cols)
-    assert len({tuple(pair) for pair in wires}) == len(wires) == 3 * rows * cols
-    assert sorted(pillar_of_crossing(rows, cols)) == list(range(3 * rows * cols))
+@pytest.mark.parametrize("layout", [SONG2018, FOUR], ids=["paper", "four pillars"])
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 2), (2, 1), (3, 5), (6, 6)])
+def test_every_pillar_has_a_crossing_of_its_own_where_its_electrodes_wires_cross(rows, cols, layout):
+    """Sent row-major; the layout read the other way gives the place of each pillar."""
+    wires, n = crossings(rows, cols, layout), len(layout.pillars) * rows * cols
+    n_upper, n_lower = len(layout.upper), len(layout.lower)
+    assert len({tuple(pair) for pair in wires}) == len(wires) == n
+    assert sorted(pillar_of_crossing(rows, cols, layout)) == list(range(n))
     row_wire, column_wire = wires.T
-    assert (np.diff(row_wire * 2 * cols + column_wire) > 0).all()
-    assert (row_wire.max(), column_wire.max()) == (2 * rows - 1, 2 * cols - 1)
-    assert not ((row_wire % 2 == 1) & (column_wire % 2 == 1)).any()
+    assert (np.diff(row_wire * n_lower * cols + column_wire) > 0).all()
+    assert (row_wire.max(), column_wire.max()) == (n_upper * rows - 1, n_lower * cols - 1)
     place = {tuple(pair): k for k, pair in enumerate(wires.tolist())}
-    pillars = crossing_of_pillar(rows, cols)
+    pillars = crossing_of_pillar(rows, cols, layout)
     for i, j in np.ndindex(rows, cols):
-        U1, U2, L1, L2 = 2 * i, 2 * i + 1, 2 * j, 2 * j + 1
-        assert pillars[i, j].tolist() == [place[U1, L1], place[U1, L2], place[U2, L1]]
-    values = np.random.default_rng(0).random((4, rows, cols, 3))
-    sent = crossings_from_pillars(values)
-    assert sent.shape == (4, 3 * rows * cols)
+        own = [place[n_upper * i + top, n_lower * j + foot - n_upper] for top, foot in layout.pillar_terminals]
+        assert pillars[i, j].tolist() == own
+    values = np.random.default_rng(0).random((4, rows, cols, len(layout.pillars)))
+    sent = crossings_from_pillars(values, layout)
+    assert sent.shape == (4, n)
     assert (sent.take(pillars, axis=-1) == values).all()
-
-
-def test_wrong_shapes_are_refused_by_name():
-    with pytest.raises(ValueError, match=r"shape \(4, 108\), expected \(..., rows, cols, 3\)"):
-        crossings_from_pillars(np.zeros((4, 108)))
+    with pytest.raises(ValueError, match=rf"shape \(4, {n}\), expected \(..., rows, cols, {len(layout.pillars)}\)"):
+        crossings_from_pillars(sent, layout)

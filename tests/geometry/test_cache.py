@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geometry import FileFormatError
-from geometry.storage.kept import kept, read_arrays, write_arrays
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.seal import LAST_LINE, sealed
 
 
