@@ -11,7 +11,7 @@ from fem.array.meshed import cell_lines
 from fem.boxes.lattice import VTK_PLACES
 from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
-from fem.fields.finite_pictures import FiniteArrayField, between_nodes, finite_array_field, finite_field, no_stress
+from fem.fields.finite_pictures import FiniteArrayField, boxes_of, finite_array_field, finite_field, no_stress
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import picture_field
 from fem.methods.plan import make_plan
@@ -302,7 +302,7 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
         for one in scene.inclusions
     ]
     points, quads = joined(columns)
-    moved = between_nodes(field)(points)
+    moved = boxes_of(field).at(points) @ field.displacement_mm
     inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
     return {"inclusions": inside, "matrix": body}
 

@@ -6,8 +6,8 @@ Nothing is superposed: every load is solved for itself, on the coarsest grid tha
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
+from fem.boxes.boxes import Boxes
 from fem.fields.array_field import PAD_LOADS, FieldState
 from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
@@ -33,7 +33,8 @@ class FiniteObserver:
     def displacement_mm(self, state: FieldState) -> FloatArray:
         """Displacement at the points of every unit, shape (n_units, k, 3) [mm]; the state is the array's only one."""
         centres = np.pad(unit_centres(self.array.design), ((0, 0), (0, 1)))
-        return self.array.at((centres[:, None] + self.points_mm).reshape(-1, 3)).reshape(len(centres), -1, 3)
+        rows = self.array.boxes.at((centres[:, None] + self.points_mm).reshape(-1, 3))
+        return (rows @ self.array.displacement_mm).reshape(len(centres), -1, 3)
 
     def stress_mpa(self, state: FieldState) -> FloatArray:
         """Refused: SceneError."""
@@ -48,7 +49,8 @@ class FiniteArrayField:
     rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
     state: FieldState
     has_plates: bool  #: whether those are rigid plates
-    at: RegularGridInterpolator = field(repr=False)  #: points (n, 3) of the slab to displacements (n, 3) [mm]
+    boxes: Boxes = field(repr=False)  #: of the whole slab
+    displacement_mm: FloatArray = field(repr=False)  #: (n, 3), at their nodes
 
     def observe(self, points_mm: FloatArray, region: int | None = None) -> FiniteObserver:
         """Choose points of the cell to look at; the region makes no difference to displacement."""
@@ -70,11 +72,9 @@ def finite_field(scene: Scene) -> Field:
     return found
 
 
-def between_nodes(field: Field) -> RegularGridInterpolator:
-    """Displacement of points (n, 3) of an upright body by that of its grid's nodes, linear between these."""
-    lines = tuple(np.unique(field.points_mm[:, axis]) for axis in range(3))
-    u = field.displacement_mm.reshape(*(len(line) for line in lines), 3)
-    return RegularGridInterpolator(lines, u, bounds_error=False, fill_value=None)
+def boxes_of(field: Field) -> Boxes:
+    """The quadratic boxes of an upright body's grid, whose nodes are the field's points."""
+    return Boxes.between([np.unique(field.points_mm[:, axis])[::2] for axis in range(3)])
 
 
 def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
@@ -93,7 +93,8 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
         rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
-        at=between_nodes(grid),
+        boxes=boxes_of(grid),
+        displacement_mm=grid.displacement_mm,
     )
 
 
@@ -102,16 +103,14 @@ def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_
 
     Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
     """
-    grid, u = solver.on_coarse_grid(force_n, displacement_mm)
-    lines = tuple(np.sort(np.concatenate([line, (line[1:] + line[:-1]) / 2])) for line in grid.lines)
+    boxes, u = solver.on_coarse_grid(force_n, displacement_mm)
     return FiniteArrayField(
         design=solver.design,
         rectangles_mm=pad_squares(solver.design)[:1],
         state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
         has_plates=True,
-        at=RegularGridInterpolator(
-            lines, u.reshape(*(len(line) for line in lines), 3), bounds_error=False, fill_value=None
-        ),
+        boxes=boxes,
+        displacement_mm=u,
     )
 
 

@@ -22,7 +22,7 @@ from geometry.design import Material
 from geometry.layout import FloatArray
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
-AT_ONCE = 4_000_000  #: numbers held at a time
+MAX_NUMBERS = 4_000_000  #: in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def corner_stress(
     average = sp.csr_matrix((weight, (number.ravel(), np.arange(number.size))))
     average = sp.diags_array(1 / np.asarray(average.sum(axis=1)).ravel()) @ average
     total = np.zeros((average.shape[0], 6 * n_answers))
-    width = max(1, AT_ONCE // (len(slopes) * 9 * n_answers))
+    width = max(1, MAX_NUMBERS // (len(slopes) * 9 * n_answers))
     for first in range(0, len(elements.nodes), width):
         some = slice(first, first + width)
         gradient = np.einsum("qak,eki,eajc->eqijc", slopes, elements.inverse_jacobian[some], u[elements.nodes[some]],
