@@ -18,7 +18,7 @@ from fem.scene.checks import SceneError
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution
-from fem.tetrahedra.taylor_hood import TaylorHood, taylor_hood
+from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 
 __all__ = [
     "ArrayResponse",

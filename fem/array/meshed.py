@@ -22,7 +22,7 @@ from fem.rubber.body import RubberBody
 from fem.rubber.law import LAWS
 from fem.scene.loads import StiffLoad
 from fem.system import System
-from fem.tetrahedra.taylor_hood import TaylorHood, taylor_hood
+from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings

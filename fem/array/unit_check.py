@@ -107,7 +107,7 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
 
     Notes
     -----
-    The form of `fem.tetrahedra.taylor_hood`, assembled rubber by rubber, so that the pressure may jump between them.
+    The form of `fem.tetrahedra.mixed`, assembled rubber by rubber, so that the pressure may jump between them.
     """
     start = perf_counter()
     tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)

@@ -13,7 +13,7 @@ from skfem import Basis, MeshTet
 
 from fem.discretization.elements import Elements, shape_gradients
 from fem.scene.solution import SMALLEST_SHARE
-from fem.tetrahedra.taylor_hood import IntArray, TaylorHood, pressure_dofs
+from fem.tetrahedra.mixed import IntArray, TaylorHood, pressure_dofs
 from geometry.layout import FloatArray
 
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them

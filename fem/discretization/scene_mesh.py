@@ -12,7 +12,7 @@ from skfem import MeshTet
 
 from fem.discretization.indicator import cell_sizes
 from fem.scene.scene import Scene
-from fem.tetrahedra.taylor_hood import IntArray
+from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface, tetrahedralized
 from geometry.prism import Prism, prisms_at

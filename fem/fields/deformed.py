@@ -26,7 +26,7 @@ from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
 )
-from fem.tetrahedra.taylor_hood import IntArray
+from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.layout import (
     FloatArray,

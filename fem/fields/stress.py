@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from fem.discretization.elements import Elements, shape_gradients, shape_values
-from fem.tetrahedra.taylor_hood import MIN_POISSON, lame_of_regions
+from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray
 

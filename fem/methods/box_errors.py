@@ -1,4 +1,4 @@
-"""How far an answer on split boxes is off, and which boxes that comes from.
+"""Error of an answer on split boxes, and the boxes that it comes from.
 
 The error of a probe is a(u − u_h, z − z_h), where z answers a unit load on the probe (Becker & Rannacher, Acta
 Numerica 10, 2001). What the highest degree along an axis adds to u_h and z_h in a box stands for both factors: the sum
@@ -21,7 +21,7 @@ MAX_PROBES = 20  #: that have unit loads of their own; of more, `N_SUMS` sums wi
 N_SUMS = 24
 PRESSURE_WEIGHT = 0.25  #: of pressures beside shear strains
 LARGEST_RATIO = 1.2  #: of error to η, where no change has shown it
-LEAST_RATIOS = (0.8, 0.6, 0.3)  #: least ratio believed after two, three and more meshes
+MIN_RATIOS = (0.8, 0.6, 0.3)  #: least ratio believed after two, three and more meshes
 SAFETY = 1.5  #: factor on the ratio that changes have shown
 
 
@@ -64,7 +64,7 @@ def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
         falls = -np.diff(eta, axis=0)
         shown = np.full(changes.shape, LARGEST_RATIO)
         np.divide(changes, falls, out=shown, where=falls > 0)
-        least = LEAST_RATIOS[min(len(history), 1 + len(LEAST_RATIOS)) - 2]
+        least = MIN_RATIOS[min(len(history), 1 + len(MIN_RATIOS)) - 2]
         ratio = np.clip(SAFETY * shown.max(axis=0), least, LARGEST_RATIO)
     return ratio * eta[-1]
 

@@ -4,6 +4,8 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
@@ -24,8 +26,8 @@ from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch
-from fem.tetrahedra.taylor_hood import MIN_POISSON, lame_of_regions, taylor_hood
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
+from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions, taylor_hood
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes

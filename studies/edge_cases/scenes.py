@@ -18,7 +18,7 @@ from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.taylor_hood import taylor_hood
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, mesh_quality

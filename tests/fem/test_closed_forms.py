@@ -23,7 +23,7 @@ from fem.array.closed_forms import (
 from fem.array.response import read_response, write_response
 from fem.discretization.patch import patch_integrals
 from fem.factor import Factor, checked_solve
-from fem.tetrahedra.taylor_hood import taylor_hood
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 

@@ -10,7 +10,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from fem.discretization.patch import patch_integrals
 from fem.factor import Factor, checked_solve, whole
-from fem.tetrahedra.taylor_hood import TaylorHood, taylor_hood
+from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

@@ -20,7 +20,7 @@ from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
-from fem.tetrahedra.taylor_hood import taylor_hood
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
 from tests.fem.scenes import on_tetrahedra
 

@@ -17,7 +17,7 @@ from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.taylor_hood import lame_of_regions, taylor_hood
+from fem.tetrahedra.mixed import lame_of_regions, taylor_hood
 from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
