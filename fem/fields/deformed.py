@@ -30,11 +30,10 @@ from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.layout import (
     FloatArray,
-    lower_electrodes,
+    electrode_centres,
     pillar_ends,
     pillar_sections,
     unit_centres,
-    upper_electrodes,
 )
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
@@ -152,7 +151,7 @@ def column_surface(ends: FloatArray, section: FloatArray, slices: int, around: i
 
 def electrode_surface(unit: Unit) -> Quads:
     """The electrodes of a unit in its own frame, the upper ones first."""
-    places = (*upper_electrodes(unit), *lower_electrodes(unit))
+    places = electrode_centres(unit)
     return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in places])
 
 
@@ -302,7 +301,7 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
         for one in scene.inclusions
     ]
     points, quads = joined(columns)
-    moved = boxes_of(field).at(points) @ field.displacement_mm
+    moved = boxes_of(field.points_mm).at(points) @ field.displacement_mm
     inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
     return {"inclusions": inside, "matrix": body}
 

@@ -72,9 +72,9 @@ def finite_field(scene: Scene) -> Field:
     return found
 
 
-def boxes_of(field: Field) -> Boxes:
-    """The quadratic boxes of an upright body's grid, whose nodes are the field's points."""
-    return Boxes.between([np.unique(field.points_mm[:, axis])[::2] for axis in range(3)])
+def boxes_of(points_mm: FloatArray) -> Boxes:
+    """Boxes between all nodes (n, 3) of an upright grid, linear in each as the matrix around inclusions is drawn."""
+    return Boxes.between([np.unique(points_mm[:, axis]) for axis in range(3)], order=1)
 
 
 def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
@@ -93,7 +93,7 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
         rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
-        boxes=boxes_of(grid),
+        boxes=boxes_of(grid.points_mm),
         displacement_mm=grid.displacement_mm,
     )
 
@@ -109,7 +109,7 @@ def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_
         rectangles_mm=pad_squares(solver.design)[:1],
         state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
         has_plates=True,
-        boxes=boxes,
+        boxes=boxes_of(boxes.points_mm),
         displacement_mm=u,
     )
 
