@@ -3,12 +3,13 @@
 Nothing is superposed: every load is solved for itself, on the coarsest grid that is right to 2 % as estimated.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
-from fem.fields.array_field import PAD_LOADS, FieldState
+from fem.boxes.boxes import Boxes
+from fem.fields.array_field import PAD_LOADS, FieldState, Observer
 from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
 from fem.methods.cell_scene import forces_on_cells
@@ -23,23 +24,6 @@ from geometry.layout import FloatArray, pad_squares, unit_centres
 TOLERANCE = 2e-2  #: of a picture, where the scene asks for a finer one
 
 
-@dataclass(frozen=True, eq=False)
-class FiniteObserver:
-    """Points of the cell at which displacement of every unit is seen."""
-
-    array: "FiniteArrayField" = field(repr=False)
-    points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
-
-    def displacement_mm(self, state: FieldState) -> FloatArray:
-        """Displacement at the points of every unit, shape (n_units, k, 3) [mm]; the state is the array's only one."""
-        centres = np.pad(unit_centres(self.array.design), ((0, 0), (0, 1)))
-        return self.array.at((centres[:, None] + self.points_mm).reshape(-1, 3)).reshape(len(centres), -1, 3)
-
-    def stress_mpa(self, state: FieldState) -> FloatArray:
-        """Refused: SceneError."""
-        raise no_stress()
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FiniteArrayField:
     """An array under one load at finite strain, seen as an `ArrayField` is."""
@@ -48,11 +32,20 @@ class FiniteArrayField:
     rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
     state: FieldState
     has_plates: bool  #: whether those are rigid plates
-    at: RegularGridInterpolator = field(repr=False)  #: points (n, 3) of the slab to displacements (n, 3) [mm]
+    at: Callable[[FloatArray], FloatArray] = field(repr=False)  #: points (n, 3) of the slab to displacements [mm]
 
-    def observe(self, points_mm: FloatArray, region: int | None = None) -> FiniteObserver:
+    def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
         """Choose points of the cell to look at; the region makes no difference to displacement."""
-        return FiniteObserver(self, np.atleast_2d(points_mm))
+        centres, points = np.pad(unit_centres(self.design), ((0, 0), (0, 1))), np.atleast_2d(points_mm)
+
+        def moved(state: FieldState) -> FloatArray:
+            """Of the array's only state."""
+            return self.at((centres[:, None] + points).reshape(-1, 3)).reshape(len(centres), -1, 3)
+
+        def refused(state: FieldState) -> FloatArray:
+            raise no_stress()
+
+        return Observer(moved, refused)
 
 
 def no_stress() -> SceneError:
@@ -70,11 +63,14 @@ def finite_field(scene: Scene) -> Field:
     return found
 
 
-def between_nodes(field: Field) -> RegularGridInterpolator:
-    """Displacement of points (n, 3) of an upright body by that of its grid's nodes, linear between these."""
-    lines = tuple(np.unique(field.points_mm[:, axis]) for axis in range(3))
-    u = field.displacement_mm.reshape(*(len(line) for line in lines), 3)
-    return RegularGridInterpolator(lines, u, bounds_error=False, fill_value=None)
+def moved_at(boxes: Boxes, u: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Points (n, 3) of a body to their displacements, by those of the nodes of its boxes (n_nodes, 3) [mm]."""
+    return lambda points_mm: boxes.at(points_mm) @ u
+
+
+def between_nodes(field: Field) -> Callable[[FloatArray], FloatArray]:
+    """Displacement of points (n, 3) of an upright body by that of its grid's nodes."""
+    return moved_at(Boxes.between([np.unique(along)[::2] for along in field.points_mm.T]), field.displacement_mm)
 
 
 def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
@@ -87,13 +83,12 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
     """
     local: dict[Rectangle, int] = {}
     newtons = forces_on_cells(scene, body, local)
-    grid = finite_field(scene)
     return FiniteArrayField(
         design=body.design,
         rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
-        at=between_nodes(grid),
+        at=between_nodes(finite_field(scene)),
     )
 
 
@@ -102,16 +97,12 @@ def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_
 
     Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
     """
-    grid, u = solver.on_coarse_grid(force_n, displacement_mm)
-    lines = tuple(np.sort(np.concatenate([line, (line[1:] + line[:-1]) / 2])) for line in grid.lines)
     return FiniteArrayField(
         design=solver.design,
         rectangles_mm=pad_squares(solver.design)[:1],
         state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
         has_plates=True,
-        at=RegularGridInterpolator(
-            lines, u.reshape(*(len(line) for line in lines), 3), bounds_error=False, fill_value=None
-        ),
+        at=moved_at(*solver.on_coarse_grid(force_n, displacement_mm)),
     )
 
 
@@ -120,22 +111,16 @@ def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scen
 
     On soft pads the pressure follows, since from about half of E a dead traction has no equilibrium.
     """
-    tractions = PAD_LOADS[load](design, pressure_mpa)
-    size = (design.pad.size_mm, design.pad.size_mm)
+    tractions, side = PAD_LOADS[load](design, pressure_mpa), design.pad.size_mm
     loads: list[Load] = []
-    for (x0, y0, x1, y1), (tx, ty, tz) in zip(pad_squares(design).tolist(), tractions.tolist(), strict=True):
-        centre = ((x0 + x1) / 2, (y0 + y1) / 2)
+    for (x0, y0, x1, y1), traction in zip(pad_squares(design).tolist(), tractions, strict=True):
+        middle, size, (tx, ty, tz) = ((x0 + x1) / 2, (y0 + y1) / 2), (side, side), traction.tolist()
         if design.pad.kind == "stiff":
-            area = size[0] * size[1]
-            loads.append(StiffLoad(center_mm=centre, size_mm=size, force_n=(tx * area, ty * area, tz * area)))
-        elif tx or ty or tz:
-            loads.append(FollowerLoad(center_mm=centre, size_mm=size, pressure_mpa=-tz, traction_mpa=(tx, ty)))
-    worst = pad_squares(design)[int(np.abs(tractions[:, 2]).argmax())]
-    middle = ((worst[0] + worst[2]) / 2, (worst[1] + worst[3]) / 2)
-    return Scene(
-        body=Sensor(design=design),
-        material=design.matrix_material,
-        loads=tuple(loads),
-        probes=(Probe(name="pad", kind="mean", center_mm=middle, size_mm=size),),
-        tolerance=TOLERANCE,
-    )
+            force = tx * side**2, ty * side**2, tz * side**2
+            loads.append(StiffLoad(center_mm=middle, size_mm=size, force_n=force))
+        elif traction.any():
+            loads.append(FollowerLoad(center_mm=middle, size_mm=size, pressure_mpa=-tz, traction_mpa=(tx, ty)))
+    x0, y0, x1, y1 = pad_squares(design)[int(np.abs(tractions[:, 2]).argmax())].tolist()
+    probe = Probe(name="pad", kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(side, side))
+    body = Sensor(design=design)
+    return Scene(body=body, material=design.matrix_material, loads=tuple(loads), probes=(probe,), tolerance=TOLERANCE)

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 
-from fem.array.cell import PortModes, condense
+from fem.array.cell import condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import MESH_DEGREE, cell_interior
+from fem.array.interior import GRID_LEVEL, MESH_DEGREE
 from fem.array.solving import solve_response
-from fem.array.substructured import condensed_cell
+from fem.array.substructured import MATRICES, cell_body, condensed_cell, lone_unit
 from fem.fields.array_field import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
@@ -104,15 +103,12 @@ def test_answers_add_up(field, state):
         assert np.allclose(seen(both), seen(state) + 2 * seen(alone), rtol=0, atol=1e-9)
 
 
-def test_the_inside_belongs_to_the_condensed_cell():
+def test_the_inside_belongs_to_the_condensed_cell(field):
     """The solutions kept give the same S, L and C as condensation without them."""
-    lines = np.array([-7.5, -6.0, 0.0, 6.0, 7.5])
-    basis = GridBasis(Grid(x=lines, y=lines, z=np.array([0.0, 4.0, 8.0, 10.0])))
-    body = grid_body(basis, grid_stiffness(basis, [Material()]))
-    ports, pads = PortModes(7.5, 10.0, 3, 3), np.array([[-6.0, -6.0, 6.0, 6.0]])
-    cell = condense(body, ports, pads)
-    interior = cell_interior(body, np.zeros(48, dtype=np.int64), [Material()], ports, pads)
-    for name in ("stiffness", "reach", "compliance"):
+    interior = field.interior
+    body = cell_body(lone_unit(field.design), GRID_LEVEL, is_whole=True)
+    cell = condense(body, interior.cell.ports, field.rectangles_mm)
+    for name in MATRICES:
         one, other = getattr(interior.cell, name), getattr(cell, name)
         assert np.abs(one - other).max() < 1e-11 * np.abs(other).max()
 
