@@ -22,7 +22,7 @@ RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 
 FRICTION = (0.1, 1.0)
 PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
 CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
-VERSION = 1  #: raise when the same settings give other samples
+VERSION = 2  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
@@ -97,7 +97,7 @@ def write_contact(contact: Contact, path: Path) -> None:
         "shear_mpa": (("direction", "y", "x"), contact.shear_mpa, {"units": "MPa", "note": "on the sensor"}),
         "gap_mm": (("y", "x"), contact.gap_mm, {"units": "mm", "note": "between shape and rubber"}),
         "moved_mm": (("axis", "y", "x"), contact.displacement_mm, {"units": "mm", "note": "of the top, z up"}),
-        "state": (("y", "x"), contact.state, {"flag_values": [0, 1, 2], "flag_meanings": "free slipping sticking"}),
+        "state": (("y", "x"), contact.state, {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}),
     }
     places = {"x": ("x", patch.x_mm, {"units": "mm"}), "y": ("y", patch.y_mm, {"units": "mm"})}
     story = {
@@ -105,6 +105,8 @@ def write_contact(contact: Contact, path: Path) -> None:
         "at_mm": list(contact.at_mm),
         "slide_mm": list(contact.slide_mm),
         "friction": contact.friction,
+        "error_estimate": contact.error_estimate,
+        "electrode_error_estimate": contact.electrode_error_estimate,
     }
     sample = samples_of([contact]).to_xarray()
     write_netcdf(sample.assign(maps).assign_coords({**places, "direction": ["x", "y"]}).assign_attrs(story), path)

@@ -11,7 +11,6 @@ electrode. The rooms, in the order of the data: `scene/` (a scene and its file),
 
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.discretization.elasticity import ElasticBody, taylor_hood
 from fem.discretization.patch import PatchError, patch_integrals, patch_means
 from fem.factor import SolverError
 from fem.methods.solving import solve_scene
@@ -19,16 +18,17 @@ from fem.scene.checks import SceneError
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution
+from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 
 __all__ = [
     "ArrayResponse",
-    "ElasticBody",
     "PatchError",
     "ResponseSettings",
     "Scene",
     "SceneError",
     "Solution",
     "SolverError",
+    "TaylorHood",
     "array_response",
     "patch_integrals",
     "patch_means",

@@ -91,7 +91,7 @@ class System:
         parity: Parity | None = None,
     ) -> None:
         is_linear = body.law.is_linear
-        loads = [load.at_rest if is_linear and isinstance(load, FollowerLoad) else load for load in loads]
+        loads = [load.spread[0] if is_linear and isinstance(load, FollowerLoad) else load for load in loads]
         self.body, self.whole_loads, self.mirrors = body, tuple(loads), mirrors
         planes = {mirror.axis for mirror in mirrors}
         self.parity = parity or (int(0 in planes), int(1 in planes))

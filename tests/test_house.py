@@ -26,6 +26,7 @@ ROOMS = {
         "scene",
         "boxes",
         "rubber",
+        "tetrahedra",
         "discretization",
         "conduction",
         "finite",

@@ -98,7 +98,7 @@ class PortModes:
         """Displacements of a parity, (n_modes·3, m), and how much of each any displacement has, (m, n_modes·3)."""
         share = np.eye(self.n_modes * 3)
         for axis in np.flatnonzero(parity):
-            number, signs = self.image(axis, parity)
+            number, signs = self.image(int(axis), parity)
             share = (share + signs[:, None] * share[number]) / 2  # the projection onto what is its own image
         size = share.diagonal()
         first = np.flatnonzero((np.abs(share).argmax(axis=1) == np.arange(len(share))) & (size > 0))  # of its images
@@ -157,7 +157,7 @@ class CondensedCell:
         return True
 
     @property
-    def standing_alone(self) -> FloatArray:
+    def free_compliance(self) -> FloatArray:
         """Mean displacements of the rectangles per newton on them, with free side faces, (k·3, k·3) [mm/N]."""
         return self.compliance + self.transfer.T @ np.linalg.solve(self.stiffness, self.transfer)
 
@@ -223,8 +223,13 @@ class CellBody(Protocol):
     Its base is clamped, its side faces are free. Unknowns of a parity are those of a problem of the part.
     """
 
-    mirrors: tuple[Mirror, ...]
-    definite: bool  #: whether its matrices are
+    @property
+    def mirrors(self) -> tuple[Mirror, ...]:
+        """Planes beyond which the part lies."""
+
+    @property
+    def definite(self) -> bool:
+        """Whether its matrices are."""
 
     @property
     def points_mm(self) -> FloatArray:
@@ -247,12 +252,12 @@ class CellBody(Protocol):
     def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
         """Forces (m, k) on the unknowns of forces (k, n, 3) on the nodes [N]."""
 
-    def displacements(self, solution: FloatArray, parity: Parity) -> FloatArray:
+    def displacements(self, solution: FloatArray) -> FloatArray:
         """Displacements (k, n, 3) of the nodes by unknowns (m, k) [mm]."""
 
 
 def condense(
-    body: CellBody, ports: PortModes, rectangles: FloatArray, inside: list[tuple[Parity, FloatArray]] | None = None
+    body: CellBody, ports: PortModes, rectangles: FloatArray, inside: list[FloatArray] | None = None
 ) -> CondensedCell:
     """Condense a cell, whatever its mesh.
 
@@ -265,7 +270,7 @@ def condense(
         x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed, anywhere on the whole cell [mm].
     inside : list, optional
         Takes the displacements (n_modes·3 + k·3, n, 3) of the body's nodes by unit port displacements [mm] and by unit
-        forces on the rectangles [N], with the parity that they are of; such a solve costs more.
+        forces on the rectangles [N], for each parity; such a solve costs more.
 
     Notes
     -----
@@ -312,7 +317,7 @@ def _eliminated(
     loads: FloatArray,
     parity: Parity,
     copies: int,
-    inside: list[tuple[Parity, FloatArray]] | None,
+    inside: list[FloatArray] | None,
 ) -> CondensedCell:
     """What a cell does in fields of a parity: `condense` of one of its copies, under loads (m, k·3) on the unknowns."""
     points, numbers = body.points_mm, body.numbers
@@ -337,9 +342,9 @@ def _eliminated(
         product = rhs.T @ x
         solution = np.zeros((K.shape[0], rhs.shape[1]))
         solution[inner], solution[outer, :n] = x * np.repeat([-1.0, 1.0], [n, x.shape[1] - n]), modes
-        by_ports, by_forces = np.split(body.displacements(solution, parity), [n])
+        by_ports, by_forces = np.split(body.displacements(solution), [n])
         by_ports = np.tensordot(share.toarray(), by_ports, (0, 0))
-        inside.append((parity, np.concatenate([by_ports, by_forces / copies])))
+        inside.append(np.concatenate([by_ports, by_forces / copies]))
     S = modes.T @ (whole(_part(K, B, B)) @ modes) - product[:n, :n]
     L = modes.T @ loads[outer] - product[:n, n:]
     C = product[n:, n:] / copies

@@ -7,7 +7,6 @@ averaged over rectangles by a few Gauss points. It is an independent check of th
 sides. z points up and the surface is at z = 0; a force with z < 0 pushes down.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter
@@ -82,46 +81,6 @@ def mean_compliance(targets_mm: ArrayLike, loads_mm: ArrayLike, material: Materi
     return FLIP * np.moveaxis(np.array(down), (0, 1), (-2, -1)) / (4 * np.pi * G)
 
 
-def response_by_translation(
-    design: SensorDesign, method: str, mean: Callable[[FloatArray, FloatArray], FloatArray]
-) -> ArrayResponse:
-    """Response of a body that is the same everywhere along x and y: only offsets between units matter.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        Where pads and electrodes are.
-    method : str
-        Name of the response's method.
-    mean : function
-        Compliance (..., 3, 3) [mm/N] of targets (..., 4) under loads (4,), as `mean_compliance`.
-
-    Returns
-    -------
-    ArrayResponse
-        Its influence is a read-only view of the table of offsets.
-    """
-    start = perf_counter()
-    rows, cols, pitch_mm = design.array.rows, design.array.cols, design.array.pitch_mm
-    single = replace(design, array=Array(rows=1, cols=1, pitch_mm=pitch_mm))
-    pad, electrodes = pad_squares(single)[0], electrode_squares(single)
-    table = np.empty((2 * rows - 1, 2 * cols - 1, len(electrodes), 3, 3))
-    x = np.arange(1 - cols, cols)[:, None, None] * pitch_mm
-    for number, steps in enumerate(range(1 - rows, rows)):  # a row at a time bounds the memory
-        shift = np.concatenate([x, np.full_like(x, steps * pitch_mm)] * 2, axis=-1)
-        table[number] = mean(electrodes + shift, pad)
-    # influence[i, j, e, a, k, l, b] = table[i − k + rows − 1, j − l + cols − 1, e, a, b]: windows, one for each k, l
-    windows = np.lib.stride_tricks.sliding_window_view(table, (rows, cols), axis=(0, 1))  # k reversed, l, e, a, b, i, j
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=windows[::-1, ::-1].transpose(5, 6, 2, 3, 0, 1, 4),
-        residual=0.0,
-        unknowns=0,
-        seconds={"closed form": perf_counter() - start},
-        method=method,
-    )
-
-
 def _edge_kernels(X: FloatArray, Y: FloatArray) -> tuple[FloatArray, ...]:
     """Fourth integrals H, ∂⁴H/∂X²∂Y², of x²/r³, y²/r³, x y/r³, x/r² and y/r², up to what the sum over edges cancels.
 
@@ -161,10 +120,10 @@ def _area(rectangles: FloatArray) -> FloatArray:
     return (rectangles[..., 2] - rectangles[..., 0]) * (rectangles[..., 3] - rectangles[..., 1])
 
 
-REACH = 30.0  #: heights beyond which nothing is felt: the slowest share of a response falls as exp(−0.74 r/h)
-WAVES = 20.0  #: wavenumbers · height beyond which the base is not felt, to exp(−40)
+MAX_DISTANCE = 30.0  #: heights beyond which nothing is felt: the slowest share of a response falls as exp(−0.74 r/h)
+MAX_WAVENUMBER = 20.0  #: wavenumbers · height beyond which the base is not felt, to exp(−40)
 GAUSS_ERROR = 1e-9  #: of the means over rectangles, relative to the half-space's
-WIDEST = 100.0  #: heights, of a rectangle's side: more takes many Gauss points, and no sensor is like that
+MAX_WIDTH = 100.0  #: heights, of a rectangle's side: more takes many Gauss points, and no sensor is like that
 POINTS = 400_000  #: Gauss points at a time, which bounds the memory to some 100 MB
 
 
@@ -254,13 +213,13 @@ def layer_mean_compliance(
     pairs = np.broadcast_arrays(np.asarray(targets_mm, dtype=float), np.asarray(loads_mm, dtype=float))
     target, load = (side.reshape(-1, 2, 2) / height_mm for side in pairs)  # (n_pairs, low or high, x or y) in heights
     gap = np.maximum(target[:, 0] - load[:, 1], load[:, 0] - target[:, 1]).clip(min=0.0)
-    felt = np.hypot(*gap.T) < REACH
+    felt = np.hypot(*gap.T) < MAX_DISTANCE
     x, wx = _differences(target[felt, :, 0], load[felt, :, 0])
     y, wy = _differences(target[felt, :, 1], load[felt, :, 1])
-    at_once = max(1, POINTS // (len(wx) * len(wy)))
+    chunk = max(1, POINTS // (len(wx) * len(wy)))
     rest = np.zeros((int(felt.sum()), 3, 3))
-    for first in range(0, len(rest), at_once):
-        some = slice(first, first + at_once)
+    for first in range(0, len(rest), chunk):
+        some = slice(first, first + chunk)
         points = _rest(x[some, :, None], y[some, None, :], material.poisson)
         rest[some] = np.einsum("ijnab,a,b->nij", points, wx, wy)
     _, G = material.lame_mpa
@@ -320,9 +279,24 @@ def layer_response(design: SensorDesign) -> ArrayResponse:
     6 × 6 array differs by 0.7 % for a centre unit under its own pad and 0.6 % under its neighbour's, 2 % and 2 to 7 %
     one ring further out, and 40 to 60 % on the rim: for units at the edge it is no answer.
     """
-    height_mm, material = design.unit.height_mm, design.matrix_material
-    return response_by_translation(
-        design, "layer", lambda targets, loads: layer_mean_compliance(targets, loads, height_mm, material)
+    start = perf_counter()
+    rows, cols, pitch_mm = design.array.rows, design.array.cols, design.array.pitch_mm
+    single = replace(design, array=Array(rows=1, cols=1, pitch_mm=pitch_mm))
+    pad, electrodes = pad_squares(single)[0], electrode_squares(single)
+    table = np.empty((2 * rows - 1, 2 * cols - 1, len(electrodes), 3, 3))
+    x = np.arange(1 - cols, cols)[:, None, None] * pitch_mm
+    for number, steps in enumerate(range(1 - rows, rows)):  # a row at a time bounds the memory
+        shift = np.concatenate([x, np.full_like(x, steps * pitch_mm)] * 2, axis=-1)
+        table[number] = layer_mean_compliance(electrodes + shift, pad, design.unit.height_mm, design.matrix_material)
+    # influence[i, j, e, a, k, l, b] = table[i − k + rows − 1, j − l + cols − 1, e, a, b]: windows, one for each k, l
+    windows = np.lib.stride_tricks.sliding_window_view(table, (rows, cols), axis=(0, 1))  # k reversed, l, e, a, b, i, j
+    return ArrayResponse(
+        design=design,
+        influence_mm_per_n=windows[::-1, ::-1].transpose(5, 6, 2, 3, 0, 1, 4),
+        residual=0.0,
+        unknowns=0,
+        seconds={"closed form": perf_counter() - start},
+        method="layer",
     )
 
 
@@ -338,8 +312,8 @@ def _differences(target: FloatArray, load: FloatArray) -> tuple[FloatArray, Floa
 
 def _gauss(size: float) -> tuple[FloatArray, FloatArray]:
     """Gauss rule on −1..1 for an interval of `size` heights; n points err by ρ^(−2n) on Bernstein's ellipse ρ."""
-    if not size <= WIDEST:
-        raise HalfspaceError(f"a rectangle is {size:.3g} heights wide, at most {WIDEST:g} are allowed: split it.")
+    if not size <= MAX_WIDTH:
+        raise HalfspaceError(f"a rectangle is {size:.3g} heights wide, at most {MAX_WIDTH:g} are allowed: split it.")
     t = 4 / size  # the singularity 2 heights away, in half-intervals
     n = 1 + int(np.ceil(-np.log(GAUSS_ERROR) / (2 * np.arcsinh(t))))
     nodes, weights = np.polynomial.legendre.leggauss(n)
@@ -349,8 +323,8 @@ def _gauss(size: float) -> tuple[FloatArray, FloatArray]:
 def _rest(x: FloatArray, y: FloatArray, poisson: float) -> FloatArray:
     """Layer minus half-space, 2πG·height times displacement per newton, shape (3, 3, ...); x and y in heights."""
     r = np.hypot(x, y)
-    isotropic, shear, cross, normal = np.moveaxis(_radial(poisson)(np.minimum(r, REACH)), -1, 0)
-    far = r > REACH  # the layer is still: take the half-space away
+    isotropic, shear, cross, normal = np.moveaxis(_radial(poisson)(np.minimum(r, MAX_DISTANCE)), -1, 0)
+    far = r > MAX_DISTANCE  # the layer is still: take the half-space away
     if far.any():
         R = r[far]
         isotropic[far], normal[far] = (poisson / 2 - 1) / R, (poisson - 1) / R
@@ -369,13 +343,13 @@ def _radial(poisson: float) -> CubicSpline:
 
     Hankel transforms ∫ Jₙ(q r) δ(q) dq: (δ_l + δ_t)/2 with J0, (δ_l − δ_t)/2 with J2, δ_c with J1, δ_n with J0.
     """
-    edges = np.concatenate([[0.0], np.geomspace(0.05, 1.0, 5), np.linspace(1.0, WAVES, 58)[1:]])
+    edges = np.concatenate([[0.0], np.geomspace(0.05, 1.0, 5), np.linspace(1.0, MAX_WAVENUMBER, 58)[1:]])
     nodes, weights = np.polynomial.legendre.leggauss(16)
     half = np.diff(edges)[:, None] / 2
     q = (edges[:-1, None] + half * (1 + nodes)).ravel()
     dq = (half * weights).ravel()
     transverse, longitudinal, normal, cross = layer_spectrum(q, poisson) * dq
-    r = np.linspace(0.0, REACH, 601)
+    r = np.linspace(0.0, MAX_DISTANCE, 601)
     qr = np.outer(np.maximum(r, 1e-4), q)
     J0, J1 = j0(qr), j1(qr)
     J1_over = J1 / qr

@@ -14,8 +14,9 @@ import scipy.sparse as sp
 
 from fem.array.coupled_cells import COLUMNS, CoupledArray
 from fem.array.interior import CellInterior, design_interior
+from fem.array.meshed import functionals, pad_plate
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, alike, influence_range, lone_unit, rolled, unrolled
+from fem.array.substructured import MAX_TESTED, expanded, influence_range, reduced, representatives
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
     EXTRAPOLATED,
@@ -28,13 +29,13 @@ from fem.conduction.potentials import (
 from fem.conduction.second_order import second_derivatives
 from fem.discretization.elements import shape_gradients
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, electrode_squares, pad_squares, pillar_ends, pillar_volumes
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
 SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
 SPREAD = 2500  #: points that choose the modes
-FAR = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
+TRUNCATION = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
 
 
 def _slopes(interior: CellInterior, points_mm: FloatArray) -> list[sp.csr_matrix]:
@@ -78,11 +79,9 @@ def conducted_pillars(
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
     """
-    reach = influence_range(design, FAR)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
-    alone = lone_unit(design)
-    rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
-    interior = design_interior(design, rectangles, progress)
+    radius = influence_range(design, TRUNCATION)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
+    interior = design_interior(design, functionals(design), pad_plate(design), progress)
     electrics = design.electrics
     piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
     progress("conduction")
@@ -97,7 +96,7 @@ def conducted_pillars(
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
     seen = _of_unit_loads(interior, rows, cols, np.vstack([first, modes.functionals, electrodes]))
-    accurate = rolled(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
+    accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
     rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
     scale = np.tile([SHEAR, SHEAR, 1.0], rows * cols)
@@ -121,8 +120,8 @@ def conducted_pillars(
     rest_mm[..., 0] = np.sqrt(square_mm2)
     return ConductedPillars(
         rest_mm=rest_mm,
-        influence_mm_per_n=unrolled(influence, *wide, reach),
-        sign=alike(signs, *wide),
+        influence_mm_per_n=expanded(influence, *wide, radius),
+        sign=representatives(signs, *wide),
         error_estimate=float(at_rest.error_estimate.max()),
     )
 

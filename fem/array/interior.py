@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
-from fem.array.meshed import BoxCell
-from fem.array.substructured import cell_body
+from fem.array.meshed import BoxCell, TetCell, cell_lines, elastic_body, lone_unit
 from fem.discretization.elements import Elements
-from fem.mirrors import Parity
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
+from geometry.mesh import sensor_mesh, suited_settings
 
 #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time)
 GRID_LEVEL, GRID_DEGREE = 2, 6
@@ -22,8 +21,7 @@ MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
 class CellInterior:
     """A condensed cell, and what every one of its amplitudes does inside.
 
-    An amplitude is a port displacement [mm], n_modes·3 of them, or a force on a rectangle [N], three for each. The same
-    solutions give the condensed cell, so that cells coupled by it meet exactly the displacements that are shown.
+    An amplitude is a port displacement [mm], n_modes·3 of them, or a force on a rectangle [N], three for each.
     """
 
     cell: CondensedCell
@@ -33,30 +31,38 @@ class CellInterior:
 
 
 def design_interior(
-    design: SensorDesign, rectangles_mm: FloatArray, progress: Callable[[str], None] = lambda step: None
+    design: SensorDesign,
+    rectangles_mm: FloatArray,
+    plate: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda step: None,
 ) -> CellInterior:
-    """Solve a design's cell inside, with the plate of a stiff pad on it.
+    """Solve a design's cell inside.
 
     Parameters
     ----------
     design : SensorDesign
     rectangles_mm : array, shape (k, 4)
         What can be loaded on its top: x0, y0, x1, y1 in the cell's own coordinates.
+    plate : array, shape (4,), optional
+        Rectangle of a plate bonded to its top.
     progress : function
         Called with the name of each step as it begins.
     """
-    progress("cell" if design.is_homogeneous else "mesh")
-    level, degree = (GRID_LEVEL, GRID_DEGREE) if design.is_homogeneous else (MESH_LEVEL, MESH_DEGREE)
-    body = cell_body(design, level, is_whole=True)
-    if not design.is_homogeneous:
+    material = [design.matrix_material, design.pillar_material]
+    body: BoxCell | TetCell
+    if design.is_homogeneous:
         progress("cell")
-    inside: list[tuple[Parity, FloatArray]] = []
+        body, degree = BoxCell.of(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
+        elements = Elements.of_boxes(body.system.body.boxes)
+    else:
+        progress("mesh")
+        alone = lone_unit(design)
+        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
+        progress("cell")
+        body, degree = TetCell(elastic_body(alone, mesh), plate), MESH_DEGREE
+        elements = Elements.of_basis(body.body.basis, mesh.region.astype(np.int64))
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
+    inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
-    elements = Elements.of_boxes(body.boxes) if isinstance(body, BoxCell) else body.elements
-    return CellInterior(
-        cell=cell,
-        elements=elements,
-        material=[design.matrix_material, design.pillar_material],
-        moved_mm=np.ascontiguousarray(inside[0][1].transpose(1, 2, 0)),
-    )
+    moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
+    return CellInterior(cell=cell, elements=elements, material=material, moved_mm=moved)

@@ -1,58 +1,99 @@
 """A design's cell as a body: boxes where it is of one rubber, tetrahedra with pillars of another."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from skfem import MeshTet
 
+from fem.array.cell import CellBody, CondensedCell, PortModes, condense
 from fem.boxes.boxes import Boxes
-from fem.discretization.elasticity import ElasticBody
-from fem.discretization.elements import Elements
+from fem.boxes.lines import Attractor, graded_lines
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
 from fem.factor import SparseMatrix
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
-from fem.rubber.law import Linear
+from fem.rubber.law import LAWS
 from fem.scene.loads import StiffLoad
 from fem.system import System
-from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pad_squares
+from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+from geometry.design import Material, SensorDesign
+from geometry.layout import FloatArray, electrode_squares, pad_squares
+from geometry.mesh import TetMesh, sensor_mesh, suited_settings
+
+
+class Weights(NamedTuple):
+    """Weights of the attractors of a cell's grid; side and base count at the rim of the array."""
+
+    pad_edge: float
+    top: float
+    electrode_edge: float
+    side: float
+    base: float
+
+
+#: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
+WEIGHTS = {"soft": Weights(1.0, 2.5, 0.3, 0.5, 0.6), "stiff": Weights(2.0, 2.0, 0.0, 0.2, 0.7)}
 
 
 @dataclass(frozen=True, eq=False)
 class BoxCell:
-    """A cell of boxes, or its quarter; as `cell.CellBody`."""
+    """A cell of boxes, or its part beyond mirrors; see `cell.CellBody`."""
 
-    system: System  #: at rest; its stiff loads are plates, without force
+    system: System  #: at rest; its loads are plates without force
     definite: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        lines: Sequence[FloatArray],
+        rubbers: Sequence[Material],
+        plate: FloatArray | None = None,
+        mirrors: tuple[Mirror, ...] = (),
+        shares: FloatArray | None = None,
+    ) -> "BoxCell":
+        """Boxes between lines, with a plate bonded to a rectangle (4,) of the whole cell.
+
+        Boxes hold shares (n_rubbers, nx, ny, nz) of the rubbers, evenly mixed: stiffer than truth where rubbers meet
+        inside a box; of the first alone without them.
+        """
+        boxes = Boxes.between(lines)
+        every = np.ones((1, len(boxes.nodes), 1)) if shares is None else shares.reshape(len(rubbers), -1, 1)
+        loads = []
+        if plate is not None:
+            x0, y0, x1, y1 = plate.tolist()
+            middle = ((x0 + x1) / 2, (y0 + y1) / 2)
+            loads.append(StiffLoad(center_mm=middle, size_mm=(x1 - x0, y1 - y0), force_n=(0.0, 0.0, 0.0)))
+        body = RubberBody(boxes, LAWS["linear"].of(rubbers[: len(every)], every))
+        return cls(System(body, loads, mirrors))
 
     @property
     def mirrors(self) -> tuple[Mirror, ...]:
         return self.system.mirrors
 
     @property
-    def boxes(self) -> Boxes:
-        return self.system.body.boxes
-
-    @property
     def points_mm(self) -> FloatArray:
-        return self.boxes.points_mm
+        return self.system.body.boxes.points_mm
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        found = np.full((self.boxes.n_nodes, 3), -1)
+        found = np.full((self.system.body.n_nodes, 3), -1)
         found[self.system.free] = np.arange(3 * len(self.system.free)).reshape(-1, 3)
         return found
 
     @property
     def is_square(self) -> bool:
-        law = self.system.body.law
-        moduli = [part.reshape(self.boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
-        return np.array_equal(*self.boxes.lines[:2]) and all(np.array_equal(m, m.swapaxes(0, 1)) for m in moduli)
+        boxes, law = self.system.body.boxes, self.system.body.law
+        moduli = [part.reshape(boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
+        plates = [load.size_mm[0] == load.size_mm[1] for load in self.system.whole_loads]
+        same = np.array_equal(*boxes.lines[:2]) and all(plates)
+        return same and all(np.array_equal(part, part.swapaxes(0, 1)) for part in moduli)
 
     @cached_property
     def _tangent(self) -> FloatArray:
@@ -62,42 +103,21 @@ class BoxCell:
         return self.system.matrix(self._tangent, parity)
 
     def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
-        return self.boxes.integrals(rectangles)
+        return self.system.body.boxes.integrals(rectangles)
 
     def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
-        own = self.system.of_parity(parity).gathered(forces, self.system.rest().rotation)
-        return own.reshape(len(forces), -1).T
+        return self.system.of_parity(parity).gathered(forces, self.system.rest().rotation).reshape(len(forces), -1).T
 
-    def displacements(self, solution: FloatArray, parity: Parity) -> FloatArray:
+    def displacements(self, solution: FloatArray) -> FloatArray:
         return self.system.displaced(solution)
 
 
-def box_cell(
-    design: SensorDesign, lines: Sequence[FloatArray], is_quarter: bool, shares: FloatArray | None = None
-) -> BoxCell:
-    """The cell of a design on boxes between lines, or its quarter x, y ≥ 0.
-
-    With `shares`, shape (2, nx, ny, nz), boxes hold that much of the matrix's and of the pillars' rubber, evenly mixed;
-    without, they are of the matrix's.
-    """
-    boxes = Boxes.between(lines)
-    rubbers = [design.matrix_material, design.pillar_material][: 1 if shares is None else 2]
-    mixed = np.ones((1, len(boxes.nodes), 1)) if shares is None else shares.reshape(2, -1, 1)
-    plates = []
-    if design.pad.kind == "stiff":
-        x0, y0, x1, y1 = pad_squares(design)[0].tolist()
-        center, size = ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0)
-        plates.append(StiffLoad(center_mm=center, size_mm=size, force_n=(0.0, 0.0, 0.0)))
-    return BoxCell(System(RubberBody(boxes, Linear.of(rubbers, mixed)), plates, QUARTER if is_quarter else ()))
-
-
 @dataclass(frozen=True, eq=False)
-class TetrahedralCell:
-    """A cell of tetrahedra, its plate, if any, bonded to its top; as `cell.CellBody`."""
+class TetCell:
+    """A whole cell of Taylor-Hood tetrahedra; see `cell.CellBody`."""
 
-    body: ElasticBody
-    plate: Plate | None
-    region: NDArray[np.int64]  #: of the tetrahedra
+    body: TaylorHood
+    plate: FloatArray | None = None  #: rectangle (4,) of its top that a plate is bonded to
     mirrors: tuple[Mirror, ...] = ()
     definite: bool = False
     is_square: bool = False
@@ -107,34 +127,110 @@ class TetrahedralCell:
         return self.body.basis.doflocs.T
 
     @cached_property
-    def _follows(self) -> tuple[NDArray[np.int64], sp.csr_matrix]:
-        """Displacements that follow the plate, and all unknowns from those that do not and its motions."""
-        body = self.body
-        if self.plate is None:
-            return body.free[:0], tied(body.matrix.shape[0], [])
-        at_plate, motions = self.plate.followers(body.free, body.basis.doflocs)
-        return at_plate, tied(body.matrix.shape[0], [(np.searchsorted(body.free, at_plate), motions)])
+    def _tied(self) -> sp.csr_matrix:
+        """Unknowns of the body from those that are left, and the motions of the plate."""
+        plates = []
+        if self.plate is not None:
+            plate = Plate(self.plate, float(self.body.basis.doflocs[2].max()))
+            bonded, motions = plate.followers(self.body.free, self.body.basis.doflocs)
+            plates.append((np.searchsorted(self.body.free, bonded), motions))
+        return tied(self.body.matrix.shape[0], plates)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        found = np.full(self.body.n_displacement, -1)
-        loose = np.setdiff1d(self.body.free, self._follows[0])
-        found[loose] = np.arange(len(loose))
-        return found.reshape(-1, 3)
-
-    @property
-    def elements(self) -> Elements:
-        return Elements.of_basis(self.body.basis, self.region)
+        found = np.full((len(self.points_mm), 3), -1)
+        first = self._tied[: len(self.body.free)].tocsr()
+        alone = np.diff(first.indptr) == 1
+        found.ravel()[self.body.free[alone]] = first.indices[first.indptr[:-1][alone]]
+        return found
 
     def matrix(self, parity: Parity) -> SparseMatrix:
-        T = self._follows[1]
-        return sp.triu(self.body.matrix if self.plate is None else T.T @ self.body.matrix @ T, format="csr")
+        return sp.triu(self._tied.T @ self.body.matrix @ self._tied, format="csr")
 
     def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
         return patch_integrals(self.body.basis, rectangles)
 
     def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
-        return self._follows[1].T @ self.body.loads(forces.reshape(len(forces), -1).T)
+        return self._tied.T @ self.body.loads(forces.reshape(len(forces), -1).T)
 
-    def displacements(self, solution: FloatArray, parity: Parity) -> FloatArray:
-        return self.body.displacements(self._follows[1] @ solution).T.reshape(solution.shape[1], -1, 3)
+    def displacements(self, solution: FloatArray) -> FloatArray:
+        return self.body.displacements(self._tied @ solution).T.reshape(solution.shape[1], -1, 3)
+
+
+def lone_unit(design: SensorDesign) -> SensorDesign:
+    """The design with one unit, whose slab is the cell."""
+    return replace(design, array=replace(design.array, rows=1, cols=1))
+
+
+def functionals(design: SensorDesign) -> FloatArray:
+    """Rectangles (1 + n_upper, 4) of a cell's pad and its upper electrodes."""
+    alone = lone_unit(design)
+    return np.vstack([pad_squares(alone), electrode_squares(alone)])
+
+
+def pad_plate(design: SensorDesign) -> FloatArray | None:
+    """Rectangle (4,) of the plate on a cell's pad, None for soft pads."""
+    return None if design.pad.kind == "soft" else pad_squares(lone_unit(design))[0]
+
+
+def cell_mirrors(design: SensorDesign) -> tuple[Mirror, ...]:
+    """Planes in which a cell is its own image: both, but with pillars of another rubber or a plate off its middle."""
+    if not design.is_homogeneous:
+        return ()
+    off = (design.pad.offset_x_mm, design.pad.offset_y_mm)
+    return tuple(plane for plane in QUARTER if design.pad.kind == "soft" or off[plane.axis] == 0.0)
+
+
+def cell_lines(design: SensorDesign, level: int, mirrors: tuple[Mirror, ...] = ()) -> tuple[FloatArray, ...]:
+    """Lines along x, y and z of a cell, or of its part beyond mirrors, crowding at the edges of pad and electrodes."""
+    half, height = design.array.pitch_mm / 2, design.unit.height_mm
+    squares = functionals(design)
+    length = min(height, design.pad.size_mm)
+    weights = WEIGHTS[design.pad.kind]
+    lines = []
+    for axis in (0, 1):
+        pad_edges, electrode_edges = (
+            np.unique(np.round(np.abs(some[:, axis::2]), 9)) for some in (squares[:1], squares[1:])
+        )
+        places = dict.fromkeys(electrode_edges.tolist(), weights.electrode_edge)
+        places |= dict.fromkeys(pad_edges.tolist(), weights.pad_edge)
+        attractors = [Attractor(sign * place, length, weight) for place, weight in places.items() for sign in (-1, 1)]
+        attractors.append(Attractor(half, length, weights.side))
+        line = graded_lines([0.0, half, *pad_edges], attractors, level)
+        lines.append(line if any(mirror.axis == axis for mirror in mirrors) else mirrored(line))
+    ends = [Attractor(height, length, weights.top), Attractor(0.0, length, weights.base)]
+    return *lines, graded_lines([0.0, height], ends, level)
+
+
+def mirrored(lines: FloatArray) -> FloatArray:
+    """Lines of a quarter, from 0 on, and their mirror images."""
+    return np.concatenate([-lines[:0:-1], lines])
+
+
+def elastic_body(design: SensorDesign, mesh: TetMesh) -> TaylorHood:
+    """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
+    skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
+    return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
+
+
+def condensed_cell(
+    design: SensorDesign, level: float, degree: int, rectangles: FloatArray, plate: FloatArray | None = None
+) -> tuple[CondensedCell, float]:
+    """A cell at a level of refinement, and the seconds that meshing it took.
+
+    `rectangles` (k, 4) of its top face are loaded or observed; `degree` is that of the port modes; a plate is bonded to
+    a rectangle (4,).
+    """
+    start = perf_counter()
+    body: CellBody
+    if design.is_homogeneous:
+        mirrors = cell_mirrors(design)
+        body = BoxCell.of(cell_lines(design, int(level), mirrors), [design.matrix_material], plate, mirrors)
+        meshed = 0.0
+    else:
+        alone = lone_unit(design)
+        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
+        meshed = perf_counter() - start
+        body = TetCell(elastic_body(alone, mesh), plate)
+    ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
+    return condense(body, ports, rectangles), meshed

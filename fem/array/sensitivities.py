@@ -16,35 +16,28 @@ import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import box_cell
+from fem.array.meshed import BoxCell, cell_lines, cell_mirrors, functionals, pad_plate
 from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
-from fem.array.substructured import (
-    PADS,
-    cell_lines,
-    electrode_means,
-    influence_range,
-    is_mirrored,
-    lone_unit,
-    unrolled,
-    whole_lines,
-)
+from fem.array.substructured import PADS, electrode_means, expanded, influence_range
 from fem.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
-from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares, pillar_shares
+from geometry.layout import AXES, FloatArray, pillar_shares
 from geometry.storage.cache import kept
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
-VERSION = 2  #: raise when the same design gives other derivatives, so that cached ones are not reused
+VERSION = 3  #: raise when the same design gives other derivatives, so that cached ones are not reused
 LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
 EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
-TRUNCATED = 1e-3  #: influence below this, relative to a pad's own, is left out of the derivatives of large arrays
+TRUNCATION = (
+    1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
+)
 DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
 Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
@@ -125,13 +118,13 @@ def _derivatives(
 ) -> dict[str, FloatArray]:
     """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, n_upper, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
-    reach = influence_range(design, TRUNCATED)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    radius = influence_range(design, TRUNCATION)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     progress(f"coupling {rows} × {cols}")
     found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, electrode_means(design))
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return {
-        name: unrolled(du.reshape(shape), design.array.rows, design.array.cols, reach)
+        name: expanded(du.reshape(shape), design.array.rows, design.array.cols, radius)
         for name, du in zip(changes, found, strict=True)
     }
 
@@ -150,7 +143,7 @@ def cell_changes(
     if design.is_homogeneous:
         on_top.append("unit.span_mm")
     # loads and electrodes on the same cell: one condensation sees all their places
-    asked = np.stack([_rectangles(one) for one in (design, *(side for name in on_top for side, _ in sides[name]))])
+    asked = np.stack([functionals(one) for one in (design, *(side for name in on_top for side, _ in sides[name]))])
     different, number = np.unique(asked.reshape(-1, 4), axis=0, return_inverse=True)
     progress("cell")
     cell = _condensed(design, design, different)
@@ -159,10 +152,10 @@ def cell_changes(
     for name in sides:
         if name not in cells:
             progress(f"cell, {name}")
-            if name == OFF_X and _is_quarter(design):
+            if name == OFF_X and len(cell_mirrors(design)) == 2:
                 cells |= _off_the_middle(design, *sides[name][0])
             else:
-                cells[name] = [(_condensed(design, side, _rectangles(side)), by) for side, by in sides[name]]
+                cells[name] = [(_condensed(design, side, functionals(side)), by) for side, by in sides[name]]
     changes = {name: _slope(*[*cells[name], (nominal, 0.0)][:2]) for name in sides}
     return nominal, changes
 
@@ -176,11 +169,6 @@ def _sides(design: SensorDesign, name: str, step: float) -> list[tuple[SensorDes
     return found
 
 
-def _rectangles(design: SensorDesign) -> FloatArray:
-    alone = lone_unit(design)
-    return np.vstack([pad_squares(alone), electrode_squares(alone)])
-
-
 def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float]) -> Change:
     (plus, above), (minus, below) = one, other
     width = above - below
@@ -191,32 +179,21 @@ def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float])
     )
 
 
-def _is_quarter(design: SensorDesign) -> bool:
-    """True if a cell is its own mirror image in x and in y."""
-    return design.is_homogeneous and is_mirrored(design)
-
-
 def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:
     """The cell of a design near another, on the other's grid, its lines moved along with the height and the plate."""
     ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE, DEGREE)
-    is_quarter = _is_quarter(design) and _is_quarter(side)
-    lines, shares = _moved(cell_lines(design, LEVEL), design, side, is_quarter), None
-    if not side.is_homogeneous:
-        pillars = pillar_shares(side.unit, *lines)
-        shares = np.stack([1 - pillars, pillars])
-    return condense(box_cell(lone_unit(side), lines, is_quarter, shares), ports, rectangles)
-
-
-def _moved(quarter: list[FloatArray], design: SensorDesign, side: SensorDesign, is_quarter: bool) -> list[FloatArray]:
-    """The lines of a design's cell, moved to a side's height and, under stiff pads, to its plate's edges."""
-    x, y, z = quarter if is_quarter else whole_lines(quarter)
-    half, lines = design.array.pitch_mm / 2, []
-    for axis, line in enumerate((x, y)):
-        before, after = (pad_squares(lone_unit(one))[0, axis::2] for one in (design, side))
-        if design.pad.kind == "stiff":
-            line = np.interp(line, [-half, *before, half], [-half, *after, half])
-        lines.append(line)
-    return [*lines, z * (side.unit.height_mm / design.unit.height_mm)]
+    mirrors = tuple(plane for plane in cell_mirrors(design) if plane in cell_mirrors(side))
+    *across, z = cell_lines(design, LEVEL, mirrors)
+    lines, half = [], design.array.pitch_mm / 2
+    for axis, line in enumerate(across):
+        before, after = (functionals(one)[0, axis::2] for one in (design, side))
+        stiff = design.pad.kind == "stiff"
+        lines.append(np.interp(line, [-half, *before, half], [-half, *after, half]) if stiff else line)
+    lines.append(z * (side.unit.height_mm / design.unit.height_mm))
+    shares = None if side.is_homogeneous else pillar_shares(side.unit, *lines)
+    shares = None if shares is None else np.stack([1 - shares, shares])
+    rubbers = [side.matrix_material, side.pillar_material]
+    return condense(BoxCell.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
 
 
 def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:
@@ -225,7 +202,7 @@ def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dic
     All are images of one, whose plate is off along x: in x = 0, with x and y exchanged, and both. Its electrodes are
     seen at their places in each.
     """
-    pad, *electrodes = _rectangles(off_x)
+    pad, *electrodes = functionals(off_x)
     exchanged = np.array(electrodes)[:, [1, 0, 3, 2]]
     places = [each for own in (np.array(electrodes), exchanged) for each in (own, flipped_rectangles(own, QUARTER[:1]))]
     seen, number = np.unique(np.vstack([pad, *places]), axis=0, return_inverse=True)

@@ -1,7 +1,7 @@
 """Arrays as copies of one condensed cell, refined until the answer is as accurate as asked, and the cell's file.
 
-A cell of one rubber is a grid of hexahedra, of which a quarter suffices; a cell with pillars of another rubber is a
-mesh of tetrahedra. Either way the array itself is never meshed. A refined cell is kept in the cache, a few megabytes
+A cell of one rubber is a grid of boxes, of which a quarter suffices; a cell with pillars of another rubber is a mesh of
+tetrahedra. Either way the array itself is never meshed. A refined cell is kept in the cache, a few megabytes
 that spare arrays of the same cell its mesh and its condensation.
 """
 
@@ -9,26 +9,22 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
-from skfem import MeshTet
 
-from fem.array.cell import CondensedCell, PortModes, condense
+from fem.array.cell import CondensedCell, PortModes
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import BoxCell, TetrahedralCell, box_cell
+from fem.array.meshed import condensed_cell, functionals, pad_plate
 from fem.array.response import ArrayResponse
-from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.elasticity import ElasticBody, taylor_hood
-from fem.discretization.plate import Plate
 from fem.levels import richardson_factor
 from geometry.design import Electrics, SensorDesign
-from geometry.layout import FloatArray, electrode_squares, pad_squares
-from geometry.mesh import TetMesh, sensor_mesh, suited_settings
+from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
+Answer = TypeVar("Answer")
 MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 
 
@@ -59,41 +55,31 @@ def read_refined(path: Path) -> RefinedCell:
     return RefinedCell(cell=cell, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
 
 
-VERSION = 2  #: raise when the same design gives another refined cell, so that cached ones are not reused
+VERSION = 3  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
-    "soft": ((1, 2, 5), (2, 3, 7), (3, 4, 8), (4, 6, 9)),
+    "soft": ((1, 2, 6), (1, 3, 7), (2, 4, 8), (3, 6, 9)),
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for meshes, whose levels divide the usual edges
 MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
-RATE = 2.5  #: power of the level by which condensed cells converge, between coarse levels
-#: convergence rate assumed in the Richardson extrapolation of grids; 2.3 to 4 was measured with soft pads
-GRID_RATE = {"soft": 3.0, "stiff": 2.5}
-#: fraction of the extrapolation's step kept as the error estimate: for rates from 2.3 to 4 of soft pads; of stiff ones
-#: 0.02 to 0.15 was left between levels 2 and 3 (pads of 8 to 14 mm, pitches of 15 and 20 mm, ν from 0.3 to 0.499)
-LEVEL_ERROR = {"soft": 0.35, "stiff": 0.15}
+#: slowest convergence of grids as level^(−rate), 2.5 to 4 being measured, and of meshes (pads of 8 to 14 mm, pitches of
+#: 12 to 20 mm, ν from 0.3 to 0.499, heights of 6 to 14 mm). Levels 2 and 3 of soft pads may lie on either side of the
+#: limit, so that theirs are farther apart and not extrapolated
+RATE = {"grid": 2.5, "mesh": 2.0}
+#: fraction of the extrapolation's step kept as the error estimate of stiff pads, whose edges make convergence steady:
+#: 0.05 to 0.41 was left between levels 2 and 3 of the same cells
+EXTRAPOLATION_ERROR = 0.41
+COMPARED_DEGREE = 5  #: of the ports with which levels are compared, at most: the coarsest grid knows no more
 #: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
 #: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
 PORT_ERROR = 0.7
 
 
-class Weights(NamedTuple):
-    """Weights of the attractors of a cell's grid; side and base count at the rim of the array."""
-
-    pad_edge: float
-    top: float
-    electrode_edge: float
-    side: float
-    base: float
-
-
-#: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
-WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 0.0, 0.3, 0.7)}
-FAR = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
+TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
 
@@ -124,10 +110,10 @@ def response_by_cells(
     Notes
     -----
     A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
-    below `FAR` of the tolerance: units farther than m from every rim answer alike.
+    below `TRUNCATION` of the tolerance: units farther than m from every rim answer alike.
     """
-    reach = influence_range(design, FAR * tolerance)
-    rows, cols = (min(count, 2 * reach + 1) for count in (design.array.rows, design.array.cols))
+    radius = influence_range(design, TRUNCATION * tolerance)
+    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
     refined = refined_cell(design, tolerance, cached, progress, seconds)
     start = perf_counter()
@@ -137,7 +123,7 @@ def response_by_cells(
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=unrolled(influence.reshape(shape), design.array.rows, design.array.cols, reach),
+        influence_mm_per_n=expanded(influence.reshape(shape), design.array.rows, design.array.cols, radius),
         error_estimate=refined.error_estimate,
         residual=max(refined.cell.residual, misfit),
         unknowns=refined.cell.unknowns,
@@ -173,15 +159,29 @@ def refined_cell(
     """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
 
     Parameters and errors as of `response_by_cells`; seconds of meshing, condensing and coupling are added to `seconds`.
+    The error is estimated on an array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood.
     """
     spent = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
 
     def make() -> RefinedCell:
         steps = []
+        rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
+
+        def answer(cell: CondensedCell) -> FloatArray:
+            return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
+
         for stage in cell_stages(design, tolerance):
-            progress(f"cell, level {stage[1]:g}")
-            cell, estimate, step = _cell_of_stage(design, stage, spent)
-            steps.append(step)
+            coarse, fine, degree = stage
+            progress(f"cell, level {fine:g}")
+            cell, _, (of_levels, of_ports) = cell_of_stage(
+                design, stage, functionals(design), pad_plate(design), answer, block_error, spent
+            )
+            estimate = of_levels + of_ports
+            steps.append(
+                f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
+                f"unknowns in the cell, {cell.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the "
+                f"cell, {of_ports:.1e} of the ports"
+            )
             if estimate <= tolerance:
                 break
         return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
@@ -191,7 +191,10 @@ def refined_cell(
     return kept("cell.npz", cell_cache_key(design, tolerance), make, read_refined, write_refined)[0]
 
 
-def cell_stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, float, int], ...]:
+Stage = tuple[float, float, int]  #: coarse and fine level, and the degree of the ports
+
+
+def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
     """The stages of a cell's grids or meshes to try for a tolerance."""
     if not design.is_homogeneous:
         return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
@@ -200,48 +203,58 @@ def cell_stages(design: SensorDesign, tolerance: float) -> tuple[tuple[float, fl
     return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
-def _cell_of_stage(
-    design: SensorDesign, stage: tuple[float, float, int], seconds: dict[str, float]
-) -> tuple[CondensedCell, float, str]:
-    """A cell condensed at two levels, the estimated error of arrays of it, and a line that says so.
+def cell_of_stage(
+    design: SensorDesign,
+    stage: Stage,
+    rectangles: FloatArray,
+    plate: FloatArray | None,
+    answer: Callable[[CondensedCell], Answer],
+    difference: Callable[[Answer, Answer], float],
+    seconds: dict[str, float],
+) -> tuple[CondensedCell, Answer, tuple[float, float]]:
+    """A cell condensed at the levels of a stage, an answer by it, and the estimated errors of levels and ports.
 
-    Grids get a Richardson extrapolation; meshes, which also differ by chance, do not. The error is estimated on an
-    array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood. It is the sum of the error of
-    the levels and that of the ports, a fraction of what their highest degree changed.
+    Parameters
+    ----------
+    design, rectangles, plate
+        As of `meshed.condensed_cell`.
+    answer : function
+        What is asked of an array of cells.
+    difference : function
+        How far one answer is from another, relative.
+    seconds : dict
+        Times of meshing, condensing and coupling are added to it.
+
+    Notes
+    -----
+    Cells under stiff pads get a Richardson extrapolation, and a fraction of its step is their error. Others' is what
+    the difference of the levels means at the slowest rate. The ports' is a fraction of what their highest degree
+    changed.
     """
     coarse, fine, degree = stage
+    extrapolates = design.is_homogeneous and design.pad.kind == "stiff"
+    compared = degree if extrapolates else min(degree, COMPARED_DEGREE)
     start = perf_counter()
-    alone = lone_unit(design)
-    rectangles = np.vstack([pad_squares(alone), electrode_squares(alone)])
-    (one, meshed_one), (two, meshed_two) = (
-        condensed_cell(design, level, degree, rectangles) for level in (coarse, fine)
-    )
+    one, meshed_one = condensed_cell(design, coarse, compared, rectangles, plate)
+    two, meshed_two = condensed_cell(design, fine, degree, rectangles, plate)
     condensed = perf_counter()
-    rows, cols = min(MAX_TESTED, design.array.rows), min(MAX_TESTED, design.array.cols)
-
-    def array_of(cell: CondensedCell) -> FloatArray:
-        return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
-
-    if design.is_homogeneous:
-        cell = two.extrapolated(one, richardson_factor(coarse, fine, GRID_RATE[design.pad.kind]))
-        if not cell.is_definite:  # the coarse level may not know the highest modes
-            cell = two
-        answer = array_of(cell)
-        step_on = LEVEL_ERROR[design.pad.kind] * block_error(array_of(two), answer)
-        levels = step_on or richardson_factor(coarse, fine, RATE) * block_error(array_of(one), answer)
+    factor = richardson_factor(coarse, fine, RATE["grid" if design.is_homogeneous else "mesh"])
+    cell = two.extrapolated(one, factor) if extrapolates else two
+    if not cell.is_definite:  # the coarse level may not know the highest modes
+        cell = two
+    found = answer(cell)
+    if cell is not two:
+        of_levels = EXTRAPOLATION_ERROR * difference(answer(two), found)
     else:
-        cell, answer = two, array_of(two)
-        levels = richardson_factor(coarse, fine, RATE) * block_error(array_of(one), answer)
+        best = found if compared == degree else answer(two.of_degree(compared))
+        of_levels = factor * difference(answer(one), best)
     slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
-    ports = PORT_ERROR * slenderness * block_error(array_of(cell.of_degree(degree - 1)), answer)
-    seconds["mesh"] += meshed_one + meshed_two
-    seconds["condense"] += condensed - start - meshed_one - meshed_two
-    seconds["couple"] += perf_counter() - condensed
-    step = (
-        f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} unknowns in the cell, "
-        f"{cell.stiffness.shape[0]} at its ports; estimated error {levels:.1e} of the cell, {ports:.1e} of the ports"
-    )
-    return cell, levels + ports, step
+    of_ports = PORT_ERROR * slenderness * difference(answer(cell.of_degree(degree - 1)), found)
+    meshing = meshed_one + meshed_two
+    spent = {"mesh": meshing, "condense": condensed - start - meshing, "couple": perf_counter() - condensed}
+    for name, own_seconds in spent.items():
+        seconds[name] = seconds.get(name, 0.0) + own_seconds
+    return cell, found, (of_levels, of_ports)
 
 
 def block_error(influence: FloatArray, reference: FloatArray) -> float:
@@ -267,29 +280,29 @@ def influence_range(design: SensorDesign, share: float) -> int:
     return int(near[-1]) + 1
 
 
-def unrolled(influence: FloatArray, rows: int, cols: int, reach: int) -> FloatArray:
+def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatArray:
     """Influence of a rows × cols array from that of a smaller one, where units deep inside are alike.
 
-    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `reach` from a rim answer like the smaller
-    array's middle ones; what lies beyond `reach` is 0.
+    The smaller one's has shape (r, c, n, 3, r, c, 3). Units farther than `radius` from a rim answer like the smaller
+    array's middle ones; what lies beyond `radius` is 0.
     """
     small_rows, small_cols = influence.shape[:2]
     if (small_rows, small_cols) == (rows, cols):
         return influence
     whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
     for i in range(rows):
-        i_small = _alike(i, rows, small_rows)
-        i0, i1 = max(0, i - min(reach, i_small)), min(rows, i + min(reach, small_rows - 1 - i_small) + 1)
+        i_small = _representative(i, rows, small_rows)
+        i0, i1 = max(0, i - min(radius, i_small)), min(rows, i + min(radius, small_rows - 1 - i_small) + 1)
         for j in range(cols):
-            j_small = _alike(j, cols, small_cols)
-            j0, j1 = max(0, j - min(reach, j_small)), min(cols, j + min(reach, small_cols - 1 - j_small) + 1)
+            j_small = _representative(j, cols, small_cols)
+            j0, j1 = max(0, j - min(radius, j_small)), min(cols, j + min(radius, small_cols - 1 - j_small) + 1)
             di, dj = i_small - i, j_small - j
             whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
     return whole
 
 
-def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Influence of a smaller array, some middle units left out, from that of a larger one; `unrolled` undoes it."""
+def reduced(influence: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Influence of a smaller array, some middle units left out, from that of a larger one; `expanded` undoes it."""
     if influence.shape[:2] == (rows, cols):
         return influence
     small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
@@ -302,89 +315,14 @@ def rolled(influence: FloatArray, rows: int, cols: int) -> FloatArray:
     return small
 
 
-def alike(values: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `unrolled`."""
+def representatives(values: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Values of a rows × cols array's units, the first two axes, from those of a smaller one: see `expanded`."""
     small_rows, small_cols = values.shape[:2]
-    places = np.ix_(
-        [_alike(i, rows, small_rows) for i in range(rows)], [_alike(j, cols, small_cols) for j in range(cols)]
-    )
-    return values[places]
+    along = [_representative(i, rows, small_rows) for i in range(rows)]
+    return values[np.ix_(along, [_representative(j, cols, small_cols) for j in range(cols)])]
 
 
-def _alike(index: int, count: int, small: int) -> int:
+def _representative(index: int, count: int, small: int) -> int:
     """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
     middle = small // 2
     return index if index <= middle else max(middle, small - (count - index))
-
-
-def condensed_cell(
-    design: SensorDesign, level: float, degree: int, rectangles: FloatArray
-) -> tuple[CondensedCell, float]:
-    """A cell at a level of refinement, and the seconds that meshing it took.
-
-    `rectangles` (k, 4) of its top face are loaded or observed; `degree` is that of the port modes.
-    """
-    ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
-    start = perf_counter()
-    body = cell_body(design, level)
-    meshed = 0.0 if design.is_homogeneous else perf_counter() - start
-    return condense(body, ports, rectangles), meshed
-
-
-def cell_body(design: SensorDesign, level: float, is_whole: bool = False) -> BoxCell | TetrahedralCell:
-    """A design's cell at a level of refinement, or, unless the whole is asked for, its quarter where that is enough."""
-    alone = lone_unit(design)
-    if design.is_homogeneous:
-        lines, is_quarter = cell_lines(design, int(level)), is_mirrored(design) and not is_whole
-        return box_cell(alone, lines if is_quarter else whole_lines(lines), is_quarter)
-    mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
-    plate = Plate(pad_squares(alone)[0], design.unit.height_mm) if design.pad.kind == "stiff" else None
-    return TetrahedralCell(elastic_body(alone, mesh), plate, mesh.region.astype(np.int64))
-
-
-def is_mirrored(design: SensorDesign) -> bool:
-    """True if a cell of one rubber is its own mirror image: it is unless a plate lies off its middle."""
-    return design.pad.kind == "soft" or design.pad.offset_x_mm == design.pad.offset_y_mm == 0.0
-
-
-def elastic_body(design: SensorDesign, mesh: TetMesh) -> ElasticBody:
-    """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
-    skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
-
-
-def lone_unit(design: SensorDesign) -> SensorDesign:
-    """The design with one unit, whose slab is the cell."""
-    return replace(design, array=replace(design.array, rows=1, cols=1))
-
-
-def cell_lines(design: SensorDesign, level: int) -> list[FloatArray]:
-    """Lines x, y, z of a homogeneous cell's quarter x, y ≥ 0, crowding at the edges of pad and electrodes."""
-    half, height = design.array.pitch_mm / 2, design.unit.height_mm
-    alone = lone_unit(design)
-    length = min(height, design.pad.size_mm)
-    weights = WEIGHTS[design.pad.kind]
-    lines = []
-    for axis in (0, 1):
-        pad_edges = np.unique(np.round(np.abs(pad_squares(alone)[:, axis::2]), 9))
-        electrode_edges = np.unique(np.round(np.abs(electrode_squares(alone)[:, axis::2]), 9))
-        places = dict.fromkeys(electrode_edges.tolist(), weights.electrode_edge)
-        places |= dict.fromkeys(pad_edges.tolist(), weights.pad_edge)
-        attractors = [Attractor(sign * place, length, weight) for place, weight in places.items() for sign in (-1, 1)]
-        attractors.append(Attractor(half, length, weights.side))
-        lines.append(graded_lines([0.0, half, *pad_edges], attractors, level))
-    z = graded_lines(
-        [0.0, height], [Attractor(height, length, weights.top), Attractor(0.0, length, weights.base)], level
-    )
-    return [*lines, z]
-
-
-def whole_lines(quarter: list[FloatArray]) -> list[FloatArray]:
-    """Lines of a cell from those of its quarter."""
-    x, y, z = quarter
-    return [mirrored(x), mirrored(y), z]
-
-
-def mirrored(lines: FloatArray) -> FloatArray:
-    """Lines of a quarter, from 0 on, and their mirror images."""
-    return np.concatenate([-lines[:0:-1], lines])

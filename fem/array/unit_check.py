@@ -14,8 +14,9 @@ import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
+from fem.array.meshed import lone_unit
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import PADS, electrode_means, lone_unit, refined_cell, usual_tolerance
+from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
 from fem.discretization.patch import patch_means
 from fem.discretization.plate import Plate, tied
 from fem.factor import Factor, checked_solve
@@ -85,7 +86,7 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
-    ours = refined.cell.standing_alone[electrode_means(design)][:, PADS]
+    ours = refined.cell.free_compliance[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
         cells=len(mesh.cells),
@@ -106,7 +107,7 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
 
     Notes
     -----
-    The form of `fem.discretization.elasticity`, assembled rubber by rubber, so that the pressure may jump between them.
+    The form of `fem.tetrahedra.mixed`, assembled rubber by rubber, so that the pressure may jump between them.
     """
     start = perf_counter()
     tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)

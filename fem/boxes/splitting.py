@@ -6,6 +6,7 @@ larger box are no unknowns: they take what that box's functions give there (`Nod
 continuous.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, product
@@ -35,14 +36,17 @@ class AxisTree:
         Ends of the first intervals, rising [mm].
     stops : array, shape (k,)
         Places at which the stress may be singular [mm]: an interval is split at one, or near those at its ends.
+    shells : mapping, optional
+        Places that enclose a small patch, and their distance from it [mm]: an interval is split at the farthest first.
     """
 
-    def __init__(self, lines: FloatArray, stops: FloatArray) -> None:
+    def __init__(self, lines: FloatArray, stops: FloatArray, shells: Mapping[float, float] | None = None) -> None:
         self.low: list[float] = []  #: of every vertex and interval [mm]
         self.high: list[float] = []
         self.parent: list[int] = []  #: the interval by whose splitting it came to be; −1 of the first ones
         self.ends: list[tuple[int, int]] = []  #: vertices of an interval; −1 of a vertex
         self._stops = np.sort(stops)
+        self._shells = sorted((shells or {}).items(), key=lambda shell: -shell[1])
         self._children: dict[int, tuple[int, int]] = {}
         vertices = [self._vertex(float(x), -1) for x in lines]
         self.first, self.last = vertices[0], vertices[-1]
@@ -62,13 +66,16 @@ class AxisTree:
         return len(self.low) - 1
 
     def split(self, interval: int) -> tuple[int, int]:
-        """The two parts of an interval, divided at the stop next to its middle, near one at an end, or evenly."""
+        """The two parts of an interval: at a shell, at the stop next to its middle, near one at an end, or even."""
         if interval not in self._children:
             a, b = self.ends[interval]
             low, high = self.low[a], self.low[b]
             inside = self._stops[(self._stops > low) & (self._stops < high)]
             at_low, at_high = np.isin([low, high], self._stops)
-            if len(inside):
+            shell = next((place for place, _ in self._shells if low < place < high), None)
+            if shell is not None:
+                place = shell
+            elif len(inside):
                 place = float(inside[np.argmin(np.abs(inside - (low + high) / 2))])
             elif at_low == at_high:
                 place = (low + high) / 2

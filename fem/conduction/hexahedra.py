@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.lagrange import gauss_points, lobatto_points, shape_functions
-from fem.discretization.elasticity import IntArray
+from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 
 SAME = 1e-8  #: of the body's extent: nodes closer than that are one

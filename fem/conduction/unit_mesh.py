@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fem.boxes.lagrange import shape_functions
 from fem.conduction.hexahedra import Hexahedra, joined
-from fem.discretization.elasticity import IntArray
+from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections

@@ -1,23 +1,13 @@
 """Unilateral contact with Coulomb friction on a grid: forces from gaps and slips, whatever the body below."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from fem.factor import SolverError
 from geometry.layout import FloatArray
 
-TOLERANCE = 1e-4
 MAX_STEPS = 2000
-
-
-@dataclass(frozen=True, eq=False)
-class Balance:
-    """Forces that balance a contact."""
-
-    force_n: FloatArray  #: (k, ny, nx) on the body: along x and y if k = 3, and last what presses into it
-    moved_mm: FloatArray  #: (k, ny, nx): displacement of the body by them
 
 
 def balanced(
@@ -25,8 +15,8 @@ def balanced(
     apart_mm: FloatArray,
     friction: float,
     first: FloatArray,
-    tolerance: float = TOLERANCE,
-) -> Balance:
+    tolerance: float,
+) -> tuple[FloatArray, FloatArray]:
     """Solve one increment of contact.
 
     Parameters
@@ -42,6 +32,13 @@ def balanced(
         Forces to begin with.
     tolerance : float
         Last change of any force, relative to the largest pressing one.
+
+    Returns
+    -------
+    array, shape (k, ny, nx)
+        Forces on the body [N].
+    array, shape (k, ny, nx)
+        Displacement of the body by them [mm].
 
     Raises
     ------
@@ -60,14 +57,14 @@ def balanced(
     overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
     probe = overlap if overlap.any() else force
     if not probe.any():
-        return Balance(force, moved)
+        return force, moved
     alpha = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
     for step in range(MAX_STEPS):
         change = _projected(force - alpha * (apart_mm + moved), friction) - force
         gave = give(change)
         force, moved = force + change, moved + gave
         if np.abs(change).max() <= tolerance * force[-1].max(initial=0.0):
-            return Balance(force, moved)
+            return force, moved
         curvature = float(np.vdot(change, gave))
         if curvature > 0:
             square = float(np.vdot(change, change))

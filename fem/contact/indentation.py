@@ -1,34 +1,42 @@
 """Presses a rigid shape into an array's top and drags it along, at small strain: open this file first."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.contact.coulomb import TOLERANCE, balanced
-from fem.contact.patch import Patch, PatchCompliance, tile_integrals
+from fem.contact.coulomb import balanced
+from fem.contact.patch import FINER_DEGREE, Patch, PatchCompliance
 from fem.contact.shapes import Shape
 from fem.contact.surface import SurfaceCompliance, surface_compliance
+from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError, require_type
 from geometry.layout import FloatArray
 
-CELLS = 48  #: of the grid along the longer side of a contact
-COARSE_CELLS = 24  #: of the grid on which the contact's extent is found
-REACH = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer, which piles up
+CELLS = 48  #: of the grid along the longer side of a contact; half as many where the contact's extent is found
+MIN_CELLS, MAX_CELLS = 16, 256
+NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has across at least
+PILE_UP = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer
 MARGIN = 1  #: coarse cells around the contact
-PRESS_STEPS, SLIDE_STEPS = 4, 4  #: increments of depth, and then of slide, where there is friction
-ON_THE_WAY = 1e-3  #: tolerance of increments before the last
+INCREMENTS = 4  #: of depth, and then of slide, where there is friction; one on the coarse grid
+TOLERANCE, ON_THE_WAY = 1e-4, 1e-3  #: of forces, of the last increment and of those before
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
-NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has across at least
 MIN_MM = 1e-6  #: of a side of a patch
-MIN_CELLS, MAX_CELLS = 8, 256
-STICKS = 1 - 1e-3  #: of the largest friction: below, a cell sticks
-FREE, SLIPPING, STICKING = range(3)
+STICK_LIMIT = 1 - 1e-3  #: of the largest friction: below, a cell sticks
+OPEN, SLIP, STICK = range(3)
+
+RATE = 1.0  #: least rate at which forces converge with cells and increments
+#: error of forces over the root mean square, under the pressure, of what polynomials of `FINER_DEGREE` between tiles
+#: change, relative to the depth; of electrodes over what these change there. Both from 250 random contacts on four
+#: sensors, by tiles a third as large
+TILE_ERROR, ELECTRODE_ERROR = 2.0, 3.0
+TABLE_ERROR = 4e-3  #: of electrodes, by a table of a quarter of its step
+SIDE_ERROR = 0.3  #: of the force of a contact right at the array's side, where one tile holds all that the side adds
 
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 
@@ -38,23 +46,92 @@ class ContactError(TriPillarError, ValueError):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Contact:
+class Indentation:
+    """A rigid shape pressed into an array's top, and then dragged along it."""
+
+    design: SensorDesign
+    shape: Shape = field(repr=False)
+    depth_mm: float
+    at_mm: tuple[float, float]
+    slide_mm: tuple[float, float]
+    friction: float
+
+    def __post_init__(self) -> None:
+        for name, place in (("at_mm", self.at_mm), ("slide_mm", self.slide_mm)):
+            if not np.isfinite(place).all():
+                raise ContactError(f"{name}={place[0]:g},{place[1]:g} must be finite numbers.")
+        height_mm, most_mm = self.design.unit.height_mm, max(self.design.slab_mm[:2])
+        if not 0 < self.depth_mm < height_mm:
+            raise ContactError(
+                f"depth_mm={self.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far "
+                "the shape goes down."
+            )
+        if not 0 <= self.friction <= MAX_FRICTION:
+            raise ContactError(f"friction={self.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
+        if np.abs(self.slide_mm).max() > most_mm:
+            x, y = self.slide_mm
+            raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most_mm:g} mm along x and y.")
+
+    def heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
+        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
+        x, y = np.array(self.at_mm) + past_mm
+        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+
+    def solved(self, compliance: PatchCompliance, increments: int) -> tuple["Contact", NDArray[np.bool_]]:
+        """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
+        patch, slide = compliance.patch, np.array(self.slide_mm, dtype=float)
+        stages = [(self.depth_mm, slide)]
+        if self.friction:
+            steps = np.arange(1, increments + 1) / increments
+            stages = [(self.depth_mm * step, 0 * slide) for step in steps]
+            stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
+        force = moved = np.zeros((3 if self.friction else 1, patch.ny, patch.nx))  # the last component into the body
+        slid = past = np.zeros(2)  # of the shape; of the shape over the rubber
+        touched = np.zeros((patch.ny, patch.nx), dtype=bool)
+        for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
+            step, tolerance = slide_mm - slid, TOLERANCE if number == len(stages) else ON_THE_WAY
+            slip = -moved[:-1] - step[: len(moved) - 1, None, None]
+            slid, ahead = slide_mm, past if self.friction else slide_mm
+            for _ in range(PASSES if step.any() else 1):  # again if it slipped past the rubber farther than assumed
+                past = ahead
+                apart = np.stack([*slip, self.heights_mm(patch, past) + self.depth_mm - depth_mm])
+                force, moved = balanced(compliance.pressed_mm, apart, self.friction, force, tolerance)
+                if self.friction and step.any():
+                    dragged = (moved[:2] * force[2]).sum(axis=(1, 2)) / max(force[2].sum(), np.finfo(float).tiny)
+                    ahead = slide_mm - dragged
+                if np.abs(ahead - past).max() < SMALL_STEP * min(patch.cell_mm):
+                    break
+            touched |= (depth_mm == self.depth_mm) & (force[-1] > 0)
+        whole = np.zeros((3, patch.ny, patch.nx))
+        whole[-len(force) :] = force
+        moved = compliance.moved_mm(whole * UP)
+        contact = Contact(
+            **{one.name: getattr(self, one.name) for one in fields(Indentation)},
+            patch=patch,
+            cell_force_n=whole,
+            displacement_mm=moved,
+            gap_mm=self.heights_mm(patch, past) - moved[2],
+            force_n=patch.unit_forces(whole, self.design),
+            electrode_mm=compliance.electrodes_mm(whole * UP),
+        )
+        return contact, touched
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contact(Indentation):
     """A rigid shape in balance with the array's top.
 
     Forces act on the sensor, along x and y of the array; along z they are positive in compression.
     """
 
-    design: SensorDesign
-    depth_mm: float
-    at_mm: tuple[float, float]
-    slide_mm: tuple[float, float]
-    friction: float
     patch: Patch = field(repr=False)
     cell_force_n: FloatArray = field(repr=False)  #: (3, ny, nx) on the patch's cells, z positive in compression
     displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
     gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
     force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
-    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes
+    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes along x, y, z
+    error_estimate: float = np.inf  #: relative error of the units' forces, as a norm over all of them
+    electrode_error_estimate: float = np.inf  #: the same of the electrodes' displacements
 
     @cached_property
     def pressure_mpa(self) -> FloatArray:
@@ -81,9 +158,8 @@ class Contact:
     @property
     def centre_mm(self) -> FloatArray:
         """Centre of pressure, x and y [mm]."""
-        pressing = self.cell_force_n[2]
-        x, y = (pressing * self.patch.x_mm).sum(), (pressing * self.patch.y_mm[:, None]).sum()
-        return np.array([x, y]) / pressing.sum()
+        about_x, about_y, _ = self.moment_nmm
+        return np.array([about_y, -about_x]) / self.cell_force_n[2].sum()
 
     @property
     def area_mm2(self) -> float:
@@ -105,15 +181,15 @@ class Contact:
     @property
     def sticking(self) -> float:
         """Share of the contact's area that sticks."""
-        return float((self.state == STICKING).sum() / max(1, (self.state != FREE).sum()))
+        return float((self.state == STICK).sum() / max(1, (self.state != OPEN).sum()))
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
-        """`FREE`, `SLIPPING` or `STICKING` of every cell of the patch, (ny, nx)."""
+        """`OPEN`, `SLIP` or `STICK` of every cell of the patch, (ny, nx)."""
         touching = self.cell_force_n[2] > 0
         limit = self.friction * self.cell_force_n[2]
-        sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICKS * limit)
-        return np.where(sticks, STICKING, np.where(touching, SLIPPING, FREE)).astype(np.int8)
+        sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICK_LIMIT * limit)
+        return np.where(sticks, STICK, np.where(touching, SLIP, OPEN)).astype(np.int8)
 
 
 def press(
@@ -164,127 +240,59 @@ def press(
     Notes
     -----
     Linear elasticity on the undeformed top: strains of more than some 10 % are only roughly right, whatever the grid.
-    With friction, depth and slide grow in `PRESS_STEPS` and `SLIDE_STEPS` increments, each of them Coulomb's law on the
-    slip since the last. Where a shape drags the rubber along, its place over the rubber moves by its slip alone.
+    With friction, depth and slide grow in `INCREMENTS` each, every one Coulomb's law on the slip since the last. Where
+    a shape drags the rubber along, its place over the rubber moves by its slip alone.
+
+    A coarse grid, with one increment each, finds where the shape touches; the fine grid covers that. The error is
+    estimated as the sum of two: what both grids differ by, at first order, times `SAFETY`; and what is lost between the
+    tiles on which rims and other pillars count, see `TILE_ERROR` and `SIDE_ERROR`.
     """
     if not isinstance(sensor, SurfaceCompliance):
         require_type("sensor", sensor, SensorDesign, "give a design, or its surface_compliance")
     design = sensor.design if isinstance(sensor, SurfaceCompliance) else sensor
-    path = _Path(design, shape, depth_mm, at_mm, slide_mm, friction)
-    _require_sane(path, cells)
-    wide = _patch(design, *path.box(shape.reach_mm(REACH * depth_mm)), COARSE_CELLS)
-    if wide is None:
-        raise _missed(path)
-    surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
-    touching = path.touching(PatchCompliance(surface, wide))
-    if not touching.any():
-        raise _missed(path)
-    fine = _patch(design, *_around(wide, touching), cells)
-    assert fine is not None  # it is part of the wide one
-    return path.followed(PatchCompliance(surface, fine))
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """One indentation: a shape, its depth and its slide."""
-
-    design: SensorDesign
-    shape: Shape
-    depth_mm: float
-    at_mm: tuple[float, float]
-    slide_mm: tuple[float, float]
-    friction: float
-
-    def box(self, reach_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Corners of what a shape of this reach passes over."""
-        start, end = np.array(self.at_mm), np.array(self.at_mm) + self.slide_mm
-        return np.minimum(start, end) - reach_mm, np.maximum(start, end) + reach_mm
-
-    def followed(self, compliance: PatchCompliance) -> Contact:
-        """Press and slide on a grid, and gather what is asked."""
-        design, patch = self.design, compliance.patch
-        shape = (3 if self.friction else 1, patch.ny, patch.nx)
-        now = _Increment(np.zeros(shape), np.zeros(shape), np.zeros(2), np.zeros(2))
-        *before, last = self._increments()
-        for depth_mm, slide_mm in before:
-            now = self._after(now, compliance, depth_mm, slide_mm, ON_THE_WAY)
-        now = self._after(now, compliance, *last, TOLERANCE)
-        force = np.zeros((3, patch.ny, patch.nx))
-        force[-shape[0] :] = now.force_n
-        moved = compliance.moved_mm(force * UP)
-        return Contact(
-            design=design,
-            depth_mm=self.depth_mm,
-            at_mm=self.at_mm,
-            slide_mm=self.slide_mm,
-            friction=self.friction,
-            patch=patch,
-            cell_force_n=force,
-            displacement_mm=moved,
-            gap_mm=self._heights_mm(patch, now.past_mm) - moved[2],
-            force_n=tile_integrals(patch, force, design.array.rows, design.array.cols, design.array.pitch_mm),
-            electrode_mm=compliance.electrodes_mm(force * UP),
+    path = Indentation(design=design, shape=shape, depth_mm=depth_mm, at_mm=at_mm, slide_mm=slide_mm, friction=friction)
+    if not MIN_CELLS <= cells <= MAX_CELLS:
+        raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
+    start, half_mm = np.array(at_mm), shape.half_extents_mm(PILE_UP * depth_mm)
+    end = start + slide_mm
+    wide = _patch(design, np.minimum(start, end) - half_mm, np.maximum(start, end) + half_mm, cells // 2)
+    touched = np.zeros((0, 0), dtype=bool)
+    if wide is not None:
+        surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
+        coarse, touched = path.solved(PatchCompliance(surface, wide), 1)
+    if wide is None or not touched.any():
+        x, y, _ = design.slab_mm
+        raise ContactError(
+            f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
+            f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
         )
-
-    def touching(self, compliance: PatchCompliance) -> NDArray[np.bool_]:
-        """Cells of a grid that touch without friction, before or after the slide."""
-        patch = compliance.patch
-        found = np.zeros((patch.ny, patch.nx), dtype=bool)
-        for slide_mm in {(0.0, 0.0), (float(self.slide_mm[0]), float(self.slide_mm[1]))}:
-            gap = self._heights_mm(patch, np.array(slide_mm))[None]
-            found |= balanced(compliance.pressed_mm, gap, 0.0, np.zeros_like(gap)).force_n[0] > 0
-        return found
-
-    def _increments(self) -> list[tuple[float, FloatArray]]:
-        """Depth and slide after each increment."""
-        slide = np.array(self.slide_mm, dtype=float)
-        if not self.friction:
-            return [(self.depth_mm, slide)]
-        pressed = [(self.depth_mm * k / PRESS_STEPS, np.zeros(2)) for k in range(1, PRESS_STEPS + 1)]
-        dragged = [(self.depth_mm, slide * k / SLIDE_STEPS) for k in range(1, SLIDE_STEPS + 1)]
-        return pressed + (dragged if slide.any() else [])
-
-    def _heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
-        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
-        x, y = np.array(self.at_mm) + past_mm
-        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
-
-    def _after(
-        self,
-        before: "_Increment",
-        compliance: PatchCompliance,
-        depth_mm: float,
-        slide_mm: FloatArray,
-        tolerance: float,
-    ) -> "_Increment":
-        """The next increment; again if the shape slipped past the rubber farther than was assumed."""
-        patch, step = compliance.patch, slide_mm - before.slide_mm
-        now, past = before, before.past_mm if self.friction else slide_mm
-        for _ in range(PASSES if self.friction and step.any() else 1):
-            gap = self._heights_mm(patch, past) + self.depth_mm - depth_mm
-            slip = -before.moved_mm[:-1] - step[:, None, None] if self.friction else before.moved_mm[:-1]
-            solved = balanced(compliance.pressed_mm, np.stack([*slip, gap]), self.friction, now.force_n, tolerance)
-            now = _Increment(solved.force_n, solved.moved_mm, slide_mm, past)
-            past = slide_mm - _dragged(now) if self.friction else slide_mm
-            if np.abs(past - now.past_mm).max() < SMALL_STEP * min(patch.cell_mm):
-                break
-        return now
+    fine = _patch(design, *_around(wide, touched), cells)
+    assert fine is not None  # it is part of the wide one
+    return _judged(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse, surface)
 
 
-@dataclass(frozen=True, eq=False)
-class _Increment:
-    """A balanced state on the way; the last component points into the body."""
+def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Contact:
+    """A contact with estimates of its errors, by one on a coarser grid."""
+    patch, force_n = found.patch, found.cell_force_n * UP
+    finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
+    left = SAFETY * richardson_factor(1.0, finer, RATE)
+    between = PatchCompliance(surface, patch, FINER_DEGREE)
+    pressing = found.cell_force_n[2] / found.cell_force_n[2].sum()
+    off = ((between.moved_mm(force_n) - found.displacement_mm) ** 2).sum(axis=0)
+    half = np.array(found.design.slab_mm[:2]) / 2
+    to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
+    beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
+    of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / found.depth_mm + SIDE_ERROR * beside**2
+    at_electrodes = TABLE_ERROR + ELECTRODE_ERROR * _difference(between.electrodes_mm(force_n), found.electrode_mm)
+    forces, electrodes = (
+        float(left * _difference(getattr(coarse, name), getattr(found, name)) + of_tiles)
+        for name in ("force_n", "electrode_mm")
+    )
+    return replace(found, error_estimate=forces, electrode_error_estimate=electrodes + at_electrodes)
 
-    force_n: FloatArray  #: (3, ny, nx), or (1, ny, nx) without friction
-    moved_mm: FloatArray  #: the same
-    slide_mm: FloatArray  #: (2,), of the shape
-    past_mm: FloatArray  #: (2,), of the shape over the rubber
 
-
-def _dragged(now: _Increment) -> FloatArray:
-    """Mean displacement of the rubber along x and y under the pressure, (2,) [mm]."""
-    pressing = now.force_n[2]
-    return (now.moved_mm[:2] * pressing).sum(axis=(1, 2)) / max(pressing.sum(), np.finfo(float).tiny)
+def _difference(one: FloatArray, other: FloatArray) -> float:
+    return float(np.linalg.norm(one - other) / max(np.linalg.norm(other), np.finfo(float).tiny))
 
 
 def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells: int) -> Patch | None:
@@ -305,30 +313,3 @@ def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, Floa
     last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
     low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
     return low + first * cell, low + last * cell
-
-
-def _require_sane(path: _Path, cells: int) -> None:
-    for name, place in (("at_mm", path.at_mm), ("slide_mm", path.slide_mm)):
-        if not np.isfinite(place).all():
-            raise ContactError(f"{name}={place[0]:g},{place[1]:g} must be finite numbers.")
-    height_mm = path.design.unit.height_mm
-    if not 0 < path.depth_mm < height_mm:
-        raise ContactError(
-            f"depth_mm={path.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far the "
-            "shape goes down."
-        )
-    if not 0 <= path.friction <= MAX_FRICTION:
-        raise ContactError(f"friction={path.friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
-    most, (x, y) = max(path.design.slab_mm[:2]), path.slide_mm
-    if max(abs(x), abs(y)) > most:
-        raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most:g} mm along x and y.")
-    if not MIN_CELLS <= cells <= MAX_CELLS:
-        raise ContactError(f"cells={cells} must be from {MIN_CELLS} to {MAX_CELLS}; {CELLS} is the default.")
-
-
-def _missed(path: _Path) -> ContactError:
-    x, y, _ = path.design.slab_mm
-    return ContactError(
-        f"the shape misses the sensor at at_mm={path.at_mm[0]:g},{path.at_mm[1]:g}, depth {path.depth_mm:g} mm: the "
-        f"top reaches from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
-    )

@@ -1,6 +1,6 @@
 """The fine grid of one contact, and how the array gives way on it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -8,11 +8,13 @@ from scipy import fft
 
 from fem.array.closed_forms import layer_mean_compliance
 from fem.contact.surface import SurfaceCompliance
-from geometry.design import Material
+from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares
 
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+DEGREE = 2  #: of the polynomials between tiles
+FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,22 @@ class Patch:
     @property
     def x_mm(self) -> FloatArray:
         """Middles of the cells along x, (nx,)."""
-        return _middles(self.low_mm[0], self.cell_mm[0], self.nx)
+        return _middles(self.low_mm[0], self.high_mm[0], self.nx)
 
     @property
     def y_mm(self) -> FloatArray:
         """Middles of the cells along y, (ny,)."""
-        return _middles(self.low_mm[1], self.cell_mm[1], self.ny)
+        return _middles(self.low_mm[1], self.high_mm[1], self.ny)
+
+    def unit_forces(self, force_n: FloatArray, design: SensorDesign) -> FloatArray:
+        """Force on each unit's share of the top, pitch × pitch, (rows, cols, 3) [N]; cells on a border are divided."""
+        counts, shares = (design.array.cols, design.array.rows), []
+        for low, high, n, count in zip(self.low_mm, self.high_mm, (self.nx, self.ny), counts, strict=True):
+            ends = np.linspace(low, high, n + 1)
+            borders = (np.arange(count + 1) - count / 2) * design.array.pitch_mm
+            inside = np.clip(ends[:, None], borders[:-1], borders[1:])
+            shares.append(np.diff(inside, axis=0) / np.diff(ends)[:, None])
+        return (shares[1].T @ force_n @ shares[0]).transpose(1, 2, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +63,8 @@ class PatchCompliance:
 
     surface: SurfaceCompliance
     patch: Patch
+    degree: int = DEGREE  #: of polynomials between the tiles of what is added to the layer
+    _blocks: dict[int, FloatArray] = field(default_factory=dict, repr=False)
 
     def moved_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of every cell by forces spread evenly over cells.
@@ -64,7 +78,7 @@ class PatchCompliance:
         )
         moved = np.einsum("abyx,byx->ayx", spectrum[-k:, -k:], fft.rfft2(force_n, size))
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
-        tiles = (self._rest(k) @ self._on_tiles(force_n).ravel()).reshape(k, len(self._rows[1]), -1)
+        tiles = (self._near(k) @ self._on_tiles(force_n).ravel()).reshape(k, self._rows[0].shape[1], -1)
         return layer + self._rows[0] @ tiles @ self._columns[0].T
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
@@ -74,11 +88,9 @@ class PatchCompliance:
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
-        rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
-        near = self.surface.on_electrodes[..., rows, columns]
-        shape = near.shape[:4]
-        rest = near.reshape(np.prod(shape), -1) @ self._on_tiles(force_n).ravel()
-        return self._electrodes_of_layer(force_n).reshape(shape) + rest.reshape(shape).astype(np.float64)
+        near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
+        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._on_tiles(force_n).ravel()
+        return (self._electrodes_of_layer(force_n).ravel() + rest).reshape(near.shape[:4])
 
     def _electrodes_of_layer(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the electrodes of the endless layer, (n_units·n_upper, 3), from the table."""
@@ -91,8 +103,7 @@ class PatchCompliance:
         for number, (x, y) in enumerate(middles):
             (at_x, sx), (at_y, sy) = _tabled(patch.x_mm, x, step), _tabled(patch.y_mm, y, step)
             gathered = sy.T @ force_n @ sx  # (3, nodes along y, nodes along x)
-            mirrored = np.where(at_x[:, None] < 0, MIRROR_X, 1.0)[None], np.where(at_y[:, None] < 0, MIRROR_Y, 1.0)
-            signs = mirrored[0] * mirrored[1][:, None]
+            signs = np.where(at_x[:, None] < 0, MIRROR_X, 1.0) * np.where(at_y[:, None, None] < 0, MIRROR_Y, 1.0)
             kernel = table[np.abs(at_y)[:, None], np.abs(at_x)]
             found[number] = np.einsum("yxa,yxab,yxb,byx->a", signs, kernel, signs, gathered, optimize=True)
         return found
@@ -101,61 +112,43 @@ class PatchCompliance:
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
 
     @cached_property
-    def _columns(self) -> tuple[FloatArray, FloatArray]:
-        """Shares of the patch's columns in columns of tiles, and these' numbers."""
-        return _shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm)
+    def _columns(self) -> tuple[FloatArray, slice]:
+        """Shares of the patch's columns in columns of tiles, and which tiles these are."""
+        return _shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm, self.degree)
 
     @cached_property
-    def _rows(self) -> tuple[FloatArray, FloatArray]:
-        return _shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm)
+    def _rows(self) -> tuple[FloatArray, slice]:
+        return _shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
 
-    def _rest(self, k: int) -> FloatArray:
-        """What is added to the layer on the tiles that the patch touches, for k axes, (k·n, k·n) [mm/N]."""
-        return self._rest_along_z if k == 1 else self._rest_along_all
-
-    @cached_property
-    def _rest_along_all(self) -> FloatArray:
-        return self._near(self.surface.on_tiles, (slice(None), slice(None)))
-
-    @cached_property
-    def _rest_along_z(self) -> FloatArray:
-        return self._near(self.surface.on_tiles, (slice(2, 3), slice(2, 3)))
-
-    def _near(self, on_tiles: FloatArray, axes: tuple[slice, slice]) -> FloatArray:
-        rows, columns = (slice(numbers[0], numbers[-1] + 1) for numbers in (self._rows[1], self._columns[1]))
-        part = on_tiles[axes[0], rows, columns, axes[1], rows, columns]
-        return part.reshape(int(np.prod(part.shape[:3])), -1)
+    def _near(self, k: int) -> FloatArray:
+        """What is added to the layer on these tiles, along the last k axes, (k·n, k·n) [mm/N]."""
+        if k not in self._blocks:
+            tiles = slice(3 - k, 3), self._rows[1], self._columns[1]
+            part = self.surface.on_tiles[*tiles, *tiles]
+            self._blocks[k] = part.reshape(int(np.prod(part.shape[:3])), -1)
+        return self._blocks[k]
 
 
-def _middles(low_mm: float, cell_mm: float, count: int) -> FloatArray:
-    return low_mm + (np.arange(count, dtype=np.float64) + 0.5) * cell_mm
+def _middles(low_mm: float, high_mm: float, count: int) -> FloatArray:
+    return np.asarray(low_mm + (np.arange(count) + 0.5) * (high_mm - low_mm) / count)
 
 
-def tile_integrals(patch: Patch, force_n: FloatArray, rows: int, cols: int, pitch_mm: float) -> FloatArray:
-    """Force on each unit's share of the top, pitch × pitch, (rows, cols, 3) [N]; cells on a border are divided."""
-    shares = []
-    for low, high, n, count in zip(patch.low_mm, patch.high_mm, (patch.nx, patch.ny), (cols, rows), strict=True):
-        ends = np.linspace(low, high, n + 1)
-        borders = (np.arange(count + 1) - count / 2) * pitch_mm
-        inside = np.clip(ends[:, None], borders[:-1], borders[1:])
-        shares.append(np.diff(inside, axis=0) / np.diff(ends)[:, None])
-    return (shares[1].T @ force_n @ shares[0]).transpose(1, 2, 0)
+def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, slice]:
+    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and which m tiles.
 
-
-def _shares(places_mm: FloatArray, count: int, tile_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Parabolas through the means of three tiles of a row, at places (n,): (n, m), and the numbers (m,) of tiles.
-
-    The same shares take a force to tiles, each spread over its own: its moments up to the second stay.
+    The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A row that is
+    too short has lines.
     """
-    at = places_mm / tile_mm + (count - 1) / 2
-    middle = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
-    numbers = np.arange(middle.min() - 1, middle.max() + 2)
-    off = at - middle
-    square = off**2 - 1 / 12  # the mean of off² over a tile is 1/12 more than at its middle
-    shares = np.zeros((len(at), len(numbers)))
-    for step, share in ((-1, (square - off) / 2), (0, 1 - square), (1, (square + off) / 2)):
-        shares[np.arange(len(at)), middle + step - numbers[0]] = share
-    return shares, numbers
+    degree = degree if degree < count else 1
+    at = places_mm / tile_mm + count / 2  # in tiles from the first one's edge
+    first = np.clip(np.floor(at - degree / 2), 0, count - degree - 1).astype(np.int64)
+    # the slope of the polynomial through sums of tiles at their edges
+    lagrange = np.linalg.inv(np.vander(np.arange(degree + 2.0), increasing=True))
+    powers = np.vander(at - first, degree + 1, increasing=True) * np.arange(1, degree + 2)
+    start, stop = int(first.min()), int(first.max()) + degree + 1
+    shares, own = np.zeros((len(at), stop - start)), first[:, None] - start + np.arange(degree + 1)
+    shares[np.arange(len(at))[:, None], own] = powers @ lagrange[1:] @ np.tri(degree + 2, degree + 1, -1)
+    return shares, slice(start, stop)
 
 
 def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np.ndarray, FloatArray]:

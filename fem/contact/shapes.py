@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -23,7 +24,7 @@ class Shape(Protocol):
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Height of the underside at points, infinite where there is none [mm]; x and y broadcast."""
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         """Half the extent along x and y of what lies below a height [mm]."""
 
 
@@ -34,12 +35,12 @@ class Sphere:
     radius_mm: float
 
     def __post_init__(self) -> None:
-        _require_size(radius_mm=self.radius_mm)
+        _require(radius_mm=self.radius_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return _arc(np.hypot(x_mm, y_mm), self.radius_mm)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         half = _half_chord(self.radius_mm, height_mm)
         return half, half
 
@@ -53,14 +54,13 @@ class Cylinder:
     turn_deg: float = 0.0  #: of its axis from x towards y
 
     def __post_init__(self) -> None:
-        _require_size(radius_mm=self.radius_mm, length_mm=self.length_mm)
-        _require_turn(self.turn_deg)
+        _require(self.turn_deg, radius_mm=self.radius_mm, length_mm=self.length_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         along, across = _turned(x_mm, y_mm, self.turn_deg)
         return np.where(np.abs(along) <= self.length_mm / 2, _arc(across, self.radius_mm), np.inf)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         return _box(self.length_mm / 2, _half_chord(self.radius_mm, height_mm), self.turn_deg)
 
 
@@ -73,21 +73,17 @@ class Flat:
     turn_deg: float = 0.0  #: of its own x from x towards y
 
     def __post_init__(self) -> None:
-        if self.radius_mm is None:
-            for side in self.size_mm:
-                _require_size(size_mm=side)
-        else:
-            _require_size(radius_mm=self.radius_mm)
-        _require_turn(self.turn_deg)
+        for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
+            _require(self.turn_deg, **{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        if self.radius_mm is not None:
-            return np.where(np.hypot(x_mm, y_mm) <= self.radius_mm, 0.0, np.inf)
         along, across = _turned(x_mm, y_mm, self.turn_deg)
         inside = (np.abs(along) <= self.size_mm[0] / 2) & (np.abs(across) <= self.size_mm[1] / 2)
+        if self.radius_mm is not None:
+            inside = np.hypot(x_mm, y_mm) <= self.radius_mm
         return np.where(inside, 0.0, np.inf)
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         if self.radius_mm is not None:
             return self.radius_mm, self.radius_mm
         return _box(self.size_mm[0] / 2, self.size_mm[1] / 2, self.turn_deg)
@@ -102,21 +98,14 @@ class Solid:
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        column, row = (
-            (places - line[0]) / (line[1] - line[0]) for places, line in ((x_mm, self.x_mm), (y_mm, self.y_mm))
-        )
-        column, row = np.broadcast_arrays(column, row)
-        j = np.clip(np.floor(column).astype(np.int64), 0, len(self.x_mm) - 2)
-        i = np.clip(np.floor(row).astype(np.int64), 0, len(self.y_mm) - 2)
-        right, up = column - j, row - i
-        corners = np.stack([self.map_mm[i + di, j + dj] for di in (0, 1) for dj in (0, 1)])
-        weights = np.stack([(1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right])
-        inside = (right >= 0) & (right <= 1) & (up >= 0) & (up <= 1) & np.isfinite(corners).all(axis=0)
-        found = np.full(column.shape, np.inf)
-        found[inside] = (corners[:, inside] * weights[:, inside]).sum(axis=0)
-        return found
+        """Between points of the map; infinite where one of them is."""
+        lines = (self.y_mm, self.x_mm)
+        between = RegularGridInterpolator(lines, self.map_mm, bounds_error=False, fill_value=np.inf)
+        with np.errstate(invalid="ignore"):
+            found = between(np.stack(np.broadcast_arrays(y_mm, x_mm), axis=-1))
+        return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
-    def reach_mm(self, height_mm: float) -> tuple[float, float]:
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         low = self.map_mm < height_mm
         x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
         return float(np.abs(x).max()), float(np.abs(y).max())
@@ -150,7 +139,7 @@ def solid_of(triangles_mm: FloatArray) -> Solid:
     """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
-    _require_size(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
+    _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
     step = size[:2].max() / RASTER
     x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
@@ -159,8 +148,10 @@ def solid_of(triangles_mm: FloatArray) -> Solid:
     doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     edge = 1e-9 * step
     for k in np.flatnonzero(doubled < 0):  # what looks down; upright faces have no area from below
-        columns = slice(*np.searchsorted(x, [corners[k, :, 0].min() - edge, corners[k, :, 0].max() + edge]))
-        rows = slice(*np.searchsorted(y, [corners[k, :, 1].min() - edge, corners[k, :, 1].max() + edge]))
+        columns, rows = (
+            slice(*np.searchsorted(line, [corners[k, :, d].min() - edge, corners[k, :, d].max() + edge]))
+            for d, line in enumerate((x, y))
+        )
         px, py = x[None, columns] - ax[k], y[rows, None] - ay[k]
         b = (px * (cy - ay)[k] - py * (cx - ax)[k]) / doubled[k]
         c = (py * (bx - ax)[k] - px * (by - ay)[k]) / doubled[k]
@@ -192,12 +183,9 @@ def _box(half_along: float, half_across: float, turn_deg: float) -> tuple[float,
     return float(half_along * cos + half_across * sin), float(half_along * sin + half_across * cos)
 
 
-def _require_size(**lengths: float) -> None:
+def _require(turn_deg: float = 0.0, **lengths: float) -> None:
     for name, length in lengths.items():
         if not 1e-3 <= length <= MAX_MM:
             raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")
-
-
-def _require_turn(turn_deg: float) -> None:
     if not abs(turn_deg) <= 360:
         raise ShapeError(f"turn_deg={turn_deg:g} must be from -360 to 360 degrees.")

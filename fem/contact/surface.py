@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import condensed_cell, elastic_body, lone_unit
+from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
 from geometry.design import Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
@@ -25,7 +25,7 @@ from geometry.mesh import sensor_mesh, suited_settings
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
-VERSION = 1  #: raise when the same design gives another compliance, so that cached ones are not reused
+VERSION = 2  #: raise when the same design gives another compliance, so that cached ones are not reused
 TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
@@ -112,29 +112,24 @@ def require_bare(design: SensorDesign) -> None:
 
 def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCompliance:
     rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
     progress("cells")
     own, plain = _cells(design, tiles)
     progress(f"coupling {rows} × {cols}")
-    loads = range(3 * tiles**2)
-    observed = range(own.transfer.shape[1])
-    moved, _ = CoupledArray(own, rows, cols).influence(loads, observed)
+    moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
     endless = endless_influence(plain, wide)[..., : len(loads)]
-    for i, j in np.ndindex(rows, cols):
-        for k, m in np.ndindex(rows, cols):
-            moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
+    for i, j, k, m in np.ndindex(rows, cols, rows, cols):
+        moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
     moved = moved.astype(np.float32)
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
-    on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8)
-    ny, nx = rows * tiles, cols * tiles
     on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
-    on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7)
     progress("electrodes")
     table, step_mm = _electrode_table(design)
     return SurfaceCompliance(
         design=design,
-        on_tiles=on_tiles.reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes=on_electrodes.reshape(rows, cols, -1, 3, 3, ny, nx),
+        on_tiles=on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx),
+        on_electrodes=on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx),
         table=table,
         step_mm=step_mm,
     )
@@ -153,7 +148,7 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
     own, _ = condensed_cell(design, MESH_LEVEL, MESH_DEGREE, rectangles)
     matrix = replace(alone, pillar_material=design.matrix_material)
-    return own, condense(elastic_body(matrix, mesh), own.ports, rectangles)
+    return own, condense(TetCell(elastic_body(matrix, mesh)), own.ports, rectangles)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
@@ -207,14 +202,11 @@ ARRAYS = ("on_tiles", "on_electrodes", "table")
 
 
 def _write(made: SurfaceCompliance, path: Path) -> None:
-    arrays = {name: getattr(made, name) for name in ARRAYS}
-    write_arrays(arrays | {"step_mm": made.step_mm, "cache_key": made.cache_key}, path)
+    write_arrays({name: getattr(made, name) for name in (*ARRAYS, "step_mm", "cache_key")}, path)
 
 
 def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
     """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
     found = read_arrays(path)
-    arrays = {name: found[name] for name in ARRAYS}
-    return SurfaceCompliance(
-        design=design, **arrays, step_mm=float(found["step_mm"]), cache_key=str(found["cache_key"])
-    )
+    arrays, cache_key = {name: found[name] for name in ARRAYS}, str(found["cache_key"])
+    return SurfaceCompliance(design=design, **arrays, step_mm=float(found["step_mm"]), cache_key=cache_key)

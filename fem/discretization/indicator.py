@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from skfem import Basis, MeshTet
 
-from fem.discretization.elasticity import ElasticBody, IntArray, pressure_dofs
 from fem.discretization.elements import Elements, shape_gradients
 from fem.scene.solution import SMALLEST_SHARE
+from fem.tetrahedra.mixed import IntArray, TaylorHood, pressure_dofs
 from geometry.layout import FloatArray
 
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
@@ -44,7 +44,7 @@ def corner_gradients(basis: Basis, u: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def residuals(
-    body: ElasticBody,
+    body: TaylorHood,
     u: FloatArray,
     pressure: FloatArray,
     region: IntArray,
@@ -57,7 +57,7 @@ def residuals(
 
     Parameters
     ----------
-    body : ElasticBody
+    body : TaylorHood
     u : array, shape (n_displacement,)
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)

@@ -53,7 +53,7 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     rows, cols, values = [], [], []
     for number, (x0, y0, x1, y1) in enumerate(rectangles):
         near = np.flatnonzero(((high > (x0, y0)) & (low < (x1, y1))).all(axis=1))
-        weights = [_clipped_integrals(corners[t], (x0, y0, x1, y1)) for t in near]
+        weights = _clipped_integrals(corners[near], (x0, y0, x1, y1))
         area_mm2 = (x1 - x0) * (y1 - y0)
         covered_mm2 = float(np.sum(weights))
         if abs(covered_mm2 - area_mm2) > 1e-9 * area_mm2:
@@ -80,34 +80,40 @@ def _top_triangles(basis: Basis) -> tuple[FloatArray, NDArray[np.int64]]:
     return mesh.p[:2, vertices].transpose(2, 1, 0), dofs.T
 
 
-def _clipped_integrals(triangle: FloatArray, rectangle: tuple[float, ...]) -> FloatArray:
-    """∫ φₐ dA over the part of a triangle (3, 2) inside a rectangle, shape (6,)."""
-    polygon = triangle
+def _clipped_integrals(triangles: FloatArray, rectangle: tuple[float, ...]) -> FloatArray:
+    """∫ φₐ dA over the part of each triangle (n, 3, 2) inside a rectangle, shape (n, 6)."""
+    polygons = triangles
     x0, y0, x1, y1 = rectangle
     for axis, sign, limit in ((0, 1.0, x0), (0, -1.0, -x1), (1, 1.0, y0), (1, -1.0, -y1)):
-        polygon = _clip(polygon, sign * polygon[:, axis] - limit)
-        if len(polygon) < 3:
-            return np.zeros(6)
-    fan = np.stack([np.broadcast_to(polygon[0], (len(polygon) - 2, 2)), polygon[1:-1], polygon[2:]], axis=1)
-    area = np.abs(_cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0])) / 2
-    midpoints = (fan + np.roll(fan, -1, axis=1)) / 2  # mid-edge rule: exact for quadratics
-    return np.einsum("t,tqa->a", area / 3, _shape_functions(triangle, midpoints))
+        polygons = _clip(polygons, sign * polygons[:, :, axis] - limit)
+    ends = np.broadcast_to(polygons[:, :1], polygons[:, 2:].shape)
+    fan = np.stack([ends, polygons[:, 1:-1], polygons[:, 2:]], axis=2)  # (n, t, 3, 2)
+    area = np.abs(_cross(fan[:, :, 1] - fan[:, :, 0], fan[:, :, 2] - fan[:, :, 0])) / 2
+    midpoints = (fan + np.roll(fan, -1, axis=2)) / 2  # mid-edge rule: exact for quadratics
+    return np.einsum("nt,ntqa->na", area / 3, _shape_functions(triangles, midpoints))
 
 
-def _clip(polygon: FloatArray, inside: FloatArray) -> FloatArray:
-    """The part of a convex polygon (n, 2) where the linear function with vertex values `inside` is not negative."""
-    corners = []
-    for here, there, a, b in zip(polygon, np.roll(polygon, -1, axis=0), inside, np.roll(inside, -1), strict=True):
-        if a >= 0:
-            corners.append(here)
-        if (a < 0) != (b < 0):
-            corners.append(here + (there - here) * (a / (a - b)))
-    return np.array(corners).reshape(-1, 2)
+def _clip(polygons: FloatArray, inside: FloatArray) -> FloatArray:
+    """The parts of convex polygons (n, k, 2) where linear functions of values `inside` (n, k) there are not negative.
+
+    Shape (n, k + 1, 2), as a half plane adds a corner at most; corners that a polygon has not repeat its last one, and
+    a polygon wholly outside is a point.
+    """
+    n, k = inside.shape
+    beyond, following = np.roll(inside, -1, axis=1), np.roll(polygons, -1, axis=1)
+    crosses = (inside < 0) != (beyond < 0)
+    share = inside / np.where(crosses, inside - beyond, 1.0)
+    corners = np.stack([polygons, polygons + (following - polygons) * share[..., None]], axis=2).reshape(n, 2 * k, 2)
+    kept = np.stack([inside >= 0, crosses], axis=2).reshape(n, 2 * k)
+    first = np.argsort(~kept, axis=1, kind="stable")[:, : k + 1]
+    last = np.clip(kept.sum(axis=1) - 1, 0, k)
+    order = np.take_along_axis(first, np.minimum(np.arange(k + 1), last[:, None]), axis=1)
+    return np.take_along_axis(corners, order[..., None], axis=1)
 
 
-def _shape_functions(triangle: FloatArray, points: FloatArray) -> FloatArray:
-    """P2 shape functions of a triangle (3, 2) at points (..., 2), shape (..., 6)."""
-    a, b, c = triangle
+def _shape_functions(triangles: FloatArray, points: FloatArray) -> FloatArray:
+    """P2 shape functions of triangles (n, 3, 2) at points (n, t, q, 2) of theirs, shape (n, t, q, 6)."""
+    a, b, c = triangles.swapaxes(0, 1)[:, :, None, None]
     twice = _cross(b - a, c - a)
     L1, L2 = _cross(points - a, c - a) / twice, _cross(b - a, points - a) / twice
     L0 = 1.0 - L1 - L2

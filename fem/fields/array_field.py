@@ -5,14 +5,14 @@ response, and what is observed at points of the cell follows for all units by on
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.interior import CellInterior, design_interior
-from fem.array.substructured import lone_unit
+from fem.array.meshed import lone_unit, pad_plate
 from fem.fields.stress import CornerStress, corner_stress, projected_pressure
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -56,9 +56,8 @@ class ArrayField:
     def stress(self) -> CornerStress:
         """Stress at the corners of the cell per unit amplitude, worked out when first asked for."""
         inside = self.interior
-        of_answers = inside.elements, inside.material, inside.moved_mm
-        mixed = None if inside.elements.is_box else projected_pressure(*of_answers)
-        return corner_stress(*of_answers, mixed)
+        of_mesh = inside.elements, inside.material, inside.moved_mm
+        return corner_stress(*of_mesh, None if inside.elements.is_box else projected_pressure(*of_mesh))
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
         """Load the pads.
@@ -158,13 +157,12 @@ def solve_array_field(
     to the limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
     rectangles = pad_squares(lone_unit(design)) if rectangles_mm is None else rectangles_mm
-    has_plates = design.pad.kind == "stiff" and rectangles_mm is None
-    bare = design if has_plates else replace(design, pad=replace(design.pad, kind="soft"))
-    interior = design_interior(bare, rectangles, progress)
+    plate = pad_plate(design) if rectangles_mm is None else None
+    interior = design_interior(design, rectangles, plate, progress)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(
-        design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=has_plates
+        design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=plate is not None
     )
 
 

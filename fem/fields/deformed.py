@@ -7,15 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import ElementTetP2
 
-from fem.array.substructured import cell_lines, whole_lines
+from fem.array.meshed import cell_lines
 from fem.boxes.boxes import Boxes
 from fem.boxes.lattice import ELEMENT, VTK_PLACES
-from fem.discretization.elasticity import IntArray
 from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import (
     FiniteArrayField,
-    between_nodes,
+    boxes_of,
     finite_array_field,
     finite_field,
     no_stress,
@@ -34,6 +33,7 @@ from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
 )
+from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.layout import FloatArray, electrode_centres, unit_centres
 from geometry.prism import Prism, unit_prisms
@@ -208,7 +208,7 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
 def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
     rows, cols = array.design.array.rows, array.design.array.cols
-    local = np.stack(np.meshgrid(*whole_lines(cell_lines(array.design, FINENESS)), indexing="ij"), axis=-1)
+    local = np.stack(np.meshgrid(*cell_lines(array.design, FINENESS), indexing="ij"), axis=-1)
     nx, ny, nz = (count - 1 for count in local.shape[:3])
     shape = (cols * nx, rows * ny, nz)
     x, y, z = np.indices([count + 1 for count in shape]).reshape(3, -1)
@@ -272,7 +272,7 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     if not scene.inclusions:
         return {"body": body}
     points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
-    moved = between_nodes(field)(points)
+    moved = boxes_of(field).at(points) @ field.displacement_mm
     inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
     return {"inclusions": inside, "matrix": body}
 

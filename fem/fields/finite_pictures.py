@@ -3,7 +3,6 @@
 Nothing is superposed: every load is solved for itself, on the coarsest grid that is right to 2 % as estimated.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,7 +31,8 @@ class FiniteArrayField:
     rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
     state: FieldState
     has_plates: bool  #: whether those are rigid plates
-    at: Callable[[FloatArray], FloatArray] = field(repr=False)  #: points (n, 3) of the slab to displacements [mm]
+    boxes: Boxes = field(repr=False)  #: of the whole slab
+    displacement_mm: FloatArray = field(repr=False)  #: (n, 3), at their nodes
 
     def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
         """Choose points of the cell to look at; the region makes no difference to displacement."""
@@ -40,7 +40,8 @@ class FiniteArrayField:
 
         def moved(state: FieldState) -> FloatArray:
             """Of the array's only state."""
-            return self.at((centres[:, None] + points).reshape(-1, 3)).reshape(len(centres), -1, 3)
+            rows = self.boxes.at((centres[:, None] + points).reshape(-1, 3))
+            return np.asarray(rows @ self.displacement_mm).reshape(len(centres), -1, 3)
 
         def refused(state: FieldState) -> FloatArray:
             raise no_stress()
@@ -63,14 +64,9 @@ def finite_field(scene: Scene) -> Field:
     return found
 
 
-def moved_at(boxes: Boxes, u: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Points (n, 3) of a body to their displacements, by those of the nodes of its boxes (n_nodes, 3) [mm]."""
-    return lambda points_mm: boxes.at(points_mm) @ u
-
-
-def between_nodes(field: Field) -> Callable[[FloatArray], FloatArray]:
-    """Displacement of points (n, 3) of an upright body by that of its grid's nodes."""
-    return moved_at(Boxes.between([np.unique(along)[::2] for along in field.points_mm.T]), field.displacement_mm)
+def boxes_of(field: Field) -> Boxes:
+    """The quadratic boxes of an upright body's grid, whose nodes are the field's points."""
+    return Boxes.between([np.unique(along)[::2] for along in field.points_mm.T])
 
 
 def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
@@ -83,12 +79,14 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
     """
     local: dict[Rectangle, int] = {}
     newtons = forces_on_cells(scene, body, local)
+    grid = finite_field(scene)
     return FiniteArrayField(
         design=body.design,
         rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
-        at=between_nodes(finite_field(scene)),
+        boxes=boxes_of(grid),
+        displacement_mm=grid.displacement_mm,
     )
 
 
@@ -97,12 +95,14 @@ def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_
 
     Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
     """
+    boxes, u = solver.on_coarse_grid(force_n, displacement_mm)
     return FiniteArrayField(
         design=solver.design,
         rectangles_mm=pad_squares(solver.design)[:1],
         state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
         has_plates=True,
-        at=moved_at(*solver.on_coarse_grid(force_n, displacement_mm)),
+        boxes=boxes,
+        displacement_mm=u,
     )
 
 

@@ -17,13 +17,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions
 from fem.discretization.elements import Elements, shape_gradients, shape_values
+from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
-AT_ONCE = 4_000_000  #: numbers held at a time
+MAX_NUMBERS = 4_000_000  #: in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def _corner_gradients(elements: Elements, u: FloatArray) -> Iterator[tuple[slice
         weighted = functions * np.einsum("i,j,k->ijk", w, w, w).reshape(-1, 1)
         fitted = wanted @ np.linalg.solve(weighted.T @ functions, weighted.T)  # values at points to those at corners
         slopes = np.einsum("vq,qak->vak", fitted, shape_gradients(elements.element, points))
-    width = max(1, AT_ONCE // (len(slopes) * 9 * u.shape[2]))
+    width = max(1, MAX_NUMBERS // (len(slopes) * 9 * u.shape[2]))
     for first in range(0, len(elements.nodes), width):
         some = slice(first, min(first + width, len(elements.nodes)))
         yield (

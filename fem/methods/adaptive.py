@@ -5,14 +5,16 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import psutil
 
-from fem.discretization.richardson import errors_by_indicators
 from fem.factor import FactorMemoryError, SolverError
 from fem.scene.scene import Scene
 from fem.scene.solution import Field, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual
+MAX_SECONDS = 300.0  #: after which no finer mesh is begun, whatever was foreseen
+MIN_FREE_SHARE = 0.1  #: of the memory, below which none is begun either; factors that would not fit are refused before
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,13 +32,11 @@ class MeshAnswer:
 class AdaptiveMesh(Protocol):
     """A mesh that solves its scene and can be refined."""
 
-    min_meshes: int  #: before an estimate is believed
-
     def __str__(self) -> str:
         """Number and kind of its elements."""
 
-    def is_trusted(self) -> bool:
-        """True if it is fine enough for an estimate."""
+    def error(self) -> float:
+        """Estimated relative error of the probes on the last mesh; infinite where it says too little."""
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         """The scene's answer on the mesh as it is."""
@@ -53,13 +53,12 @@ def solve_adaptively(
 ) -> Solution:
     """Solve and refine until the estimated error of every probe is within the tolerance.
 
-    The estimate is that of `richardson.errors_by_indicators`. Where the tolerance asks for more than the mesh's limit,
-    or more memory than there is, the answer is that of the last mesh, with its estimate; the last of the steps says so.
+    Where the tolerance asks for more than the mesh's limit, or more memory than there is, the answer is that of the
+    last mesh, with its estimate; the last of the steps says so.
     """
     names = [probe.name for probe in scene.probes]
-    history: list[tuple[float, FloatArray]] = []
     answer: MeshAnswer | None = None
-    estimate = np.inf
+    estimate, n_meshes = np.inf, 0
     while True:
         try:
             answer = mesh.solve(watch)
@@ -70,14 +69,18 @@ def solve_adaptively(
             break
         if not np.isfinite(answer.indicators).all():
             raise SolverError("error indicators are not numbers: bring moduli and sizes closer.")
-        history.append((float(answer.indicators.sum()), answer.probes))
-        estimate = float(max(errors_by_indicators(names, history, mesh.min_meshes).values()))
+        n_meshes += 1
+        estimate = mesh.error()
         steps.append(
             f"{mesh}: {answer.unknowns} unknowns" + (f", estimated error {estimate:.1e}" if estimate < np.inf else "")
         )
-        if estimate <= scene.tolerance and mesh.is_trusted():
+        if estimate <= scene.tolerance:
             break
-        limit = f"{MAX_MESHES} meshes" if len(history) >= MAX_MESHES else mesh.limit(answer.unknowns)
+        limit = f"{MAX_MESHES} meshes" if n_meshes >= MAX_MESHES else mesh.limit(answer.unknowns)
+        if sum(watch.seconds.values()) > MAX_SECONDS:
+            limit = f"{MAX_SECONDS:g} s"
+        elif psutil.virtual_memory().available < MIN_FREE_SHARE * psutil.virtual_memory().total:
+            limit = f"memory, of which less than {MIN_FREE_SHARE:.0%} is free"
         if limit:
             steps.append(f"stopped at the limit of {limit}, short of the tolerance {scene.tolerance:g}")
             break

@@ -1,26 +1,26 @@
-"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of order 4 or 3, split where needed.
+"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of order 4, split where needed.
 
 The first mesh has a line at every edge of body, regions and loads, and little else. Each solve tells which boxes the
 errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 """
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.polynomial import legendre
 from threadpoolctl import ThreadpoolController
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lagrange import lobatto_points
 from fem.boxes.lattice import lattice_boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
-from fem.discretization.indicator import dual_weights
 from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
 from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
-from fem.mirrors import Parity, parities
+from fem.mirrors import Parity, images, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
@@ -29,35 +29,34 @@ from fem.system import System
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
-LOOSE_ORDER, LOOSE = 3, 1e-2  #: the order from this tolerance on: half the time there
 WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
 MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
-HAIR = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
-MIN_BOXES = 24  #: with fewer an estimate is not believed: 5e-3 for 1e-2 on a pillar that leans by 67°
+ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
+SMALL = 0.3  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
+SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
+NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the shell's
+COST_POWER = 1.5  #: of the number of boxes, to which a solve's time is about proportional
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
-SHARE = 0.6  #: of the indicators' sum that is split at once, and of what is left near the tolerance
-LAST_SHARE = 0.4
-DIVERGENCE_WEIGHT = 0.25  #: of pressures beside shear strains in the indicator of the error
-GROWTH = 2.5  #: of the number of boxes, at most, from mesh to mesh
+SHARES = 0.3, 0.7  #: least and greatest share of the indicators' sum that is split at once
+TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
+MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
 
 
 class SplitBoxes:
     """A scene on boxes."""
 
-    min_meshes = 2
-
     def __init__(self, scene: Scene, plan: Plan) -> None:
-        self.scene, self.plan = scene, plan
-        self.mesh = first_mesh(scene, plan)
-        self.order = LOOSE_ORDER if scene.tolerance >= LOOSE else ORDER
+        one_parity = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
+        plans = [replace(plan, mirrors=mirrors) for mirrors in dict.fromkeys([plan.mirrors, one_parity])]
+        meshes = [(first_mesh(scene, own), own) for own in plans]
+        self.mesh, self.plan = min(meshes, key=lambda m: len(parities(m[1].mirrors)) * len(m[0].boxes) ** COST_POWER)
+        self.scene = scene
+        self.history: list[Indicated] = []
         self._condensed: dict[Kind, Condensed] = {}
 
     def __str__(self) -> str:
-        return f"{len(self.mesh.boxes)} boxes of order {self.order}"
-
-    def is_trusted(self) -> bool:
-        return len(self.mesh.boxes) >= MIN_BOXES
+        return f"{len(self.mesh.boxes)} boxes of order {ORDER}"
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_BOXES} boxes" if len(self.mesh.boxes) >= MAX_BOXES else None
@@ -65,7 +64,7 @@ class SplitBoxes:
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, mirrors = self.scene, self.plan.mirrors
         low, high = self.mesh.corners
-        boxes = self.mesh.filled(self.order, scene.outline.lean, regions_at((low + high) / 2, self.plan.regions))
+        boxes = self.mesh.filled(ORDER, scene.outline.lean, regions_at((low + high) / 2, self.plan.regions))
         materials = [scene.material, *(material for _, material in self.plan.regions)]
         body = RubberBody.of(boxes, materials, self._condensed)
         system = System(body, on_lines(scene, boxes), mirrors, parities(mirrors)[0])
@@ -83,18 +82,21 @@ class SplitBoxes:
             residuals.append(residual)
             answers.append((part, factor, u))
             watch.spent("solve")
-        weights, scales = dual_weights(probes)
-        found = np.zeros((len(boxes.nodes), 3))
+        weights, both = unit_loads(probes), []
         for part, factor, u in answers:
             duals, _ = checked_solve(factor, part.unit_loads(weights, scene.probes))
-            found += indicators(body, u, part.displaced(duals), scales)
+            both.append(np.concatenate([u[None], part.displaced(duals) / part.copies]))
+        found = np.zeros((len(boxes.nodes), 3, len(weights)))
+        for seen in unfolded([part for part, _, _ in answers], both):
+            found += surplus(body, seen[0], seen[1:])
+        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes))))
         watch.spent("solve")
         return MeshAnswer(
             probes=probes,
             energy_mj=energy_mj,
             residual=max(residuals),
             unknowns=system.n_unknowns,
-            indicators=found,
+            indicators=found.sum(axis=2),
             field=lambda: self._field(boxes, [(part.parity, u) for part, _, u in answers]),
         )
 
@@ -115,7 +117,17 @@ class SplitBoxes:
         )
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh.split(marked(indicators, SHARE if excess > 2 else LAST_SHARE))
+        self.mesh.split(marked(indicators, float(np.clip((1 - 1 / excess) / TAKEN, *SHARES))))
+
+    def error(self) -> float:
+        return float(estimated_errors(self.history).max())
+
+
+def unfolded(parts: Sequence[System], displacements: Sequence[FloatArray]) -> Iterator[FloatArray]:
+    """Displacements of every image of the solved part, flipped back onto it, from its parities' (..., n_nodes, 3)."""
+    for flipped, _ in images(parts[0].mirrors, parts[0].parity):
+        signs = [math.prod(part.parity[mirror.axis] for mirror in flipped) for part in parts]
+        yield np.sum([sign * u for sign, u in zip(signs, displacements, strict=True)], axis=0)
 
 
 def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
@@ -145,14 +157,14 @@ def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Soluti
 def marked(indicators: FloatArray, share: float) -> np.ndarray:
     """Boxes to split along each axis, shape (n, 3): the largest indicators that hold a share of the sum.
 
-    Fewer where that would make more than `GROWTH` times as many boxes.
+    Fewer where that would make more than `MAX_GROWTH` times as many boxes.
     """
     order = np.argsort(-indicators, axis=None)
     running = np.cumsum(indicators.ravel()[order])
     marks = np.zeros(indicators.shape, dtype=bool)
     for place in order[: int(np.searchsorted(running, share * running[-1])) + 1]:
         marks.flat[place] = True
-        if (2.0 ** marks.sum(axis=1)).sum() > GROWTH * len(indicators):
+        if (2.0 ** marks.sum(axis=1)).sum() > MAX_GROWTH * len(indicators):
             break
     return marks
 
@@ -160,7 +172,8 @@ def marked(indicators: FloatArray, share: float) -> np.ndarray:
 def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
     """Boxes none of which is much wider than the body's least extent, split at the faces of regions and edges of loads.
 
-    A box is split only where such a face or edge cuts it, so none of them runs through the body.
+    A box is split only where such a face or edge cuts it, so none of them runs through the body. Loads and probes much
+    smaller than the boxes lie in shells whose sizes fall geometrically, so that boxes of their own size resolve them.
     """
     (low, high), *inner = _solids(scene, plan)
     slack = scene.rounding_mm
@@ -176,7 +189,10 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
         for start, end in zip(low, high, strict=True)
     ]
-    x, y, z = (AxisTree(line, own) for line, own in zip(lines, stops, strict=True))
+    shells = _shells(_patches(scene, plan), stops, widest)
+    inner += [shell for shell, _ in shells]
+    around = [{float(side[axis]): margin for shell, margin in shells for side in shell} for axis in range(3)]
+    x, y, z = (AxisTree(line, own, shell) for line, own, shell in zip(lines, stops, around, strict=True))
     mesh = BoxMesh((x, y, z))
     while True:
         lowest, highest = mesh.corners
@@ -192,35 +208,69 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         mesh.split(marks)
 
 
-def _solids(scene: Scene, plan: Plan) -> list[tuple[FloatArray, FloatArray]]:
-    """Lowest and highest corner of the body's solved part, of regions and, flat, of loads, where the base shows them.
+Solid = tuple[FloatArray, FloatArray]  #: lowest and highest corner, where the base shows them [mm]
 
-    What lies beyond a mirror plane is folded to this side. Loads' edges a hair from a face are moved to it.
-    """
+
+def _patches(scene: Scene, plan: Plan) -> list[Solid]:
+    """Rectangles of loads and probes on the top of the body's solved part."""
+    rectangles = [load.rectangle for load in scene.loads] + [probe.rectangle for probe in scene.mean_probes]
     height = scene.height_mm
-    shift = (
-        np.array([*scene.outline.lean, 0.0]) * height
-    )  # from the base, where lines are stated, to the top with its loads
+    shift = np.array([*scene.outline.lean, 0.0]) * height  # from the base, where lines are stated, to the top
+    patches = [
+        (np.array([x0, y0, height]) - shift, np.array([x1, y1, height]) - shift) for x0, y0, x1, y1 in rectangles
+    ]
+    for low, high in patches:
+        _fold(low, high, plan)
+    return patches
+
+
+def _fold(low: FloatArray, high: FloatArray, plan: Plan) -> None:
+    """Bring what lies beyond a mirror plane to this side, in place."""
+    for mirror in plan.mirrors:
+        axis, place = mirror.axis, mirror.position_mm
+        ends = np.abs([low[axis] - place, high[axis] - place])
+        low[axis] = place + (0.0 if (low[axis] - place) * (high[axis] - place) < 0 else ends.min())
+        high[axis] = place + ends.max()
+
+
+def _shells(patches: list[Solid], stops: list[FloatArray], widest: float) -> list[tuple[Solid, float]]:
+    """Boxes around patches smaller than the first boxes, and their margins, which grow by `SHELL_RATIO`."""
+    found = []
+    for low, high in patches:
+        side = float((high - low)[:2].min())
+        margin = 0.0 if side < SMALL * widest else widest
+        while margin < SMALL * widest:
+            one, two = low - margin, high + margin * np.array([1.0, 1.0, 0.0])
+            for axis in range(3):
+                for end in (one, two):
+                    nearest = stops[axis][np.abs(stops[axis] - end[axis]).argmin()]
+                    if abs(nearest - end[axis]) <= NEAR * margin:
+                        end[axis] = nearest
+            found.append(((one, two), margin))
+            margin = max(SHELL_RATIO * margin, side)
+    return found
+
+
+def _solids(scene: Scene, plan: Plan) -> list[Solid]:
+    """Corners of the body's solved part, of regions and, flat, of loads.
+
+    What lies beyond a mirror plane is folded to this side. Loads' edges next to a face are moved to it.
+    """
     solids = []
     for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
         half = np.array([*prism.section_mm, 0.0]) / 2
         base = np.array(prism.base_mm)
         solids.append((base - half, base + half + [0.0, 0.0, prism.height_mm]))
+        _fold(*solids[-1], plan)
     n_lasting = len(solids)
-    for x0, y0, x1, y1 in (load.rectangle for load in scene.loads):
-        solids.append((np.array([x0, y0, height]) - shift, np.array([x1, y1, height]) - shift))
-    for mirror in plan.mirrors:
-        axis, place = mirror.axis, mirror.position_mm
-        for one, two in solids:
-            one[axis], two[axis] = np.sort(place + np.abs([one[axis] - place, two[axis] - place]))
-        solids[0][0][axis] = place
+    solids += _patches(scene, plan)[: len(scene.loads)]
     for axis in range(3):
         faces = np.array([side[axis] for solid in solids[:n_lasting] for side in solid])
         for load in solids[n_lasting:]:
-            hair = HAIR * (load[1] - load[0])[axis]
+            within = ON_FACE * (load[1] - load[0])[axis]
             for side in load:
                 nearest = faces[np.argmin(np.abs(faces - side[axis]))]
-                if abs(nearest - side[axis]) <= hair:
+                if abs(nearest - side[axis]) <= within:
                     side[axis] = nearest
     return solids
 
@@ -235,12 +285,12 @@ def _apart(places: list[float], slack: float) -> list[float]:
 
 
 def on_lines(scene: Scene, boxes: Boxes) -> list[Load]:
-    """A scene's loads, edges of plates that `first_mesh` moved by a hair moved as well."""
+    """A scene's loads, edges of plates that `first_mesh` moved to a face moved as well."""
     loads: list[Load] = []
     for load in scene.loads:
         if isinstance(load, StiffLoad):
             x0, y0, x1, y1 = (
-                _nearest(boxes.lines[k % 2] + boxes.lean[k % 2] * boxes.height_mm, place, HAIR * load.size_mm[k % 2])
+                _nearest(boxes.lines[k % 2] + boxes.lean[k % 2] * boxes.height_mm, place, ON_FACE * load.size_mm[k % 2])
                 for k, place in enumerate(load.rectangle)
             )
             load = replace(load, center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0))
@@ -252,46 +302,3 @@ def _nearest(line: FloatArray, place: float, within: float) -> float:
     """The nearest of some places if it is near enough, else the place itself."""
     nearest = float(line[np.abs(line - place).argmin()])
     return nearest if abs(nearest - place) <= within else place
-
-
-def indicators(body: RubberBody, u: FloatArray, duals: FloatArray, scales: FloatArray) -> FloatArray:
-    """Share of each element, along each axis, in the errors of the probes, up to a constant; shape (n_elements, 3).
-
-    Parameters
-    ----------
-    body : RubberBody
-        At rest.
-    u : array, shape (n_nodes, 3)
-        The answer.
-    duals : array, shape (k, n_nodes, 3)
-        Answers to unit loads on the probes.
-    scales : array, shape (k,)
-        Size of each probe's displacement [mm].
-
-    Notes
-    -----
-    What the highest degree along an axis adds to u and to a dual, multiplied as strain energies are: the order of the
-    displacement by μ |∂u|², the highest of the pressure by p²/μ. Without the pressure the estimate at a loaded corner,
-    ν = 0.4999, was 0.8 times the error, with it 1.3 times.
-    """
-    boxes, reference = body.boxes, body.reference
-    order, n = boxes.order, boxes.order + 1
-    to_highest = np.linalg.inv(legendre.legvander(lobatto_points(order), order))[order]
-    lumped = 2 / (order * n * legendre.legval(lobatto_points(order), np.eye(n)[order]) ** 2)
-    across = np.multiply.outer(lumped, lumped)
-    pull = np.linalg.inv(boxes.shear)
-    lame, mu = body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
-    values = np.concatenate([u[None], duals])[:, boxes.nodes]  # (1 + k, e, n³, 3)
-    lattice = values.reshape(*values.shape[:2], n, n, n, 3)
-    found = np.empty((len(boxes.nodes), 3))
-    for d in range(3):
-        top = np.abs(np.tensordot(to_highest, lattice, (0, 2 + d)))
-        energy = np.einsum("jk,ejka,cejka->ec", across, top[0], top[1:], optimize=True)
-        size = (pull[d] ** 2).sum() * mu * body.scale[d] ** 2 * body.jacobian * order * n
-        found[:, d] = size * (energy @ (1 / scales))
-    along = np.einsum("jkn,cena->cejka", reference.divergence, values, optimize=True)
-    divergence = np.einsum("ja,je,cejka->cek", pull, body.scale, along, optimize=True)
-    products = np.einsum("ek,cek,c->ek", np.abs(divergence[0]), np.abs(divergence[1:]), 1 / scales)
-    highest = reference.degrees == reference.degrees.max()
-    toward = highest / highest.sum(axis=1, keepdims=True).clip(1)
-    return found + DIVERGENCE_WEIGHT * (lame**2 / mu * body.jacobian)[:, None] * (products @ toward)

@@ -1,12 +1,11 @@
 """Scenes of arrays whose pillars are of another rubber, or with a plate on every unit, by copies of one cell."""
 
-from time import perf_counter
-
 import numpy as np
 
+from fem.array.cell import CondensedCell
 from fem.array.coupled_cells import CoupledArray
-from fem.array.substructured import GRID_RATE, LEVEL_ERROR, RATE, cell_stages, condensed_cell
-from fem.levels import richardson_factor
+from fem.array.meshed import pad_plate
+from fem.array.substructured import cell_of_stage, cell_stages
 from fem.methods.plan import Plan
 from fem.scene.cells import Share, design_of_cells, forces_on_cells, split_by_cells
 from fem.scene.checks import SceneError
@@ -17,10 +16,10 @@ from geometry.layout import FloatArray
 
 
 def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
-    """Solve a scene of an array with loads and mean probes anywhere on its top, at two levels of one cell.
+    """Solve a scene of an array with loads and mean probes anywhere on its top, by copies of one cell.
 
-    Rectangles that lie on several cells are split among them. The error is estimated from the two levels and from the
-    highest degree of the port modes, as in `substructured.response_by_cells`; grids, of one rubber, are extrapolated.
+    Rectangles that lie on several cells are split among them. The error is estimated as of responses, see
+    `substructured.cell_of_stage`.
 
     Raises
     ------
@@ -38,43 +37,33 @@ def solve_by_cells(scene: Scene, plan: Plan) -> Solution:
     rectangles = np.array(list(local))
     forces = newtons.reshape(design.n_units, -1, 1)
 
-    seconds = Stopwatch().seconds
+    seconds = {"mesh": 0.0, "condense": 0.0, "couple": 0.0}
+    plate = pad_plate(design)
+
+    def answer(cell: CondensedCell) -> tuple[dict[str, FloatArray], float, float]:
+        """Means of the probes, the energy and the residual."""
+        moved, residual = CoupledArray(cell, design.array.rows, design.array.cols).moved(forces)
+        moved = moved.reshape(design.n_units, -1, 3)
+        means = {p.name: _gathered(moved, shares) for p, shares in zip(scene.probes, probes, strict=True)}
+        return means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual
+
     steps: list[str] = []
-    for coarse, fine, degree in cell_stages(design, scene.tolerance):
-        found, meshing, start = [], 0.0, perf_counter()
-        for level in (coarse, fine):
-            cell, meshed = condensed_cell(design, level, degree, rectangles)
-            meshing += meshed
-            found.append(cell)
-        seconds["mesh"] += meshing
-        seconds["factor"] += perf_counter() - start - meshing
-        start = perf_counter()
-        answers = []
-        for each in (*found, found[-1].of_degree(degree - 1)):
-            moved, residual = CoupledArray(each, design.array.rows, design.array.cols).moved(forces)
-            moved = moved.reshape(design.n_units, -1, 3)
-            means = {p.name: _gathered(moved, shares) for p, shares in zip(scene.probes, probes, strict=True)}
-            answers.append((means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual))
-        seconds["solve"] += perf_counter() - start
-        (one, _, _), (two, energy, residual), (lower, _, _) = answers
-        of_ports = largest_error(lower, two)
-        if design.is_homogeneous:
-            factor = richardson_factor(coarse, fine, GRID_RATE[design.pad.kind])
-            of_levels = LEVEL_ERROR[design.pad.kind] * factor * largest_error(one, two)
-            two = {name: mean + factor * (mean - one[name]) for name, mean in two.items()}
-        else:
-            of_levels = richardson_factor(coarse, fine, RATE) * largest_error(one, two)
-        estimate = of_levels + of_ports
-        steps.append(f"cells of level {fine:g}, ports of degree {degree}: estimated error {estimate:.1e}")
+    for stage in cell_stages(design, scene.tolerance):
+        cell, (means, energy, residual), errors = cell_of_stage(
+            design, stage, rectangles, plate, answer, lambda one, other: largest_error(one[0], other[0]), seconds
+        )
+        estimate = sum(errors)
+        steps.append(f"cells of level {stage[1]:g}, ports of degree {stage[2]}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break
+    spent = {"mesh": seconds["mesh"], "factor": seconds["condense"], "solve": seconds["couple"]}
     return Solution(
-        probes=two,
+        probes=means,
         energy_mj=energy,
-        residual=max(residual, found[-1].residual),
-        unknowns=found[-1].unknowns,
+        residual=max(residual, cell.residual),
+        unknowns=cell.unknowns,
         error_estimate=estimate,
-        seconds=seconds,
+        seconds=Stopwatch().seconds | spent,
         steps=tuple(steps),
     )
 

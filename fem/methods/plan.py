@@ -120,8 +120,8 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, D
         loads = ", ".join(sorted({load.kind for load in scene.loads}))
         return "finite", Decision(name="mesh", choice="graded hexahedra", reason=f"finite strain under {loads} loads")
     is_sensor = isinstance(scene.body, Sensor)
-    units = scene.body.design.n_units if isinstance(scene.body, Sensor) and regions else 0
-    soft = units > 1 and _are_soft(scene)
+    units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
+    soft = units > 1 and bool(regions) and _are_soft(scene)
     if soft and units > MAX_WHOLE and scene.tolerance < SOFT_CELLS and not field:
         raise SceneError(
             f"tolerance={scene.tolerance:g}: pillars less than {SOFT:g} times as stiff as their matrix are known to "
@@ -138,7 +138,7 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, D
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
     oblique = sum(not prism.is_upright for prism, _ in regions)
-    if oblique or units:
+    if oblique or (units and regions):
         what = "pillar" if is_sensor else "inclusion"
         return tetrahedra(f"{oblique} of {_count(regions, what)} of another material lean")
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
@@ -164,7 +164,7 @@ def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mi
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
     share = {1: "half", 2: "a quarter"}[len(mirrors)]
     count = len(parities(mirrors))
-    loads = "the loads as well" if count == 1 else f"the loads are split into {count} even and odd parts"
+    loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
     reason = f"the body mirrors in {planes} mm, {loads}"
     return mirrors, Decision(name="symmetry", choice=f"{share} of the body", reason=reason)
 

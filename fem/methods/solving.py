@@ -8,9 +8,10 @@ from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.tetrahedral import solve_on_tetrahedra
 from fem.scene.checks import SceneError
-from fem.scene.scene import Scene
+from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
 
+LARGE_SHARE = 0.2  #: of a body's least extent: a probe that moves farther has left linear elasticity
 MIN_LINEAR = 3e-3  #: least tolerance of the linear answer that bodies of two rubbers take at finite strain
 
 
@@ -66,4 +67,22 @@ def unmoved(scene: Scene) -> Solution:
         error_estimate=0.0,
         seconds=Stopwatch().seconds,
         steps=("nothing loads the body, so nothing was computed",),
+    )
+
+
+def beyond_linear(scene: Scene, solution: Solution) -> str:
+    """A line that says that a linear answer moves too far for small strains; empty where it does not.
+
+    Judged by the largest displacement of a probe over the body's least extent, of a free pillar over its length: bent,
+    it moves far at small strain.
+    """
+    outline = scene.outline
+    length_mm = float(np.linalg.norm(np.subtract(outline.top_mm, outline.base_mm)))
+    least_mm = length_mm if isinstance(scene.body, Pillar) else min(scene.height_mm, *outline.section_mm)
+    moved_mm = max((float(np.linalg.norm(u)) for u in solution.probes.values()), default=0.0)
+    if not scene.is_linear or moved_mm <= LARGE_SHARE * least_mm:
+        return ""
+    return (
+        f"a probe moves {moved_mm:.3g} mm, over {LARGE_SHARE:g} of {least_mm:.3g} mm, the body's least extent: linear "
+        "elasticity holds for small strains only; take a smaller load or model = 'neo-hookean'"
     )

@@ -4,11 +4,12 @@ Bisection keeps every plane face and outline exact and never meshes anew, so the
 mesh only and the answers of successive meshes differ by their errors alone.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.elasticity import MIN_POISSON, lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import (
     cell_sizes,
@@ -20,28 +21,53 @@ from fem.discretization.indicator import (
 )
 from fem.discretization.patch import patch_integrals
 from fem.discretization.plate import Plate, tied
-from fem.discretization.richardson import MIN_MESHES
 from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
 from fem.factor import Factor, checked_solve
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
+from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions, taylor_hood
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
 LAST_SHARE = 0.65  #: the same, where little is missing
+MIN_MARKED = 0.12  #: of all elements: few hold the share where rubbers differ 100 times, and the mesh would hardly grow
+MIN_MESHES = 3  #: before an estimate by indicators is believed
 EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
+
+
+def errors_by_indicators(names: Sequence[str], history: Sequence[tuple[float, FloatArray]]) -> dict[str, float]:
+    """Relative error of each probe on the last of several adapted meshes, infinite with fewer than `MIN_MESHES`.
+
+    `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
+
+    Notes
+    -----
+    The error of a probe is close to proportional to the sum η of its indicators: J(η) = J₀ + C η, with C unknown but
+    changing little from mesh to mesh. The line through the last two meshes and the one fitted to the last three each
+    give |C| η; the larger is taken.
+    """
+    if len(history) < MIN_MESHES:
+        return dict.fromkeys(names, np.inf)
+    eta = np.array([indicated for indicated, _ in history[-3:]])
+    J = np.array([probes for _, probes in history[-3:]])  # (3, n_probes, 3)
+    if eta[-1] == 0.0:
+        return dict.fromkeys(names, 0.0)
+    fitted = np.tensordot(eta - eta.mean(), J, axes=1) / ((eta - eta.mean()) ** 2).sum()
+    between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
+    answer = dict(zip(names, J[-1], strict=True))
+    estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
+    return {name: max(estimate[name] for estimate in estimates) for name in names}
 
 
 class BisectedTetrahedra:
     """A scene on Taylor-Hood tetrahedra."""
 
-    min_meshes = MIN_MESHES
-
     def __init__(self, scene: Scene, plan: Plan, mesh: MeshTet) -> None:
         self.scene, self.mesh = scene, mesh
+        self.history: list[tuple[float, FloatArray]] = []  #: sum of indicators and probes of every mesh
         self.prisms = [prism for prism, _ in plan.regions]
         #: the different rubbers, the body's first
         self.materials = list(dict.fromkeys([scene.material, *(material for _, material in plan.regions)]))
@@ -50,14 +76,17 @@ class BisectedTetrahedra:
     def __str__(self) -> str:
         return f"{self.mesh.nelements} tetrahedra"
 
-    def is_trusted(self) -> bool:
-        return True
+    def error(self) -> float:
+        names = [probe.name for probe in self.scene.probes]
+        return max(errors_by_indicators(names, self.history).values())
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh = bisected(self.mesh, largest_contributors(indicators, SHARE if excess > 1.5 else LAST_SHARE))
+        least = int(MIN_MARKED * self.mesh.nelements)
+        marked = largest_contributors(indicators, SHARE if excess > 1.5 else LAST_SHARE)
+        self.mesh = bisected(self.mesh, marked if len(marked) > least else np.argsort(-indicators)[:least])
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, mesh = self.scene, self.mesh
@@ -71,10 +100,10 @@ class BisectedTetrahedra:
         for rectangle in scene.plate_rectangles_mm:
             bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
             plates.append((np.searchsorted(body.free, bonded), own))
-        motions = tied(body.matrix.shape[0], plates)
-        matrix = (motions.T @ body.matrix @ motions).tocsr() if plates else body.matrix
+        motions = tied(body.n_unknowns, plates)
+        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if plates else body.upper
         watch.spent("assemble")
-        factor = Factor(matrix)
+        factor = Factor(matrix, upper=True)
         watch.spent("factor")
 
         pushing = motions.T @ body.loads(forces)
@@ -100,12 +129,14 @@ class BisectedTetrahedra:
             residuals_of(z[:, k], y[n:, k], shapes[k], scene.probe_rectangles_mm) for k in range(duals.shape[1])
         ]
         watch.spent("assemble")
+        indicators = probe_indicators(of_answer, of_duals, scales)
+        self.history.append((float(indicators.sum()), probes))
         return MeshAnswer(
             probes=probes,
             energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
             residual=max(residual, dual_residual),
             unknowns=matrix.shape[0],
-            indicators=probe_indicators(of_answer, of_duals, scales),
+            indicators=indicators,
             field=lambda: Field(
                 points_mm=body.basis.doflocs.T.copy(),
                 cells=body.basis.element_dofs.T.astype(np.int64),  # scikit-fem's order of nodes is VTK's

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fem.contact.indentation import FREE, STICKING, Contact
+from fem.contact.indentation import OPEN, STICK, Contact
 from geometry.layout import electrode_squares, unit_centres
 from geometry.storage.files import replacing
 
@@ -69,13 +69,13 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
 def _draw_patch(axes: "Axes", contact: Contact) -> None:
     patch, state = contact.patch, contact.state
     box: Any = (patch.low_mm[0], patch.high_mm[0], patch.low_mm[1], patch.high_mm[1])
-    pressure = np.where(state == FREE, np.nan, contact.pressure_mpa)
+    pressure = np.where(state == OPEN, np.nan, contact.pressure_mpa)
     shown = axes.imshow(pressure, origin="lower", extent=box, cmap="viridis", vmin=0.0)
     axes.figure.colorbar(shown, ax=axes, label="pressure [MPa]", shrink=0.85)
-    axes.contour(patch.x_mm, patch.y_mm, state != FREE, levels=[0.5], colors=[INK], linewidths=1.2)
+    axes.contour(patch.x_mm, patch.y_mm, state != OPEN, levels=[0.5], colors=[INK], linewidths=1.2)
     axes.plot([], [], color=INK, label="edge of the contact")
     if contact.friction:
-        sticks = state == STICKING
+        sticks = state == STICK
         if sticks.any() and not sticks.all():
             axes.contour(patch.x_mm, patch.y_mm, sticks, levels=[0.5], colors=["white"], linewidths=1.6)
             axes.plot([], [], color="#bbbbbb", label="sticks inside, slips outside")
@@ -84,7 +84,7 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
         shear = contact.shear_mpa[:, some, some]
         largest = float(np.hypot(*contact.shear_mpa).max())
         x, y = np.meshgrid(patch.x_mm[some], patch.y_mm[some])
-        there = state[some, some] != FREE
+        there = state[some, some] != OPEN
         if largest > 0:
             length = 1.5 * every * max(patch.cell_mm) / largest
             axes.quiver(x[there], y[there], *(shear[:, there] * length), **AS_DRAWN, color=ORANGE, width=0.005)

@@ -80,14 +80,14 @@ class DeformedPicture:
         draw_off_screen()
         self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
         self.names = tuple(panels)
-        self._shows_all_pads, held = over is not None, [*panels.values()] if over is None else over
-        pads = pads_bar(held)
-        self.bars = (bar_of(self._quantity, held), *([] if pads is None else [pads]))
+        self._shows_all_pads, shown = over is not None, [*panels.values()] if over is None else over
+        pads = pads_bar(shown)
+        self.bars = (bar_of(self._quantity, shown), *([] if pads is None else [pads]))
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self.warning = warning
         self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
         self._is_bare = medium == "page"
-        points = {name: reach(parts, scale) for name, parts in panels.items()}
+        points = {name: filled_points(parts, scale) for name, parts in panels.items()}
         stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
         self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
@@ -225,7 +225,7 @@ class DeformedPicture:
         )  # fmt: skip
 
 
-def reach(parts: Parts, scale: float) -> FloatArray:
+def filled_points(parts: Parts, scale: float) -> FloatArray:
     """All points that parts fill, at rest and with their displacement `scale` times as large, (n, 3) [mm]."""
     rest = np.vstack([part.points_mm for part in parts.values()])
     return np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])

@@ -113,7 +113,7 @@ class Condensed(NamedTuple):
     """An element at rest whose inside is eliminated."""
 
     stiffness: FloatArray  #: between the nodes on its surface, (n_surface, n_surface, 3, 3) [N/mm]
-    inner: NDArray[np.float32]  #: (n_inside·3, n_surface·3): displacements inside, from those of the surface
+    inner: FloatArray  #: (n_inside·3, n_surface·3): displacements inside, from those of the surface
 
 
 Kind = tuple[float, ...]  #: of alike elements: relative extents and Lamé's constants
@@ -302,8 +302,7 @@ class RubberBody:
             inner = np.linalg.solve(parts[2], parts[1])
             outer = (parts[0] - parts[1].swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
             for element, own, recovered in zip(elements, outer.swapaxes(2, 3), inner, strict=True):
-                # seven digits of what only indicators, pictures and points inside need
-                known[self._kinds[element]] = Condensed(np.ascontiguousarray(own), -recovered.astype(np.float32))
+                known[self._kinds[element]] = Condensed(np.ascontiguousarray(own), -recovered)
         return known
 
     def filled(self, u: FloatArray) -> FloatArray:

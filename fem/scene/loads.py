@@ -71,6 +71,16 @@ class DeadLoad(_OnRectangle):
         super().__post_init__()
         require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
 
+    @property
+    def components(self) -> tuple[float, ...]:
+        """Traction along x, y, z."""
+        return self.traction_mpa
+
+    @property
+    def spread(self) -> tuple["DeadLoad", ...]:
+        """The load as small strain sees it."""
+        return (self,)
+
 
 @dataclass(frozen=True, kw_only=True)
 class FollowerLoad(_OnRectangle):
@@ -95,10 +105,15 @@ class FollowerLoad(_OnRectangle):
         object.__setattr__(self, "pressure_mpa", float(self.pressure_mpa))
 
     @property
-    def at_rest(self) -> DeadLoad:
+    def components(self) -> tuple[float, ...]:
+        """Traction along x, y, z at rest."""
+        return (*self.traction_mpa, -self.pressure_mpa)
+
+    @property
+    def spread(self) -> tuple[DeadLoad, ...]:
         """The load as small strain sees it."""
         traction = (*self.traction_mpa, -self.pressure_mpa)
-        return DeadLoad(center_mm=self.center_mm, size_mm=self.size_mm, traction_mpa=traction)
+        return (DeadLoad(center_mm=self.center_mm, size_mm=self.size_mm, traction_mpa=traction),)
 
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("traction_mpa", signs[:2]), ("pressure_mpa", signs[2])]
@@ -118,6 +133,11 @@ class StiffLoad(_OnRectangle):
 
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("force_n", signs), ("moment_nmm", axial)]
+
+    @property
+    def components(self) -> tuple[float, ...]:
+        """Force and moment."""
+        return self.force_n + self.moment_nmm
 
     @property
     def spread(self) -> tuple[DeadLoad, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.scene.checks import LENGTHS_MM, SceneError, is_finite, require_extents, require_vectors, shown
-from fem.scene.loads import DeadLoad, FollowerLoad, Load, Rectangle, StiffLoad, rectangle_of
+from fem.scene.loads import DeadLoad, Load, Rectangle, StiffLoad, rectangle_of
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
@@ -294,15 +294,7 @@ class Scene:
     @property
     def dead_loads(self) -> tuple[DeadLoad, ...]:
         """The loads as small strain sees them: a pressure pushes along −z, a plate's force is spread over the plate."""
-        found: list[DeadLoad] = []
-        for load in self.loads:
-            if isinstance(load, StiffLoad):
-                found += load.spread
-            elif isinstance(load, FollowerLoad):
-                found.append(load.at_rest)
-            else:
-                found.append(load)
-        return tuple(found)
+        return tuple(dead for load in self.loads for dead in load.spread)
 
     @property
     def plate_rectangles_mm(self) -> FloatArray:
@@ -324,10 +316,6 @@ class Scene:
         return [probe for probe in self.probes if probe.kind == "mean"]
 
     @property
-    def point_probes(self) -> list[Probe]:
-        return [probe for probe in self.probes if probe.kind == "point"]
-
-    @property
     def probe_rectangles_mm(self) -> FloatArray:
         """Rectangles of the mean probes, in their order, shape (n_means, 4)."""
         return self._on_top([probe.rectangle for probe in self.mean_probes])
@@ -335,35 +323,25 @@ class Scene:
     @property
     def probe_points_mm(self) -> FloatArray:
         """Positions of the point probes, in their order, shape (n_points, 3)."""
-        return np.array([probe.position_mm for probe in self.point_probes], dtype=np.float64).reshape(-1, 3)
-
-    @property
-    def summed_tractions(self) -> dict[Rectangle, FloatArray]:
-        """Total traction of every rectangle of `dead_loads` on which it is not zero."""
-        sums: dict[Rectangle, FloatArray] = {}
-        for load in self.dead_loads:
-            sums[load.rectangle] = sums.get(load.rectangle, np.zeros(3)) + load.traction_mpa
-        return {rectangle: traction for rectangle, traction in sums.items() if traction.any()}
+        points = [probe.position_mm for probe in self.probes if probe.kind == "point"]
+        return np.array(points, dtype=np.float64).reshape(-1, 3)
 
     @property
     def summed_loads(self) -> dict[str, dict[Rectangle, FloatArray]]:
         """By kind, tractions of every loaded rectangle along x, y, z (pressures along −z), or force and moment."""
         sums: dict[str, dict[Rectangle, FloatArray]] = {}
         for load in self.loads:
-            if isinstance(load, StiffLoad):
-                value = np.array(load.force_n + load.moment_nmm)
-            elif isinstance(load, FollowerLoad):
-                value = np.array((*load.traction_mpa, -load.pressure_mpa))
-            else:
-                value = np.array(load.traction_mpa)
             own = sums.setdefault(load.kind, {})
-            own[load.rectangle] = own.get(load.rectangle, 0.0) + value
+            own[load.rectangle] = own.get(load.rectangle, 0.0) + np.array(load.components)
         return sums
 
     @property
     def is_unloaded(self) -> bool:
         """True if no load remains once those on equal rectangles are added up."""
-        return not self.summed_tractions
+        sums: dict[Rectangle, FloatArray] = {}
+        for load in self.dead_loads:
+            sums[load.rectangle] = sums.get(load.rectangle, 0.0) + np.array(load.traction_mpa)
+        return not any(traction.any() for traction in sums.values())
 
     def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
         """Rectangles without what rounding puts past the top face."""

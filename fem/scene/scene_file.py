@@ -1,5 +1,6 @@
 """Scene files: TOML read into a `Scene`, unknown keys and nonsense refused in one line that names the place."""
 
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,8 @@ from geometry.storage.files import stated
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 
 STRICT = StrictTables(SceneError)
-BODY_KEYS = {
-    "block": ("size_mm",),
-    "pillar": ("section_mm", "base_mm", "top_mm"),
-    "unit": (),
-    "array": (),
-}
+BODIES: dict[str, type[Body]] = {"block": Block, "pillar": Pillar, "unit": Sensor, "array": Sensor}
 MATERIAL_KEYS = ("young_mpa", "poisson")
-RECTANGLE_KEYS = ("center_mm", "size_mm")
-LOAD_KEYS = {"dead": ("traction_mpa",), "follower": ("pressure_mpa",), "stiff": ("force_n",)}
-OTHER_LOAD_KEYS = {"dead": (), "follower": ("traction_mpa",), "stiff": ("moment_nmm",)}
 PRISM_KEYS = ("base_mm", "top_mm", "section_mm")
 PROBE_KEYS = {"mean": ("center_mm", "size_mm"), "point": ("position_mm",)}
 
@@ -61,13 +54,14 @@ def scene_from_dict(table: dict[str, Any], source: str = "the scene") -> Scene:
 def _scene(table: dict[str, Any]) -> Scene:
     body_table = _needed(table, "body", "")
     kind = body_table.get("kind")
-    if not isinstance(kind, str) or kind not in BODY_KEYS:
+    if not isinstance(kind, str) or kind not in BODIES:
         given = "kind is missing" if kind is None else f"kind={shown(kind)} is unknown"
-        raise SceneError(f"[body]: {given}; it must be one of {', '.join(BODY_KEYS)}.")
-    is_sensor = kind in ("unit", "array")
+        raise SceneError(f"[body]: {given}; it must be one of {', '.join(BODIES)}.")
+    is_sensor = BODIES[kind] is Sensor
+    needed = () if is_sensor else keys_of(BODIES[kind])
     own = {"block": ("material", "inclusion"), "pillar": ("material",)}.get(kind, ("material", "design"))
     STRICT.require_keys(table, ("body", *own, "load", "probe", "solve"), f" in a scene of kind {kind}")
-    STRICT.require_keys(body_table, ("kind", *BODY_KEYS[kind]), " in [body]", BODY_KEYS[kind])
+    STRICT.require_keys(body_table, ("kind", *needed), " in [body]", needed)
 
     material = None
     if "material" in table or not is_sensor:
@@ -80,8 +74,7 @@ def _scene(table: dict[str, Any]) -> Scene:
         body = STRICT.made("[body]", Sensor, design=design, kind=kind)
         material = design.matrix_material
     else:
-        values = {key: body_table[key] for key in BODY_KEYS[kind]}
-        body = STRICT.made("[body]", Block if kind == "block" else Pillar, **values)
+        body = STRICT.made("[body]", BODIES[kind], **{key: body_table[key] for key in needed})
 
     solve = STRICT.table(table, "solve")
     STRICT.require_keys(solve, ("tolerance",), " in [solve]")
@@ -94,6 +87,11 @@ def _scene(table: dict[str, Any]) -> Scene:
         probes=tuple(_probe(*entry) for entry in STRICT.entries(table, "probe")),
         **solve,
     )
+
+
+def keys_of(made: type[Body] | type[Load], optional: bool = False) -> tuple[str, ...]:
+    """Keys that a file must give for a body or load, or with `optional` all that it may."""
+    return tuple(spec.name for spec in fields(made) if optional or spec.default is MISSING)
 
 
 def _needed(table: dict[str, Any], key: str, meaning: str) -> dict[str, Any]:
@@ -115,11 +113,11 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
     kind = entry.get("kind", "dead")
     if not isinstance(kind, str) or kind not in LOAD_KINDS:
         raise SceneError(f"{place}: kind={shown(kind)} is unknown; it must be one of {', '.join(LOAD_KINDS)}.")
-    needed = (*RECTANGLE_KEYS, *LOAD_KEYS[kind])
     given = {key: value for key, value in entry.items() if key != "kind"}
     of_kind = f"{place} of kind {kind}" if "kind" in entry else place
-    STRICT.require_keys(given, (*needed, *OTHER_LOAD_KEYS[kind]), f" in {of_kind}", needed)
-    load: Load = STRICT.made(place, LOAD_KINDS[kind], **given)
+    made = LOAD_KINDS[kind]
+    STRICT.require_keys(given, keys_of(made, optional=True), f" in {of_kind}", keys_of(made))
+    load: Load = STRICT.made(place, made, **given)
     return load
 
 

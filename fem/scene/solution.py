@@ -17,8 +17,7 @@ from geometry.storage.files import vtk_content, write_bytes
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
 
 QUADRILATERAL, TETRAHEDRON, HEXAHEDRON = 9, 10, 12  #: VTK's numbers of linear cells
-QUADRATIC_TETRAHEDRON, QUADRATIC_HEXAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 25, 29
-
+QUADRATIC_TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 29
 
 Probes = dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
 

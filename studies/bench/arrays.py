@@ -4,7 +4,6 @@ Every response is computed in a process of its own, without cache. Where `refere
 response, the error against them is given for the loaded unit and its first neighbours.
 """
 
-from dataclasses import replace
 from functools import partial
 from operator import eq
 from pathlib import Path
@@ -14,10 +13,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from fem.array.meshed import box_cell
+from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import cell_lines
 from fem.array.unit_check import meshed_response
 from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
@@ -74,38 +72,38 @@ def by_mesh(design: SensorDesign) -> ArrayResponse:
     return meshed_response(design, sensor_mesh(design, suited_settings(design))[0])
 
 
-def by_whole_array(design: SensorDesign, level: int) -> ArrayResponse:
+def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
     """The contrast to condensing one cell: copies of its grid side by side, factored as one body."""
     start = perf_counter()
     x, y, z = cell_lines(design, level)
     rows, cols = design.array.rows, design.array.cols
-    cell = box_cell(replace(design, pad=replace(design.pad, kind="soft")), (_tiled(x, cols), _tiled(y, rows), z), False)
+    body, whole = BoxCell.of([_tiled(x, cols), _tiled(y, rows), z], [design.matrix_material]), (0, 0)
     pads, electrodes = (
-        cell.integrals(squares).toarray() / (squares[:, 2:] - squares[:, :2]).prod(axis=1)[:, None]
-        for squares in (pad_squares(design), electrode_squares(design))
+        (body.integrals(some) / ((some[:, 2:] - some[:, :2]).prod(axis=1)[:, None])).tocsr()
+        for some in (pad_squares(design), electrode_squares(design))
     )
-    forces = np.einsum("kn,ac->kanc", pads, np.eye(3)).reshape(3 * len(pads), -1, 3)
-    K, loads = cell.matrix((0, 0)), cell.gathered(forces, (0, 0))
+    forces = np.einsum("kn,ij->kinj", pads.toarray(), np.eye(3)).reshape(-1, pads.shape[1], 3)
+    matrix, loads = body.matrix(whole), body.gathered(forces, whole)
     assembled = perf_counter()
-    factor = Factor(K, definite=True, upper=True)
+    factor = Factor(matrix, definite=True, upper=True)
     factored = perf_counter()
     solution, residual = checked_solve(factor, loads)
-    influence = np.einsum("en,knc->eck", electrodes, cell.displacements(solution, (0, 0)))
+    moved = body.displacements(solution)  # (k, n, 3)
+    influence = (electrodes @ moved.transpose(1, 2, 0).reshape(pads.shape[1], -1)).reshape(-1, len(moved))
     return ArrayResponse(
         design=design,
         influence_mm_per_n=influence.reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
         residual=residual,
-        unknowns=K.shape[0],
+        unknowns=matrix.shape[0],
         seconds={"assemble": assembled - start, "factor": factored - assembled, "solve": perf_counter() - factored},
-        method="whole array",
+        method="whole grid",
     )
 
 
-def _tiled(half: FloatArray, count: int) -> FloatArray:
-    """Lines of so many cells side by side, centred, from those of half a cell [0, a]."""
-    cell = np.concatenate([-half[:0:-1], half])
-    steps = np.tile(np.diff(cell), count)
-    return np.concatenate([[0.0], np.cumsum(steps)]) - count * half[-1]
+def _tiled(line: FloatArray, count: int) -> FloatArray:
+    """Lines of so many cells side by side, centred, from those of a cell."""
+    steps = np.tile(np.diff(line), count)
+    return np.concatenate([[0.0], np.cumsum(steps)]) - count * line[-1]
 
 
 CONTENDERS = [
@@ -113,8 +111,8 @@ CONTENDERS = [
     for matrix, name, solve, units in (
         (SAME, "cells", partial(by_settings, tolerance=1e-3), (2, 6, 12, 24, 48)),
         (SAME, "cells, 1e-2", partial(by_settings, tolerance=1e-2), (6,)),
-        (SAME, "whole array, same boxes, level 1", partial(by_whole_array, level=1), (2, 6)),
-        (SAME, "whole array, same boxes, level 2", partial(by_whole_array, level=2), (6,)),
+        (SAME, "whole array, same hexahedra, level 1", partial(by_whole_grid, level=1), (2, 6)),
+        (SAME, "whole array, same hexahedra, level 2", partial(by_whole_grid, level=2), (6,)),
         (SAME, "whole array, Taylor-Hood", by_mesh, (2, 6)),
         (SAME, "layer", partial(by_settings, method="layer"), (6,)),
         (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fem.array.solving import ResponseSettings, array_response, response_cache_key, solve_response
-from fem.array.substructured import block_error, influence_range, unrolled
+from fem.array.substructured import block_error, expanded, influence_range
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from studies import bench
@@ -81,7 +81,7 @@ def test_far_units_are_put_together_from_fewer(monkeypatch):
     """A row of 12 from one of 2·4 + 1: what is left out and what is taken from the middle is below 1 % of 2e-2."""
     design = SensorDesign(array=Array(rows=1, cols=12))
     near = solve_response(design, ResponseSettings(tolerance=2e-2))
-    monkeypatch.setattr("fem.array.substructured.FAR", 0.0)
+    monkeypatch.setattr("fem.array.substructured.TRUNCATION", 0.0)
     all_of_it = solve_response(design, ResponseSettings(tolerance=2e-2))
     monkeypatch.undo()
     assert influence_range(design, 2e-3) < 6
@@ -93,11 +93,11 @@ def test_far_units_are_put_together_from_fewer(monkeypatch):
 def test_unrolling_keeps_offsets_and_rims():
     rng = np.random.default_rng(0)
     small = rng.normal(size=(5, 5, 2, 3, 5, 5, 3))
-    whole = unrolled(small, 8, 8, reach=2)
+    whole = expanded(small, 8, 8, radius=2)
     assert np.array_equal(whole[0, 1, :, :, 1, 0], small[0, 1, :, :, 1, 0])  # at the first corner
     assert np.array_equal(whole[7, 6, :, :, 6, 7], small[4, 3, :, :, 3, 4])  # at the last
     assert np.array_equal(whole[5, 3, :, :, 4, 4], small[3, 1, :, :, 2, 2])  # in the middle
-    assert (whole[0, 0, :, :, 3, 0] == 0).all()  # beyond reach
+    assert (whole[0, 0, :, :, 3, 0] == 0).all()  # beyond radius
 
 
 def test_pillars_of_another_rubber_are_solved_from_one_cell(shared_cache):

@@ -5,17 +5,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from fem.discretization.box_mesh import AxisTree, BoxMesh
-from fem.discretization.box_system import BoxSystem
 
 from fem.boxes.lagrange import lobatto_points
+from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor
 from fem.methods.box_refinement import ORDER, first_mesh, marked
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
+from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
 from fem.scene.solution import Solution, largest_error
+from fem.system import System
 from geometry.design import Material
 from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
@@ -65,9 +66,9 @@ def test_a_sheet_under_its_whole_face_follows_hooke():
         tolerance=1e-2,
     )
     solution = solve_scene(block)[0]
-    assert np.allclose(solution.probes["top"], [0.0, 0.0, -2.0 * 10.0 / 6.1], rtol=0, atol=1e-9)
-    # points inside a box are known to float32
-    assert np.allclose(solution.probes["in"], [0.0, 0.0, -2.0 * 5.0 / 6.1], rtol=0, atol=1e-6)
+    # λ is taken as 1e-9 μ at least
+    assert np.allclose(solution.probes["top"], [0.0, 0.0, -2.0 * 10.0 / 6.1], rtol=0, atol=1e-8)
+    assert np.allclose(solution.probes["in"], [0.0, 0.0, -2.0 * 5.0 / 6.1], rtol=0, atol=1e-8)
     assert np.isclose(solution.energy_mj, 0.5 * 2.0**2 / 6.1 * 9000.0)
 
 
@@ -230,14 +231,34 @@ def test_hanging_nodes_hold_polynomials_of_the_elements_order(seed):
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_column_without_cross_contraction_follows_hooke_on_any_boxes(order):
     """At ν = 0 the clamped base holds nothing back: u = −p z / E exactly, whatever is split, hanging nodes included."""
-    body = Block(size_mm=(3.0, 3.0, 3.0))
+    mesh = random_mesh(0, rounds=3)
+    boxes = mesh.filled(order, (0.0, 0.0), np.zeros(len(mesh.boxes), dtype=np.int64))
     load = DeadLoad(center_mm=(1.5, 1.5), size_mm=(3.0, 3.0), traction_mpa=(0.0, 0.0, -0.2))
+    system = System(RubberBody.of(boxes, [Material(young_mpa=2.0, poisson=0.0)]), [load])
+    forces = system.loads_on(system.rest()).reshape(-1, 1)
+    y = Factor(system.matrix(system.rest_tangent()), definite=True, upper=True).solve(forces)
     inside = Probe(name="inside", kind="point", position_mm=(1.3, 0.4, 1.9))
-    scene = Scene(body=body, material=Material(young_mpa=2.0, poisson=0.0), loads=(load,), probes=(inside,))
-    system = BoxSystem(scene, (), (), random_mesh(0, rounds=3), {}, order)
-    u = Factor(system.matrix, definite=True).solve(system.loads()[:, None])[:, 0]
-    np.testing.assert_allclose(system.probe_rows() @ u, [[0.0, 0.0, -0.2 * 1.9 / 2.0]], atol=1e-7)  # inside: float32
-    assert system.loads() @ u / 2 == pytest.approx(0.2**2 * 27 / 2 / 2.0, rel=1e-10)
+    np.testing.assert_allclose(system.seen(inside, system.displaced(y)[0]), [0.0, 0.0, -0.2 * 1.9 / 2.0], atol=1e-9)
+    # λ is taken as 1e-9 μ at least
+    assert float((forces * y).sum()) / 2 == pytest.approx(0.2**2 * 27 / 2 / 2.0, rel=2e-9)
+
+
+@pytest.mark.parametrize("side_mm", [9e-6, 4e-4, 1e-2])
+def test_patches_down_to_a_millionth_of_the_body_sink_as_on_a_half_space(side_mm):
+    """0.9461 p a (1 − ν²)/E in the mean under a square: the block's finite size takes a/h of it."""
+    place = {"center_mm": (4.0, 4.0), "size_mm": (side_mm, side_mm)}
+    scene = Scene(
+        body=Block(size_mm=(9.0, 8.0, 4.0)),
+        material=Material(young_mpa=1.0, poisson=0.45),
+        loads=(DeadLoad(**place, traction_mpa=(0.0, 0.0, -1.0)),),
+        probes=(Probe(name="patch", kind="mean", **place),),
+        tolerance=2e-2,
+    )
+    solution, _ = solve_scene(scene)
+    expected = -0.9461 * side_mm * (1 - 0.45**2)
+    error = abs(solution.probes["patch"][2] / expected - 1)
+    assert error <= solution.error_estimate + side_mm / 4.0
+    assert solution.error_estimate <= scene.tolerance
 
 
 def test_no_line_runs_through_the_body():

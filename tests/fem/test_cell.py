@@ -4,27 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
-from fem.discretization.mirrors import flipped_points, images, parities
 
-from fem.array.cell import PortModes, condense, condense_by_parity, lobatto
+from fem.array.cell import PortModes, condense, lobatto
 from fem.array.coupled_cells import CoupledArray
-from fem.discretization import mirrors
-from fem.discretization.patch import patch_means
+from fem.array.meshed import BoxCell
 from fem.factor import Factor, checked_solve
+from fem.mirrors import QUARTER, flipped_points, images, parities
 from geometry.design import Material
 
 RUBBER = [Material()]
 HALF, HEIGHT = 7.5, 10.0
 RECTANGLES = np.array([[-6.0, -6.0, 6.0, 6.0], [-6.0, 4.0, -4.0, 6.0]])  # the second is in one corner only
-QUARTER = np.array([0.0, 3.0, 6.0, HALF])
+X = np.array([0.0, 3.0, 6.0, HALF])
 UP = np.array([0.0, 2.0, 5.0, 8.0, HEIGHT])
 PORTS = PortModes(HALF, HEIGHT, side=3, up=3)
 
 
 def assert_same(cell, other, share=1e-11):
     """To rounding."""
-    for name in ("stiffness", "reach", "compliance"):
+    for name in ("stiffness", "transfer", "compliance"):
         one, two = getattr(cell, name), getattr(other, name)
         assert np.abs(one - two).max() < share * np.abs(two).max()
 
@@ -33,57 +31,69 @@ def mirrored(lines):
     return np.concatenate([-lines[::-1], lines[1:]])
 
 
+def means(body, rectangles):
+    """Nodal forces (k·3, n, 3) of 1 N along each axis spread over rectangles."""
+    rows = body.integrals(rectangles).toarray() / np.prod(rectangles[:, 2:] - rectangles[:, :2], axis=1)[:, None]
+    return np.einsum("kn,ij->kinj", rows, np.eye(3)).reshape(3 * len(rows), -1, 3)
+
+
 @pytest.fixture(scope="module")
 def cell():
-    basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
-    return condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
+    return condense(BoxCell.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
 
 
 @pytest.fixture(scope="module")
 def whole_cell():
-    basis = GridBasis(Grid(x=mirrored(QUARTER), y=mirrored(QUARTER), z=UP))
-    return grid_body(basis, grid_stiffness(basis, RUBBER))
+    return BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER)
 
 
-def test_four_parities_of_a_quarter_are_the_whole_cell(cell, whole_cell):
-    """Splitting by parity is exact, so both condensations agree to rounding."""
-    direct = condense(whole_cell, PORTS, RECTANGLES)
-    assert_same(cell, direct)
+@pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
+@pytest.mark.parametrize("planes", [QUARTER, QUARTER[:1], QUARTER[1:]], ids=["quarter", "half in x", "half in y"])
+def test_parities_of_a_part_are_the_whole_cell(planes, plate):
+    """Splitting by parity is exact, of the motions of a plate, too: both condensations agree to rounding."""
+    axes = {plane.axis for plane in planes}
+    lines = [X if axis in axes else mirrored(X) for axis in (0, 1)]
+    found = condense(BoxCell.of((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES)
+    assert_same(found, condense(BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER, plate), PORTS, RECTANGLES))
 
 
 def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
-    solved = []
-    monkeypatch.setattr("fem.array.cell._is_square", lambda grid: False)
-    monkeypatch.setattr(
-        "fem.array.cell.grid_body", lambda *of, mirrors: solved.append(mirrors) or grid_body(*of, mirrors)
-    )
-    basis = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
-    four = condense_by_parity(basis, grid_stiffness(basis, RUBBER), PORTS, RECTANGLES)
-    assert solved == parities(mirrors.QUARTER)
-    monkeypatch.undo()
+    solved, matrix = [], BoxCell.matrix
+    monkeypatch.setattr(BoxCell, "is_square", False)
+    monkeypatch.setattr(BoxCell, "matrix", lambda body, parity: solved.append(parity) or matrix(body, parity))
+    four = condense(BoxCell.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
+    assert solved == parities(QUARTER)
     assert_same(cell, four, 1e-12)
 
 
-@pytest.mark.parametrize(
-    "grid",
-    [
-        Grid(x=QUARTER, y=np.array([0.0, 2.0, 6.0, HALF]), z=UP),
-        Grid(x=QUARTER, y=QUARTER, z=UP, region=np.arange(9).reshape(3, 3, 1) % 4 // 3),
-    ],
-    ids=["lines", "regions"],
-)
-def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(grid):
-    """Against the whole cell, whose mirror images the four quarters are."""
+@pytest.mark.parametrize("y", [X, np.array([0.0, 2.0, 6.0, HALF])], ids=["rubbers", "lines"])
+def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
+    """Against the whole cell, whose mirror images the four quarters are; boxes hold two rubbers, evenly mixed."""
     rubbers = [*RUBBER, Material(young_mpa=0.5)]
-    quarter = GridBasis(grid)
-    found = condense_by_parity(quarter, grid_stiffness(quarter, rubbers), PORTS, RECTANGLES)
-    region = np.broadcast_to(grid.region, grid.shape)
-    region = np.concatenate([region[::-1], region])
-    region = np.concatenate([region[:, ::-1], region], axis=1)
-    whole = GridBasis(Grid(x=mirrored(grid.x), y=mirrored(grid.y), z=UP, region=region))
-    direct = condense(grid_body(whole, grid_stiffness(whole, rubbers)), PORTS, RECTANGLES)
-    assert_same(found, direct)
+    share = np.broadcast_to(np.arange(9).reshape(3, 3, 1) / 9, (3, 3, len(UP) - 1))
+    quarter = BoxCell.of((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
+    share = np.concatenate([share[::-1], share])
+    share = np.concatenate([share[:, ::-1], share], axis=1)
+    whole = BoxCell.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
+    assert not quarter.is_square
+    assert_same(condense(quarter, PORTS, RECTANGLES), condense(whole, PORTS, RECTANGLES))
+
+
+@pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
+def test_the_inside_belongs_to_the_condensed_cell(plate):
+    """The same S, L and C as without it; port modes have their values on the sides, forces move what they should."""
+    body, inside = BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER, plate), []
+    cell = condense(body, PORTS, RECTANGLES, inside)
+    assert_same(cell, condense(body, PORTS, RECTANGLES))
+    moved, n = inside[0], PORTS.n_modes * 3
+    on_side = (np.abs(body.points_mm[:, :2]) == HALF).any(axis=1)
+    expected = np.einsum("nm,ij->minj", PORTS.values(body.points_mm[on_side]), np.eye(3)).reshape(n, -1, 3)
+    assert np.allclose(moved[:n, on_side], expected, rtol=0, atol=1e-14)
+    means = body.integrals(RECTANGLES) / np.prod(RECTANGLES[:, 2:] - RECTANGLES[:, :2], axis=1)[:, None]
+    seen = np.einsum("kn,mni->mki", means.toarray(), moved).reshape(len(moved), -1)
+    assert np.allclose(seen[:n], cell.transfer, rtol=0, atol=1e-12)
+    assert np.allclose(seen[n:], cell.compliance, rtol=0, atol=1e-12)
 
 
 def test_exchanging_x_and_y_twice_changes_nothing(cell):
@@ -111,16 +121,16 @@ def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
 
 def test_an_array_of_one_is_the_cell_but_for_what_its_side_faces_may_do(whole_cell):
     """Polynomial side faces stiffen a cell, less and less as their degree rises: energy converges from below."""
-    force = patch_means(whole_cell.basis, RECTANGLES[:1]).T.toarray()
-    rhs = whole_cell.loads(force)
-    u, _ = checked_solve(Factor(whole_cell.matrix, definite=True), rhs)
+    pulls = means(whole_cell, RECTANGLES[:1])
+    rhs = whole_cell.gathered(pulls, (0, 0))
+    u, _ = checked_solve(Factor(whole_cell.matrix((0, 0)), definite=True, upper=True), rhs)
     free = np.diag(rhs.T @ u)
     missing = []
     for degree in (2, 4, 6):
         ports = PortModes(HALF, HEIGHT, degree, degree)
         condensed = condense(whole_cell, ports, RECTANGLES[:1])
         moved, _ = CoupledArray(condensed, 1, 1).moved(np.eye(3)[None])
-        assert np.allclose(moved[0], condensed.standing_alone, rtol=1e-10, atol=1e-16)
+        assert np.allclose(moved[0], condensed.free_compliance, rtol=1e-10, atol=1e-16)
         missing.append((free - np.diag(moved[0])) / free)
     assert (np.array(missing) > 0).all()
     assert (np.diff(missing, axis=0) < 0).all()
@@ -130,20 +140,14 @@ def test_an_array_of_one_is_the_cell_but_for_what_its_side_faces_may_do(whole_ce
 def test_two_coupled_cells_are_one_body_twice_as_long():
     """Side modes of a high degree span all that a coarse grid can do: then nothing is lost at the joint."""
     lines, up = np.array([-HALF, HALF]), np.array([0.0, HEIGHT])
-    cell_body, long_body = (
-        grid_body(basis, grid_stiffness(basis, RUBBER))
-        for basis in (
-            GridBasis(Grid(x=lines, y=lines, z=up)),
-            GridBasis(Grid(x=np.array([-HALF, HALF, 3 * HALF]), y=lines, z=up)),
-        )
-    )
+    short, long = (BoxCell.of((x, lines, up), RUBBER) for x in (lines, np.array([-HALF, HALF, 3 * HALF])))
     pad = RECTANGLES[:1]
-    coupled = CoupledArray(condense(cell_body, PortModes(HALF, HEIGHT, side=2, up=2), pad), 1, 2)
+    coupled = CoupledArray(condense(short, PortModes(HALF, HEIGHT, side=2, up=2), pad), 1, 2)
     found, _ = coupled.influence(range(3), range(3))
-    both = np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])])
-    means = patch_means(long_body.basis, both)
-    u, _ = checked_solve(Factor(long_body.matrix, definite=True), long_body.loads(means.T.toarray()))
-    expected = means @ long_body.displacements(u)
+    pulls = means(long, np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])]))
+    rhs = long.gathered(pulls, (0, 0))
+    u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
+    expected = rhs.T @ u
     assert np.allclose(found.reshape(6, 6), expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
 
 
@@ -176,11 +180,11 @@ def test_parities_share_out_every_mode():
     q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
     points = np.array([[HALF, 2.0, 3.0], [HALF, 6.0, 9.0], [1.0, HALF, 5.0], [HALF, HALF, 10.0]])
     rest, columns = q.copy(), 0
-    for parity in parities(mirrors.QUARTER):
+    for parity in parities(QUARTER):
         expanded, share = PORTS.of_parity(parity)
         part = expanded @ (share @ q)
         assert np.allclose(share @ part, share @ q)
-        for flipped, signs in images(mirrors.QUARTER, parity):
+        for flipped, signs in images(QUARTER, parity):
             here, there = (PORTS.values(at) @ part.reshape(-1, 3) for at in (points, flipped_points(points, flipped)))
             assert np.allclose(there, signs * here, rtol=0, atol=1e-13)
         rest -= part

@@ -9,7 +9,7 @@ import pyvista as pv
 from fem.fields.array_field import bell_pressure, uniform_pressure
 from fem.fields.deformed import Part, sensor_parts
 from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
-from fem.pictures.deformation import VIEWS, DeformedPicture, look, reach
+from fem.pictures.deformation import VIEWS, DeformedPicture, filled_points, look
 from fem.scene.solution import QUADRILATERAL
 from geometry.design import Array, SensorDesign
 
@@ -109,7 +109,7 @@ def test_a_picture_is_as_high_as_what_it_shows(parts, camera):
     eye = picture.plotter.renderers[1].camera
     assert eye.parallel_projection == (camera != "iso")
     again = pv.Camera()
-    points = reach(parts, 1.0)
+    points = filled_points(parts, 1.0)
     assert look(again, points, camera, 1.0) > 0
     toward = np.array(eye.position) - np.array(eye.focal_point)
     assert ((points - eye.focal_point) @ toward).max() < toward @ toward

@@ -13,10 +13,10 @@ import scipy.sparse as sp
 
 from fem import factor as module
 from fem.boxes.boxes import Boxes
-from fem.discretization.elasticity import taylor_hood
 from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name, whole
 from fem.rubber.body import RubberBody
 from fem.system import System
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

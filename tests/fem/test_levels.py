@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fem.levels import SAFETY, richardson_factor, to_tolerance
+from fem.methods.tetrahedral import errors_by_indicators
 
 LIMIT, SLOPE = np.array([0.1, 0.0, -2.0]), np.array([0.2, 0.0, 0.3])
 
@@ -46,3 +47,13 @@ def test_rates_are_kept_within_what_is_believed():
     grows = to_tolerance(lambda level: answer(level, -1.0), (1, 2, 3), 0.0, (1.0, 4.0))
     falls = to_tolerance(lambda level: answer(level, 9.0), (1, 2, 3), 0.0, (1.0, 4.0))
     assert (grows.rate, falls.rate) == (1.0, 4.0)
+
+
+def test_errors_that_follow_the_indicators_are_known():
+    """J = J₀ + C η in every component: the estimate is the error, relative to the last answer."""
+    exact, slope = np.array([[0.0, 0.0, -2.0], [0.1, 0.0, -1.0]]), np.array([[0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
+    history = [(eta, exact + slope * eta) for eta in (0.4, 0.3, 0.2, 0.1)]
+    assert errors_by_indicators(["top", "middle"], history[:2]) == {"top": np.inf, "middle": np.inf}
+    errors = errors_by_indicators(["top", "middle"], history)
+    assert errors["top"] == pytest.approx(0.03 / 1.97)
+    assert errors["middle"] == pytest.approx(0.02 / np.hypot(0.12, 1.0))

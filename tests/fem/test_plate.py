@@ -4,11 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.discretization.grid import Grid, GridBasis, grid_body, grid_stiffness
 
-from fem.array.cell import PortModes, condense, condense_by_parity
 from fem.array.solving import ResponseSettings, solve_response
-from fem.discretization.plate import Plate
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.scene.loads import StiffLoad
@@ -17,20 +14,8 @@ from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, unit_centres
 from geometry.storage.files import digest
-from tests.fem.test_cell import HALF, HEIGHT, QUARTER, RECTANGLES, RUBBER, UP, assert_same, mirrored
 
-PORTS = PortModes(HALF, HEIGHT, side=3, up=3)
-PLATE = Plate(RECTANGLES[0], HEIGHT)
 STIFF = replace(SensorDesign(), array=Array(rows=2, cols=3), pad=Pad(kind="stiff"))
-
-
-def test_four_parities_of_a_quarter_are_the_whole_cell():
-    """Six motions of the plate have a parity each, so that splitting by parity is exact."""
-    quarter = GridBasis(Grid(x=QUARTER, y=QUARTER, z=UP))
-    whole = GridBasis(Grid(x=mirrored(QUARTER), y=mirrored(QUARTER), z=UP))
-    by_parity = condense_by_parity(quarter, grid_stiffness(quarter, RUBBER), PORTS, RECTANGLES, PLATE)
-    direct = condense(grid_body(whole, grid_stiffness(whole, RUBBER)), PORTS, RECTANGLES, PLATE)
-    assert_same(by_parity, direct)
 
 
 @pytest.fixture(scope="module")

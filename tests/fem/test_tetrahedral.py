@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from skfem import Basis, ElementTetP2
 
-from fem.discretization.elasticity import lame_of_regions, taylor_hood
 from fem.discretization.elements import Elements
 from fem.discretization.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
 from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
@@ -18,6 +17,7 @@ from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
+from fem.tetrahedra.mixed import lame_of_regions, taylor_hood
 from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes

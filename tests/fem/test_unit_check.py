@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.substructured import elastic_body
+from fem.array.meshed import elastic_body
 from fem.array.unit_check import check_unit, meshed_response
 from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve

@@ -105,6 +105,8 @@ def _as_plain(contact: "Contact", strain: float) -> dict[str, Any]:
         "centre_mm": [x, y],
         "area_mm2": contact.area_mm2,
         "peak_mpa": contact.peak_mpa,
+        "error_estimate": contact.error_estimate,
+        "electrode_error_estimate": contact.electrode_error_estimate,
         "sticking": contact.sticking,
         "steepness": contact.steepness,
         "largest_strain": strain,

@@ -94,7 +94,7 @@ def solve(
     """Solve a scene: a block, pillar, unit or array under loads, to a tolerance."""
     require_suffix("--vtu", vtu, ".vtu")
     from fem.methods.plan import make_plan
-    from fem.methods.solving import follow
+    from fem.methods.solving import beyond_linear, follow
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import solution_as_plain, write_field
     from tripillar.cli.tables import solution_table
@@ -112,6 +112,9 @@ def solve(
         print(*solution.steps, sep="\n")
     answer(json_, solution_as_plain(solution, plan.lines), lambda: [solution_table(solution)])
     warn_above(body.tolerance, solution.error_estimate, "; --explain says why")
+    far = beyond_linear(body, solution)
+    if far:
+        say(f"warning: {far}")
     wrote([] if vtu is None else [vtu])
 
 

@@ -178,6 +178,8 @@ def contact_table(contact: "Contact", strain: float) -> Table:
         table.add_row(escape(name), *(format(value + 0.0, form) for value in values))
     table.add_row(escape("contact area [mm²]"), "", "", f"{contact.area_mm2:.2f}")
     table.add_row(escape("peak pressure [MPa]"), "", "", f"{contact.peak_mpa:.3f}")
+    table.add_row("estimated error of the units' forces", "", "", f"{contact.error_estimate:.1%}")
+    table.add_row("estimated error of the electrodes' motion", "", "", f"{contact.electrode_error_estimate:.1%}")
     table.add_row("share that sticks", "", "", f"{contact.sticking:.0%}")
     table.add_row("largest strain of a pillar", "", "", f"{strain:.1%}", end_section=True)
     size = np.linalg.norm(contact.force_n, axis=2)

@@ -8,8 +8,9 @@ from itertools import chain
 from pathlib import Path
 from time import monotonic
 
+from fem.array.meshed import lone_unit
 from fem.array.solving import ResponseSettings, response_cache_key
-from fem.array.substructured import cell_cache_key, lone_unit
+from fem.array.substructured import cell_cache_key
 from geometry.mesh import mesh_cache_key, suited_settings
 from tripillar.sweep.rows import Row, read_row, write_row
 from tripillar.sweep.sampling import Sample

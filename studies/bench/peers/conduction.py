@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from fem.discretization.grid import Grid
 from scipy.interpolate import RegularGridInterpolator
 
 from dataset.resistance import pillar_lengths
+from fem.boxes.boxes import Boxes
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
 from fem.finite.gradients import PointGradients
@@ -98,7 +98,7 @@ def deformed(pressed: Pressed) -> Deformed:
     found = solve_finite(scene, with_field=True)
     assert found.field is not None
     x, y, z = (np.unique(line)[::2] for line in found.field.points_mm.T)
-    grid = Grid(x=x, y=y, z=z)
+    grid = Boxes.between([x, y, z])
     centre = np.append(unit_centres(design)[0], 0.0)
     reach, height = design.unit.footprint_mm / 2, design.unit.height_mm
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain

@@ -4,8 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from fem.discretization.grid import Grid, GridBasis
 
+from fem.boxes.boxes import Boxes
 from fem.conduction.potentials import pillars_per_mm, unit_conductances, unit_conductors
 from fem.conduction.reduced import REDUCED_ERROR, reduced_conduction
 from fem.finite.gradients import PointGradients
@@ -36,8 +36,8 @@ def test_a_few_potentials_give_the_resistances_of_all():
 
 
 def test_gradients_of_quadratic_displacements_are_exact():
-    grid = Grid(x=np.array([0.0, 1.0, 3.0]), y=np.array([0.0, 2.0]), z=np.array([0.0, 0.5, 2.0]))
-    X, Y, Z = GridBasis(grid).doflocs
+    grid = Boxes.between([np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]), np.array([0.0, 0.5, 2.0])])
+    X, Y, Z = grid.points_mm.T
     u = np.stack([X * Y, Z**2 - X, X * Y * Z], axis=-1)
     points = np.random.default_rng(0).uniform(0, 2, (7, 3))
     x, y, z = points.T

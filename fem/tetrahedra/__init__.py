@@ -1,0 +1,1 @@
+"""Bodies of tetrahedra: elements filled with rubber of any law (`mixed.py`)."""

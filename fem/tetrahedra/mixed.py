@@ -1,0 +1,225 @@
+"""Taylor-Hood tetrahedra filled with rubber: displacement P2, pressure P1, at small and at finite strain.
+
+Find u, vanishing on the base, and p with
+
+    ∫ P(H, p) : ∇v = external forces      for all v,        P = ∂W/∂F + p ∂θ/∂F of a `Law`,
+    ∫ (θ − p/λ) q = 0                     for all q,
+
+so that p → λ θ. Displacement-only elements of low order lock as λ/μ grows (49 at ν = 0.49); this pair does not, for any
+ν up to the incompressible limit. The tangent is symmetric, and quasi-definite where the body is stable: factoring it
+needs no pivoting. Meshes, shape functions and points of integration are scikit-fem's.
+
+Pressures are continuous within a region and jump between regions, as the true one does: a continuous one would spoil
+the order of convergence.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
+
+from fem.factor import whole
+from fem.rubber.law import LAWS, Law, Strain
+from geometry.design import Material
+from geometry.layout import FloatArray
+
+IntArray = NDArray[np.int64]
+MIN_POISSON = 1e-6  #: to which ν is raised: 1/λ grows without bound as ν → 0; changes no stress by more than that share
+AT_ONCE = 8_000  #: elements whose matrices are made at a time: some 60 MB
+PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class TaylorHood:
+    """A meshed body of rubber, its base z = 0 clamped.
+
+    Displacement degrees of freedom interleave: component i of node n is 3 n + i. Unknowns are the free ones, then the
+    pressures. States are displacements (n_nodes, 3) [mm] and pressures (n_pressure,) [MPa].
+    """
+
+    basis: Basis  #: scikit-fem's, of one component of the displacement
+    corners: IntArray  #: number of the pressure at each corner of each element, (4, m)
+    law: Law  #: its λ and μ of shape (m, 1)
+
+    @property
+    def mesh(self) -> MeshTet:
+        return self.basis.mesh
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Positions of the nodes at rest, (n_nodes, 3)."""
+        return self.basis.doflocs.T
+
+    @property
+    def n_nodes(self) -> int:
+        return int(self.basis.N)
+
+    @cached_property
+    def n_pressure(self) -> int:
+        return int(self.corners.max()) + 1
+
+    @property
+    def n_displacement(self) -> int:
+        """Number of displacement degrees of freedom, clamped ones included."""
+        return 3 * self.n_nodes
+
+    @cached_property
+    def _free_nodes(self) -> IntArray:
+        return np.flatnonzero(self.basis.doflocs[2] != 0.0)
+
+    @cached_property
+    def free(self) -> IntArray:
+        """Displacement degrees of freedom off the base."""
+        return (3 * self._free_nodes[:, None] + np.arange(3)).ravel()
+
+    @property
+    def n_unknowns(self) -> int:
+        return len(self.free) + self.n_pressure
+
+    def loads(self, forces: FloatArray) -> FloatArray:
+        """Right-hand sides (n_unknowns, k) of nodal forces (n_displacement, k) [N]."""
+        return np.vstack([forces[self.free], np.zeros((self.n_pressure, forces.shape[1]))])
+
+    def displacements(self, solution: FloatArray) -> FloatArray:
+        """Nodal displacements (n_displacement, k) [mm] of solutions (n_unknowns, k)."""
+        u = np.zeros((self.n_displacement, solution.shape[1]))
+        u[self.free] = solution[: len(self.free)]
+        return u
+
+    # elements
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """∂φ/∂X at the points of integration, (m, q, 10, 3) [1/mm]."""
+        return np.stack([functions[0].grad for functions in self.basis.basis]).transpose(2, 3, 0, 1)
+
+    @cached_property
+    def _of_pressure(self) -> FloatArray:
+        """P1 functions at the points of integration, (q, 4)."""
+        X = self.basis.quadrature[0]
+        return np.stack([ElementTetP1().lbasis(X, corner)[0] for corner in range(4)], axis=1)
+
+    def strain(self, u: FloatArray) -> Strain:
+        """Deformation at the points of integration, (…, m, q)."""
+        own = u[self.basis.element_dofs.T].swapaxes(1, 2)[:, None]  # (m, 1, 3, 10)
+        return self.law.strain(np.ascontiguousarray((own @ self.slopes).transpose(2, 3, 0, 1)))
+
+    def _pressing(self, p: FloatArray) -> FloatArray:
+        return p[self.corners.T] @ self._of_pressure.T  # (m, q)
+
+    def internal_forces(self, u: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """∫ P : ∇v (n_nodes, 3) [N], ∫ (θ − p/λ) q (n_pressure,) [mm³], and the least J; at or below 0: meaningless."""
+        strain, dx, pressing = self.strain(u), self.basis.dx, self._pressing(p)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            P = (self.law.stress(strain, pressing) * dx).transpose(2, 3, 1, 0)
+        own = (self.slopes @ P).sum(axis=1)  # (m, 10, 3)
+        nodes = self.basis.element_dofs.T.ravel()
+        forces = np.stack([np.bincount(nodes, own[..., i].ravel(), self.n_nodes) for i in range(3)], axis=1)
+        volume = ((strain.theta - pressing / self.law.lame_mpa) * dx) @ self._of_pressure
+        return forces, np.bincount(self.corners.T.ravel(), volume.ravel(), self.n_pressure), float(strain.J.min())
+
+    def energy_mj(self, u: FloatArray, p: FloatArray) -> float:
+        """Stored energy, ∫ W + p²/(2 λ)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stored = self.law.energy(self.strain(u)) + self._pressing(p) ** 2 / (2 * self.law.lame_mpa)
+        return float((stored * self.basis.dx).sum())
+
+    def _blocks(self, u: FloatArray, p: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Some elements, their ∫ ∂φₐ A ∂φ_b (e, 10, 10, 3, 3) [a, b, i, j], and ∫ ψ cof ∂φ_b (e, 4, 10, 3)."""
+        strain, pressing, m = self.strain(u), self._pressing(p), len(self.slopes)
+        for first in range(0, m, AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            part = Strain(H=strain.H[:, :, some], C=strain.C[:, :, some], theta=strain.theta[some])
+            G, dx = self.slopes[some], self.basis.dx[some]
+            A = self.law.part(some).tangent(part, pressing[some]) * dx
+            e, q, n, _ = G.shape
+            right = np.ascontiguousarray(G.transpose(0, 1, 3, 2)).reshape(e, 3 * q, n)
+            K = np.empty((e, n, n, 3, 3))
+            for i, j in PAIRS:
+                left = G @ A[i, :, j].transpose(2, 3, 0, 1)  # (e, q, a, L)
+                K[..., i, j] = left.transpose(0, 2, 1, 3).reshape(e, n, 3 * q) @ right
+                if i != j:
+                    K[..., j, i] = K[..., i, j].swapaxes(1, 2)
+            pull = (G @ (part.cof * dx).transpose(2, 3, 1, 0)).reshape(e, q, 3 * n)
+            yield some, K, (self._of_pressure.T @ pull).reshape(e, 4, n, 3)
+
+    # the matrix
+
+    @cached_property
+    def _pairs(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Rows and columns of the blocks of free nodes on and above the diagonal, and the element pairs they sum."""
+        number = np.full(self.n_nodes, -1, dtype=np.int64)
+        number[self._free_nodes] = np.arange(len(self._free_nodes))
+        own = number[self.basis.element_dofs.T]
+        rows, cols = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        kept = np.flatnonzero((rows >= 0) & (rows <= cols))
+        keys, place = np.unique(rows.ravel()[kept] * len(self._free_nodes) + cols.ravel()[kept], return_inverse=True)
+        entry = np.full(rows.size, -1, dtype=np.int64)
+        entry[kept] = place
+        rows, cols = np.divmod(keys, len(self._free_nodes))
+        return rows, cols, entry.reshape(len(own), -1)
+
+    def tangent(self, u: FloatArray, p: FloatArray) -> sp.csr_matrix:
+        """The linearised equations at a state, upper triangle, (n_unknowns, n_unknowns)."""
+        rows, cols, entry = self._pairs
+        n, data, pulls = len(self.free), np.zeros((len(rows) + 1, 9)), []
+        for some, K, pull in self._blocks(u, p):
+            places = entry[some].ravel()  # what is left out is summed last, by −1
+            shape = (len(data), len(places))
+            sums = sp.csr_matrix((np.ones(len(places)), (places % len(data), np.arange(len(places)))), shape)
+            data += sums @ K.reshape(-1, 9)
+            pulls.append(pull)
+        i, j = np.divmod(np.arange(9), 3)
+        above = (rows < cols)[:, None] | (i <= j)
+        number = np.full((self.n_nodes, 3), -1, dtype=np.int64)
+        number[self._free_nodes] = np.arange(n).reshape(-1, 3)
+        col = np.broadcast_to(n + self.corners.T[:, :, None, None], (len(entry), 4, 10, 3)).ravel()
+        row = np.broadcast_to(number[self.basis.element_dofs.T][:, None], (len(entry), 4, 10, 3)).ravel()
+        inside = row >= 0
+        functions, weights = self._of_pressure, self.basis.quadrature[1] * 6
+        mass = np.einsum("qa,qb,q->ab", functions, functions, weights)
+        bulk = self.basis.dx.sum(axis=1) / self.law.lame_mpa[:, 0]
+        one, two = np.broadcast_arrays(self.corners.T[:, :, None], self.corners.T[:, None, :])
+        upper = (one <= two).ravel()
+        values = [data[:-1][above], np.concatenate(pulls).ravel()[inside], -(bulk[:, None, None] * mass).ravel()[upper]]
+        across = [(3 * rows[:, None] + i)[above], row[inside], n + one.ravel()[upper]]
+        down = [(3 * cols[:, None] + j)[above], col[inside], n + two.ravel()[upper]]
+        shape = (self.n_unknowns, self.n_unknowns)
+        return sp.csr_matrix((np.concatenate(values), (np.concatenate(across), np.concatenate(down))), shape=shape)
+
+    @cached_property
+    def upper(self) -> sp.csr_matrix:
+        """Upper triangle of the equations at rest: linear elasticity."""
+        return self.tangent(np.zeros((self.n_nodes, 3)), np.zeros(self.n_pressure))
+
+    @cached_property
+    def matrix(self) -> sp.csr_matrix:
+        """The equations at rest, both triangles."""
+        return whole(self.upper)
+
+
+def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> TaylorHood:
+    """A mesh of which each element (m,) holds the material that its region numbers; all are of one model."""
+    raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
+    shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
+    law = LAWS[materials[0].model].of(raised, shares)
+    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), pressure_dofs(mesh, region), law)
+
+
+def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
+    """Number of the pressure at each corner of each element, (4, m): elements of one region share it at a point."""
+    keys = mesh.t.astype(np.int64) * (int(region.max()) + 1) + region
+    _, numbers = np.unique(keys, return_inverse=True)
+    return numbers.reshape(keys.shape)
+
+
+def lame_of_regions(
+    material: Sequence[Material], region: IntArray, min_poisson: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Lamé's λ and μ of each element, shapes (n_elements,) [MPa]."""
+    table = np.array([Material(young_mpa=m.young_mpa, poisson=max(m.poisson, min_poisson)).lame_mpa for m in material])
+    return table[region, 0], table[region, 1]
