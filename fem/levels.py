@@ -84,7 +84,10 @@ class Convergence:
     @property
     def factor(self) -> float:
         """Error of the last answer over its change, infinite with one answer."""
-        return richardson_factor(*self.levels[-2:], self.rate) if len(self.levels) > 1 else np.inf
+        if len(self.levels) < 2:
+            return np.inf
+        coarse, fine = self.levels[-2:]
+        return richardson_factor(coarse, fine, self.rate)
 
     @property
     def answer(self) -> Answer:
@@ -102,7 +105,7 @@ class Convergence:
         """
         if len(self.answers) < 2:
             return np.inf
-        return SAFETY * self.factor * self.change(*self.answers[-2:], self.answers[-1])
+        return SAFETY * self.factor * self.change(self.answers[-2], self.answers[-1], self.answers[-1])
 
 
 def to_tolerance(

@@ -122,5 +122,5 @@ def folded_loads(loads: Sequence[Load], mirrors: tuple[Mirror, ...], parity: Par
                 continue
             image = load.image(rectangle, share * signs, share * signs * (-1) ** len(flipped))
             key = (load.kind, *np.round(rectangle / width, 9))
-            found[key] = found[key].plus(image) if key in found else image
+            found[key] = found[key].plus(image) if key in found else image  # type: ignore[arg-type]  # of one kind
     return list(found.values())

@@ -6,10 +6,9 @@ response, and what is observed at points of the cell follows for all units by on
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.interior import CellInterior, design_interior
@@ -37,37 +36,10 @@ class FieldState:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """Points of the cell at which displacement and stress of every unit are seen; made by `ArrayField.observe`."""
+    """Points of the cell at which displacement and stress of every unit are seen; made by `observe` of a field."""
 
-    interior: CellInterior = field(repr=False)
-    points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
-    stress: Callable[[], CornerStress] = field(repr=False)  #: at the cell's corners, per unit amplitude
-    region: int | None = None
-
-    def displacement_mm(self, state: FieldState) -> FloatArray:
-        """Displacement at the points of every unit, shape (n_units, k, 3) [mm]."""
-        return (state.amplitudes @ self._moved).reshape(len(state.force_n), -1, 3)
-
-    def stress_mpa(self, state: FieldState) -> FloatArray:
-        """Stress there: xx, yy, zz, yz, xz, xy, tension positive; shape (n_units, k, 6) [MPa]."""
-        return (state.amplitudes @ self._stress).reshape(len(state.force_n), -1, 6)
-
-    @cached_property
-    def _places(self) -> tuple[NDArray[np.int64], FloatArray]:
-        return self.interior.elements.places(self.points_mm, self.region)
-
-    @cached_property
-    def _moved(self) -> FloatArray:
-        """Displacement per unit amplitude, shape (n_amplitudes, k·3)."""
-        nodes = self.interior.moved_mm
-        found = self.interior.elements.interpolation(*self._places) @ nodes.reshape(len(nodes), -1)
-        return np.ascontiguousarray(found.reshape(-1, nodes.shape[2]).T)
-
-    @cached_property
-    def _stress(self) -> FloatArray:
-        """Stress per unit amplitude, shape (n_amplitudes, k·6); worked out when first asked for."""
-        found = self.stress().at(self.interior.elements, *self._places)
-        return np.ascontiguousarray(found.reshape(-1, found.shape[2]).T)
+    displacement_mm: Callable[[FieldState], FloatArray]  #: at the k points of every unit, (n_units, k, 3) [mm]
+    stress_mpa: Callable[[FieldState], FloatArray]  #: xx, yy, zz, yz, xz, xy, tension positive; (n_units, k, 6) [MPa]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -140,7 +112,22 @@ class ArrayField:
                 f"points reach outside the cell along {', '.join(np.array(AXES)[outside])}: |x| and |y| must be at "
                 f"most half the pitch, {pitch / 2:g} mm, and z from 0 to {height:g} mm."
             )
-        return Observer(self.interior, points, lambda: self.stress, None if self.design.is_homogeneous else region)
+        elements, u = self.interior.elements, self.interior.moved_mm
+
+        @cache
+        def per_amplitude(of_stress: bool) -> FloatArray:
+            """What is seen per unit amplitude, (n_amplitudes, k·3 or k·6); worked out when first asked for."""
+            places = elements.places(points, None if self.design.is_homogeneous else region)
+            if of_stress:
+                found = self.stress.at(elements, *places)
+            else:
+                found = elements.interpolation(*places) @ u.reshape(len(u), -1)
+            return np.ascontiguousarray(found.reshape(-1, u.shape[2]).T)
+
+        def seen(state: FieldState, of_stress: bool) -> FloatArray:
+            return (state.amplitudes @ per_amplitude(of_stress)).reshape(len(state.force_n), len(points), -1)
+
+        return Observer(partial(seen, of_stress=False), partial(seen, of_stress=True))
 
 
 def solve_array_field(

@@ -5,13 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Element, ElementHex2, ElementTetP2
+from skfem import ElementTetP2
 
 from fem.array.meshed import cell_lines
-from fem.boxes.lattice import VTK_PLACES
+from fem.boxes.boxes import Boxes
+from fem.boxes.lattice import ELEMENT, VTK_PLACES
 from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
-from fem.fields.finite_pictures import FiniteArrayField, boxes_of, finite_array_field, finite_field, no_stress
+from fem.fields.finite_pictures import (
+    FiniteArrayField,
+    boxes_of,
+    finite_array_field,
+    finite_field,
+    no_stress,
+)
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import picture_field
 from fem.methods.plan import make_plan
@@ -28,13 +35,8 @@ from fem.scene.solution import (
 )
 from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
-from geometry.layout import (
-    FloatArray,
-    electrode_centres,
-    pillar_ends,
-    pillar_sections,
-    unit_centres,
-)
+from geometry.layout import FloatArray, electrode_centres, unit_centres
+from geometry.prism import Prism, unit_prisms
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
 ACROSS = 12  #: squares along a pad's side
@@ -48,6 +50,8 @@ SPANNED_BY = {
     TRIQUADRATIC_HEXAHEDRON: (0, 1, 3, 4),
     QUADRATIC_TETRAHEDRON: (0, 1, 2, 3),
 }
+
+VTK_CORNERS = [0, 4, 6, 2, 1, 5, 7, 3]  #: of a box's, z fastest
 
 Quads = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and quadrilaterals (m, 4)
 
@@ -88,16 +92,8 @@ class Part:
 
     def times(self, share: float) -> "Part":
         """The same under a share of the load: everything is linear."""
-
-        def part_of(values: FloatArray | None) -> FloatArray | None:
-            return None if values is None else share * values
-
-        return replace(
-            self,
-            displacement_mm=share * self.displacement_mm,
-            stress_mpa=part_of(self.stress_mpa),
-            traction_mpa=part_of(self.traction_mpa),
-        )
+        seen = {name: getattr(self, name) for name in ("displacement_mm", "stress_mpa", "traction_mpa")}
+        return replace(self, **{name: share * values for name, values in seen.items() if values is not None})
 
 
 Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads (plates where they are stiff)
@@ -124,44 +120,38 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
 
     The first is smaller by `apart_mm` all around, the second by twice as much: no two of their faces coincide.
     """
-    both = zip(pillar_ends(unit), pillar_sections(unit), strict=True)
-    return joined([
-        column_surface(ends, section, slices, around, number * apart_mm)
-        for number, (ends, section) in enumerate(both, start=1)
-    ])  # fmt: skip
+    prisms = enumerate(unit_prisms(unit), start=1)
+    return joined([column_surface(prism, slices, around, number * apart_mm) for number, prism in prisms])
 
 
-def column_surface(ends: FloatArray, section: FloatArray, slices: int, around: int, inward_mm: float) -> Quads:
+def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Quads:
     """A straight column between equal rectangles at its two ends, smaller by so much all around."""
-    turn = np.linspace(-0.5, 0.5, around + 1)[:-1]
-    side = np.full(around, 0.5)
-    ring = np.column_stack(
-        [np.concatenate([turn, side, -turn, -side]), np.concatenate([-side, turn, side, -turn]), np.zeros(4 * around)]
-    )
-    share = np.linspace(0.0, 1.0, slices + 1)
-    section = section - 2 * inward_mm
-    bottom, top = ends + np.outer([1, -1], (ends[1] - ends[0]) * (inward_mm / np.ptp(ends[:, 2])))
-    axis = bottom + share[:, None] * (top - bottom)
-    wall = (axis[:, None] + ring * [*section, 0.0]).reshape(-1, 3)
-    place = np.arange(len(wall)).reshape(slices + 1, -1)
-    quads = [place[:-1], np.roll(place[:-1], -1, 1), np.roll(place[1:], -1, 1), place[1:]]
-    caps = [rectangle_surface(end, section, around) for end in (bottom, top)]
-    return joined([(wall, np.stack(quads, axis=-1).reshape(-1, 4)), *caps])
+    axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
+    a, b = np.diag([*prism.section_mm, 0.0])[:2] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
+    foot = (np.array(prism.base_mm) + prism.top_mm - axis - a - b) / 2
+    sides, ends = ((foot, a), (foot + b, a), (foot, b), (foot + a, b)), (foot, foot + axis)
+    walls = [sheet(corner, side, axis, around, slices) for corner, side in sides]
+    return joined([*walls, *(sheet(corner, a, b, around, around) for corner in ends)])
 
 
 def electrode_surface(unit: Unit) -> Quads:
     """The electrodes of a unit in its own frame, the upper ones first."""
-    places = electrode_centres(unit)
-    return joined([rectangle_surface(at, np.full(2, unit.electrode_mm), AROUND) for at in places])
+    size = np.full(2, unit.electrode_mm)
+    return joined([rectangle_surface(at, size, AROUND) for at in electrode_centres(unit)])
 
 
 def rectangle_surface(centre_mm: FloatArray, size_mm: FloatArray, steps: int) -> Quads:
     """A horizontal rectangle of steps × steps quadrilaterals."""
-    share = np.linspace(-0.5, 0.5, steps + 1)
-    x, y = np.meshgrid(share * size_mm[0], share * size_mm[1], indexing="ij")
-    number = np.arange(x.size).reshape(x.shape)
+    a, b = np.diag([*size_mm, 0.0])[:2]
+    return sheet(centre_mm - (a + b) / 2, a, b, steps, steps)
+
+
+def sheet(corner: FloatArray, a: FloatArray, b: FloatArray, n_a: int, n_b: int) -> Quads:
+    """A parallelogram from a corner along two sides, cut into n_a × n_b quadrilaterals."""
+    points = corner + np.linspace(0.0, a, n_a + 1)[:, None] + np.linspace(0.0, b, n_b + 1)
+    number = np.arange((n_a + 1) * (n_b + 1)).reshape(n_a + 1, n_b + 1)
     quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
-    return centre_mm + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), quads.reshape(-1, 4)
+    return points.reshape(-1, 3), quads.reshape(-1, 4)
 
 
 def joined(surfaces: list[Quads]) -> Quads:
@@ -217,41 +207,27 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
 
 def _slab(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
     """The whole slab in boxes, units sharing the points between them."""
-    design = array.design
-    local = np.stack(np.meshgrid(*cell_lines(design, FINENESS), indexing="ij"), axis=-1)
+    rows, cols = array.design.array.rows, array.design.array.cols
+    local = np.stack(np.meshgrid(*cell_lines(array.design, FINENESS), indexing="ij"), axis=-1)
     nx, ny, nz = (count - 1 for count in local.shape[:3])
-    cols, rows = design.array.cols, design.array.rows
-    shape = (cols * nx + 1, rows * ny + 1, nz + 1)
-    observer = array.observe(local.reshape(-1, 3), region=0)
-    number = np.arange(np.prod(shape)).reshape(shape)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    boxes = [number[a : a + shape[0] - 1, b : b + shape[1] - 1, c : c + shape[2] - 1] for a, b, c in corners]
-
-    def together(of_units: FloatArray) -> FloatArray:
-        """Values at the points of every unit's cell, (n_units, k, c), at those of the slab."""
-        whole = np.empty((*shape, of_units.shape[2]))
-        for unit, values in enumerate(of_units.reshape(len(of_units), *local.shape[:3], -1)):
-            i, j = divmod(unit, cols)
-            whole[j * nx : (j + 1) * nx + 1, i * ny : (i + 1) * ny + 1] = values
-        return whole.reshape(-1, of_units.shape[2])
-
-    centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
+    shape = (cols * nx, rows * ny, nz)
+    x, y, z = np.indices([count + 1 for count in shape]).reshape(3, -1)
+    i, j = np.minimum(y // ny, rows - 1), np.minimum(x // nx, cols - 1)
+    # the unit of each point, and which point of its cell it is
+    place = i * cols + j, np.ravel_multi_index((x - j * nx, y - i * ny, z), local.shape[:3])
+    points = local.reshape(-1, 3)
+    observer = array.observe(points, region=0)
     return Part(
-        points_mm=together(centres[:, None] + local.reshape(-1, 3)),
-        cells=np.stack(boxes, axis=-1).reshape(-1, 8),
+        points_mm=np.pad(unit_centres(array.design), ((0, 0), (0, 1)))[place[0]] + points[place[1]],
+        cells=Boxes.between([np.arange(count + 1.0) for count in shape], order=1).nodes[:, VTK_CORNERS],
         cell_type=HEXAHEDRON,
-        displacement_mm=together(observer.displacement_mm(state)),
-        stress_mpa=together(observer.stress_mpa(state)) if stress else None,
+        displacement_mm=observer.displacement_mm(state)[place],
+        stress_mpa=observer.stress_mpa(state)[place] if stress else None,
     )
 
 
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
 SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a point
-#: scikit-fem's element of VTK's cells
-ELEMENTS: dict[int, Element] = {
-    QUADRATIC_TETRAHEDRON: ElementTetP2(),
-    TRIQUADRATIC_HEXAHEDRON: ElementHex2(),
-}
 
 
 def solve_scene_parts(
@@ -269,13 +245,12 @@ def solve_scene_parts(
     """
     if stress and not scene.is_linear:
         raise no_stress()
-    if isinstance(scene.body, Sensor) and not scene.is_linear:
-        progress("solve")
-        pressed = finite_array_field(scene, scene.body)
-        return sensor_parts(pressed, pressed.state, stress=False)
-    if isinstance(scene.body, Sensor):
+    if isinstance(scene.body, Sensor) and scene.is_linear:
         return _sensor(scene, scene.body, stress, progress)
     progress("solve")
+    if isinstance(scene.body, Sensor):
+        pressed = finite_array_field(scene, scene.body)
+        return sensor_parts(pressed, pressed.state, stress=False)
     if not scene.is_linear:
         return _at_finite_strain(scene)
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
@@ -293,15 +268,11 @@ def solve_scene_parts(
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
     field = finite_field(scene)
-    body = _part(replace(field, region=np.zeros_like(field.region)), np.ones(len(field.cells), dtype=bool), False)
+    body = _part(field, np.ones(len(field.cells), dtype=bool), False)
     if not scene.inclusions:
         return {"body": body}
-    columns = [
-        column_surface(np.array([one.base_mm, one.top_mm]), np.array(one.section_mm), SLICES, AROUND, APART_MM)
-        for one in scene.inclusions
-    ]
-    points, quads = joined(columns)
-    moved = boxes_of(field.points_mm).at(points) @ field.displacement_mm
+    points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
+    moved = boxes_of(field).at(points) @ field.displacement_mm
     inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
     return {"inclusions": inside, "matrix": body}
 
@@ -349,9 +320,7 @@ def merged(field: Field) -> Field:
 
 def elements_of(field: Field) -> Elements:
     """The elements of a field, their nodes in scikit-fem's order."""
-    element = ELEMENTS[field.cell_type]
-    order = np.arange(len(element.doflocs))
+    element, cells = ElementTetP2(), field.cells
     if field.cell_type == TRIQUADRATIC_HEXAHEDRON:
-        places = np.rint(element.doflocs * 2).astype(np.int64)
-        order = (places[:, None] == VTK_PLACES).all(axis=2).argmax(axis=1)
-    return Elements(element, field.points_mm, field.cells[:, order], field.region)
+        element, cells = ELEMENT, cells[:, (2 * ELEMENT.doflocs[:, None] == VTK_PLACES).all(axis=2).argmax(axis=1)]
+    return Elements(element, field.points_mm, cells, field.region)

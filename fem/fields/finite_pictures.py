@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fem.boxes.boxes import Boxes
-from fem.fields.array_field import PAD_LOADS, FieldState
+from fem.fields.array_field import PAD_LOADS, FieldState, Observer
 from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
 from fem.methods.cell_scene import forces_on_cells
@@ -23,24 +23,6 @@ from geometry.layout import FloatArray, pad_squares, unit_centres
 TOLERANCE = 2e-2  #: of a picture, where the scene asks for a finer one
 
 
-@dataclass(frozen=True, eq=False)
-class FiniteObserver:
-    """Points of the cell at which displacement of every unit is seen."""
-
-    array: "FiniteArrayField" = field(repr=False)
-    points_mm: FloatArray  #: (k, 3), in the cell's own coordinates
-
-    def displacement_mm(self, state: FieldState) -> FloatArray:
-        """Displacement at the points of every unit, shape (n_units, k, 3) [mm]; the state is the array's only one."""
-        centres = np.pad(unit_centres(self.array.design), ((0, 0), (0, 1)))
-        rows = self.array.boxes.at((centres[:, None] + self.points_mm).reshape(-1, 3))
-        return (rows @ self.array.displacement_mm).reshape(len(centres), -1, 3)
-
-    def stress_mpa(self, state: FieldState) -> FloatArray:
-        """Refused: SceneError."""
-        raise no_stress()
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FiniteArrayField:
     """An array under one load at finite strain, seen as an `ArrayField` is."""
@@ -52,9 +34,19 @@ class FiniteArrayField:
     boxes: Boxes = field(repr=False)  #: of the whole slab
     displacement_mm: FloatArray = field(repr=False)  #: (n, 3), at their nodes
 
-    def observe(self, points_mm: FloatArray, region: int | None = None) -> FiniteObserver:
+    def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
         """Choose points of the cell to look at; the region makes no difference to displacement."""
-        return FiniteObserver(self, np.atleast_2d(points_mm))
+        centres, points = np.pad(unit_centres(self.design), ((0, 0), (0, 1))), np.atleast_2d(points_mm)
+
+        def moved(state: FieldState) -> FloatArray:
+            """Of the array's only state."""
+            rows = self.boxes.at((centres[:, None] + points).reshape(-1, 3))
+            return np.asarray(rows @ self.displacement_mm).reshape(len(centres), -1, 3)
+
+        def refused(state: FieldState) -> FloatArray:
+            raise no_stress()
+
+        return Observer(moved, refused)
 
 
 def no_stress() -> SceneError:
@@ -72,9 +64,9 @@ def finite_field(scene: Scene) -> Field:
     return found
 
 
-def boxes_of(points_mm: FloatArray) -> Boxes:
-    """Boxes between all nodes (n, 3) of an upright grid, linear in each as the matrix around inclusions is drawn."""
-    return Boxes.between([np.unique(points_mm[:, axis]) for axis in range(3)], order=1)
+def boxes_of(field: Field) -> Boxes:
+    """Boxes between all nodes of an upright grid, linear in each as the matrix around inclusions is drawn."""
+    return Boxes.between([np.unique(along) for along in field.points_mm.T], order=1)
 
 
 def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
@@ -93,7 +85,7 @@ def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
         rectangles_mm=np.array(list(local) or pad_squares(body.design)[:1]),
         state=FieldState(force_n=newtons.reshape(len(newtons), -1), port_mm=np.zeros((len(newtons), 0))),
         has_plates=bool(scene.stiff_loads),
-        boxes=boxes_of(grid.points_mm),
+        boxes=boxes_of(grid),
         displacement_mm=grid.displacement_mm,
     )
 
@@ -109,7 +101,7 @@ def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_
         rectangles_mm=pad_squares(solver.design)[:1],
         state=FieldState(force_n=force_n, port_mm=np.zeros((len(force_n), 0))),
         has_plates=True,
-        boxes=boxes_of(boxes.points_mm),
+        boxes=boxes,
         displacement_mm=u,
     )
 
@@ -119,22 +111,16 @@ def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scen
 
     On soft pads the pressure follows, since from about half of E a dead traction has no equilibrium.
     """
-    tractions = PAD_LOADS[load](design, pressure_mpa)
-    size = (design.pad.size_mm, design.pad.size_mm)
+    tractions, side = PAD_LOADS[load](design, pressure_mpa), design.pad.size_mm
     loads: list[Load] = []
-    for (x0, y0, x1, y1), (tx, ty, tz) in zip(pad_squares(design).tolist(), tractions.tolist(), strict=True):
-        centre = ((x0 + x1) / 2, (y0 + y1) / 2)
+    for (x0, y0, x1, y1), traction in zip(pad_squares(design).tolist(), tractions, strict=True):
+        middle, size, (tx, ty, tz) = ((x0 + x1) / 2, (y0 + y1) / 2), (side, side), traction.tolist()
         if design.pad.kind == "stiff":
-            area = size[0] * size[1]
-            loads.append(StiffLoad(center_mm=centre, size_mm=size, force_n=(tx * area, ty * area, tz * area)))
-        elif tx or ty or tz:
-            loads.append(FollowerLoad(center_mm=centre, size_mm=size, pressure_mpa=-tz, traction_mpa=(tx, ty)))
-    worst = pad_squares(design)[int(np.abs(tractions[:, 2]).argmax())]
-    middle = ((worst[0] + worst[2]) / 2, (worst[1] + worst[3]) / 2)
-    return Scene(
-        body=Sensor(design=design),
-        material=design.matrix_material,
-        loads=tuple(loads),
-        probes=(Probe(name="pad", kind="mean", center_mm=middle, size_mm=size),),
-        tolerance=TOLERANCE,
-    )
+            force = tx * side**2, ty * side**2, tz * side**2
+            loads.append(StiffLoad(center_mm=middle, size_mm=size, force_n=force))
+        elif traction.any():
+            loads.append(FollowerLoad(center_mm=middle, size_mm=size, pressure_mpa=-tz, traction_mpa=(tx, ty)))
+    x0, y0, x1, y1 = pad_squares(design)[int(np.abs(tractions[:, 2]).argmax())].tolist()
+    probe = Probe(name="pad", kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(side, side))
+    body = Sensor(design=design)
+    return Scene(body=body, material=design.matrix_material, loads=tuple(loads), probes=(probe,), tolerance=TOLERANCE)

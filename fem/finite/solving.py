@@ -76,7 +76,7 @@ def solve_finite(
     found = Convergence(RATES, is_extrapolated)
     steps: list[str] = []
     estimate, missing_mj = np.inf, 0.0
-    last: tuple[Equilibrium, int] | None = None
+    last: tuple[Equilibrium, int, Boxes] | None = None
     for before, level in pairwise((0, *LEVELS)):
         boxes = finite_boxes(scene, level, mirrors)
         unknowns = 3 * boxes.n_nodes
@@ -96,7 +96,7 @@ def solve_finite(
             steps.append(f"level {level}: {error} The answer is that of the grid before.")
             break
         watch.spent("solve")
-        last = equilibrium, system.n_unknowns
+        last = equilibrium, system.n_unknowns, boxes
         u = equilibrium.state.u
         answer = {probe.name: system.seen(probe, u) for probe in scene.probes}
         if linear is not None:
@@ -115,7 +115,7 @@ def solve_finite(
         if estimate <= scene.tolerance:
             break
     assert last is not None
-    equilibrium, unknowns = last
+    equilibrium, unknowns, boxes = last
     return FiniteSolution(
         probes=dict(found.answer),
         energy_mj=system.copies * equilibrium.stored_mj + missing_mj,
@@ -128,7 +128,7 @@ def solve_finite(
         error_estimate=estimate,
         seconds=watch.seconds,
         steps=tuple(steps),
-        field=_field(scene, *unfolded(boxes, u, mirrors)) if with_field else None,
+        field=_field(scene, *unfolded(boxes, equilibrium.state.u, mirrors)) if with_field else None,
     )
 
 
