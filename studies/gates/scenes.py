@@ -120,7 +120,7 @@ def slender_pillar() -> Scene:
 
 def flat_array() -> SensorDesign:
     """An array whose samples of heavy loads are at the limit of what has an answer."""
-    unit, pad = Unit(height_mm=8.0), Pad(size_mm=10.8, kind="stiff")
+    unit, pad = Unit(span_mm=8.0, height_mm=8.0), Pad(size_mm=10.8, kind="stiff")
     return SensorDesign(array=Array(rows=2, cols=2, pitch_mm=13.0), unit=unit, pad=pad)
 
 
