@@ -120,7 +120,8 @@ class TaylorHood:
         nodes = self.basis.element_dofs.T.ravel()
         forces = np.stack([np.bincount(nodes, own[..., i].ravel(), self.n_nodes) for i in range(3)], axis=1)
         volume = ((strain.theta - pressing / self.law.lame_mpa) * dx) @ self._of_pressure
-        return forces, np.bincount(self.corners.T.ravel(), volume.ravel(), self.n_pressure), float(strain.J.min())
+        missing = np.bincount(self.corners.T.ravel(), volume.ravel(), self.n_pressure)
+        return np.asarray(forces, np.float64), np.asarray(missing, np.float64), float(strain.J.min())
 
     def energy_mj(self, u: FloatArray, p: FloatArray) -> float:
         """Stored energy, ∫ W + p²/(2 λ)."""

@@ -59,7 +59,7 @@ def test_public_names_are_on_their_pages(site):
             home = getattr(getattr(package, name), "__module__", "")  # of a function named like its module
             assert f'id="{package.__name__}.{name}"' in text or f'id="{home}.{name}"' in text
     assert "centre-to-centre distance of units" in (site / "api/geometry.html").read_text(encoding="utf-8")
-    assert "(rows, cols, 2, 3, rows, cols, 3)" in (site / "api/fem.html").read_text(encoding="utf-8")
+    assert "(rows, cols, n_upper, 3, rows, cols, 3)" in (site / "api/fem.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")

@@ -84,7 +84,8 @@ class ArrayScene:
         points = [pillars, sides, outline]
         ends = np.cumsum([0, *map(len, points)])
         of_pillars, of_sides, of_pads = (slice(*each) for each in pairwise(ends))
-        self._displacement = field.observe(np.concatenate(points))
+        self._points_mm = np.concatenate(points)
+        self._displacement = field.observe(self._points_mm)
         self._stress = field.observe(pillars, region=1)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         self._rest_mm = centres[:, None] + np.concatenate(points)  # (n_units, n_points, 3)
@@ -133,7 +134,7 @@ class ArrayScene:
         if finite is None:
             moved_mm = self._displacement.displacement_mm(state)
         else:
-            moved_mm = finite.observe(self._displacement.points_mm).displacement_mm(finite.state)
+            moved_mm = finite.observe(self._points_mm).displacement_mm(finite.state)
         drawn_mm = (self._rest_mm + scale * moved_mm).astype(np.float32)
         for mesh, own in self._moving:
             mesh.points = drawn_mm[:, own].reshape(-1, 3)
