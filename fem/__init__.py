@@ -4,14 +4,13 @@ In: a scene (a body, loads, probes) or a sensor's design. Out: the probes' displ
 error (`solve_scene`), or the influence matrix of the array (`array_response`): what 1 N on a pad does to every
 electrode. The rooms, in the order of the data: `scene/` (a scene and its file), `methods/` (open `solving.py` and
 `plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array), `contact/` (open
-`indentation.py` first: rigid shapes pressed into it), `discretization/` (meshes, elements and their matrices),
-`factor.py` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures), `pictures/`
-(the pictures).
+`indentation.py` first: rigid shapes pressed into it), `boxes/` and `tetrahedra/` (elements), `rubber/` (what fills
+them), `factor.py` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures),
+`pictures/` (the pictures).
 """
 
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.discretization.patch import PatchError, patch_integrals, patch_means
 from fem.factor import SolverError
 from fem.methods.solving import solve_scene
 from fem.scene.checks import SceneError
@@ -19,6 +18,7 @@ from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+from fem.tetrahedra.patch import PatchError, patch_integrals, patch_means
 
 __all__ = [
     "ArrayResponse",

@@ -27,7 +27,6 @@ ROOMS = {
         "boxes",
         "rubber",
         "tetrahedra",
-        "discretization",
         "conduction",
         "finite",
         "array",

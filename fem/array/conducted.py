@@ -27,7 +27,7 @@ from fem.conduction.potentials import (
     unit_conductors,
 )
 from fem.conduction.second_order import second_derivatives
-from fem.discretization.elements import shape_gradients
+from fem.tetrahedra.elements import shape_gradients
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.meshed import BoxCell, TetCell, cell_lines, elastic_body, lone_unit
-from fem.discretization.elements import Elements
+from fem.tetrahedra.elements import Elements
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.mesh import sensor_mesh, suited_settings

@@ -14,8 +14,6 @@ from skfem import MeshTet
 from fem.array.cell import CellBody, CondensedCell, PortModes, condense
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
-from fem.discretization.patch import patch_integrals
-from fem.discretization.plate import Plate, tied
 from fem.factor import SparseMatrix
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
@@ -23,6 +21,8 @@ from fem.rubber.law import LAWS
 from fem.scene.loads import StiffLoad
 from fem.system import System
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+from fem.tetrahedra.patch import patch_integrals
+from fem.tetrahedra.plate import Plate, tied
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings

@@ -17,9 +17,9 @@ from skfem.helpers import ddot, div, sym_grad
 from fem.array.meshed import lone_unit
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
-from fem.discretization.patch import patch_means
-from fem.discretization.plate import Plate, tied
 from fem.factor import Factor, checked_solve
+from fem.tetrahedra.patch import patch_means
+from fem.tetrahedra.plate import Plate, tied
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings

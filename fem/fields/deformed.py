@@ -10,7 +10,6 @@ from skfem import ElementTetP2
 from fem.array.meshed import cell_lines
 from fem.boxes.boxes import Boxes
 from fem.boxes.lattice import ELEMENT, VTK_PLACES
-from fem.discretization.elements import Elements
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import (
     FiniteArrayField,
@@ -33,6 +32,7 @@ from fem.scene.solution import (
     TRIQUADRATIC_HEXAHEDRON,
     Field,
 )
+from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.layout import FloatArray, electrode_centres, unit_centres

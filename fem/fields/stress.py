@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from fem.discretization.elements import Elements, shape_gradients, shape_values
+from fem.tetrahedra.elements import Elements, shape_gradients, shape_values
 from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray

@@ -10,8 +10,13 @@ import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
-from fem.discretization.elements import Elements
-from fem.discretization.indicator import (
+from fem.factor import Factor, checked_solve
+from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.plan import Plan
+from fem.scene.scene import Scene
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
+from fem.tetrahedra.elements import Elements
+from fem.tetrahedra.indicator import (
     cell_sizes,
     dual_weights,
     largest_contributors,
@@ -19,15 +24,10 @@ from fem.discretization.indicator import (
     residuals,
     uniform_tractions,
 )
-from fem.discretization.patch import patch_integrals
-from fem.discretization.plate import Plate, tied
-from fem.discretization.scene_mesh import bisected, mesh_scene, prism_of_cells
-from fem.factor import Factor, checked_solve
-from fem.methods.adaptive import MeshAnswer, solve_adaptively
-from fem.methods.plan import Plan
-from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
 from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions, taylor_hood
+from fem.tetrahedra.patch import patch_integrals
+from fem.tetrahedra.plate import Plate, tied
+from fem.tetrahedra.scene_mesh import bisected, mesh_scene, prism_of_cells
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes

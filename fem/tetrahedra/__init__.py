@@ -1,1 +1,4 @@
-"""Bodies of tetrahedra: elements filled with rubber of any law (`mixed.py`)."""
+"""Tetrahedra, where rubbers meet on leaning faces: `scene_mesh.py` (a scene's mesh and its refinement), `mixed.py`
+(elements filled with rubber of any law), `elements.py` (points in elements), `patch.py` (integrals over rectangles of
+the top), `plate.py` (rigid plates on it), `indicator.py` (where an answer errs).
+"""

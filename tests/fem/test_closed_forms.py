@@ -21,9 +21,9 @@ from fem.array.closed_forms import (
     mean_compliance,
 )
 from fem.array.response import read_response, write_response
-from fem.discretization.patch import patch_integrals
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.patch import patch_integrals
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 

@@ -8,9 +8,9 @@ import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
-from fem.discretization.patch import patch_integrals
 from fem.factor import Factor, checked_solve, whole
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+from fem.tetrahedra.patch import patch_integrals
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 

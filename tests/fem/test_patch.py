@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skfem import Basis, ElementTetP2
 
-from fem.discretization.patch import PatchError, patch_integrals
+from fem.tetrahedra.patch import PatchError, patch_integrals
 from tests.fem.boxes import box_mesh
 
 RECTANGLES = np.array([[0.0, 0.0, 10.0, 10.0], [1.3, 2.1, 4.7, 9.9], [4.9, 4.9, 5.1, 5.1], [0.0, 9.0, 10.0, 10.0]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skfem import MeshTet
 
-from fem.discretization.scene_mesh import bisected
+from fem.tetrahedra.scene_mesh import bisected
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.boxes import box_mesh
 

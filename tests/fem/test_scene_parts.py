@@ -8,7 +8,6 @@ from skfem import MeshTet
 from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
 from fem.boxes.lattice import VTK_PLACES
-from fem.discretization.elements import Elements
 from fem.factor import Factor, checked_solve
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
@@ -20,6 +19,7 @@ from fem.scene.checks import SceneError
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
+from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
 from tests.fem.scenes import on_tetrahedra

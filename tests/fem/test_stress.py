@@ -6,12 +6,12 @@ import scipy.sparse as sp
 from skfem import Basis, ElementTetP1, ElementTetP2
 
 from fem.boxes.boxes import Boxes
-from fem.discretization.elements import Elements
 from fem.factor import Factor, checked_solve
 from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad
 from fem.system import System
+from fem.tetrahedra.elements import Elements
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)

@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from skfem import Basis, ElementTetP2
 
-from fem.discretization.elements import Elements
-from fem.discretization.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
-from fem.discretization.scene_mesh import mesh_scene, prism_of_cells
 from fem.finite.solving import solve_finite
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
@@ -17,7 +14,10 @@ from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
+from fem.tetrahedra.elements import Elements
+from fem.tetrahedra.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
 from fem.tetrahedra.mixed import lame_of_regions, taylor_hood
+from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes

@@ -7,8 +7,8 @@ import pytest
 
 from fem.array.meshed import elastic_body
 from fem.array.unit_check import check_unit, meshed_response
-from fem.discretization.patch import patch_means
 from fem.factor import Factor, checked_solve
+from fem.tetrahedra.patch import patch_means
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
-from fem.discretization.indicator import cell_sizes
 from fem.scene.scene import Scene
+from fem.tetrahedra.indicator import cell_sizes
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface, tetrahedralized

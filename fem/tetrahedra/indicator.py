@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from skfem import Basis, MeshTet
 
-from fem.discretization.elements import Elements, shape_gradients
 from fem.scene.solution import SMALLEST_SHARE
+from fem.tetrahedra.elements import Elements, shape_gradients
 from fem.tetrahedra.mixed import IntArray, TaylorHood, pressure_dofs
 from geometry.layout import FloatArray
 
