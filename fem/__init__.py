@@ -13,7 +13,7 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.factor import SolverError
 from fem.methods.solving import solve_scene
-from fem.scene.checks import SceneError
+from fem.scene.loads import SceneError
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution

@@ -20,9 +20,9 @@ from fem.fields.finite_pictures import (
 )
 from fem.fields.stress import nodal_stress
 from fem.methods.box_field import picture_field
+from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.cells import design_of_cells, forces_on_cells
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import (

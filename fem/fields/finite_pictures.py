@@ -13,8 +13,7 @@ from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
 from fem.methods.cell_scene import forces_on_cells
 from fem.methods.plan import make_plan
-from fem.scene.checks import SceneError
-from fem.scene.loads import FollowerLoad, Load, Rectangle, StiffLoad
+from fem.scene.loads import FollowerLoad, Load, Rectangle, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Field
 from geometry.design import SensorDesign

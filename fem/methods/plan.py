@@ -6,10 +6,9 @@ from typing import Literal
 
 import numpy as np
 
+from fem.methods.cell_scene import has_alike_plates
 from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
-from fem.scene.cells import has_alike_plates
-from fem.scene.checks import SceneError
-from fem.scene.loads import Rectangle
+from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES

@@ -7,7 +7,7 @@ from fem.methods.box_refinement import solve_on_boxes
 from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.tetrahedral import solve_on_tetrahedra
-from fem.scene.checks import SceneError
+from fem.scene.loads import SceneError
 from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
 
@@ -49,7 +49,7 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
             linear = solve_scene(scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR)))[0]
         return solve_finite(scene, linear, plan.mirrors, field)
     if plan.method == "cells":
-        return solve_by_cells(scene, plan)
+        return solve_by_cells(scene)
     if plan.method == "tetrahedra":
         return solve_on_tetrahedra(scene, plan, field)
     return solve_on_boxes(scene, plan, field)

@@ -6,8 +6,7 @@ import pytest
 
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad
+from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import Material, SensorDesign

@@ -15,8 +15,7 @@ from fem.fields.finite_pictures import pressed_sensor
 from fem.fields.stress import projected_pressure
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad
+from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
 from fem.tetrahedra.elements import Elements

@@ -19,7 +19,7 @@ from fem.fields.deformed import sensor_parts, solve_scene_parts
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.colours import pads_bar
-from fem.scene.checks import SceneError
+from fem.scene.loads import SceneError
 from fem.scene.scene import Probe
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
