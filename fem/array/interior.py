@@ -7,8 +7,10 @@ import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.meshed import BoxCell, TetCell, cell_lines, elastic_body, lone_unit
+from fem.boxes.boxes import Boxes
+from fem.field import Field
 from fem.tetrahedra.elements import Elements
-from geometry.design import Material, SensorDesign
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.mesh import sensor_mesh, suited_settings
 
@@ -25,9 +27,7 @@ class CellInterior:
     """
 
     cell: CondensedCell
-    elements: Elements
-    material: list[Material]  #: one per region
-    moved_mm: FloatArray  #: (n_nodes, 3, n_amplitudes), displacement per unit amplitude
+    field: Field  #: displacements (n_nodes, 3, n_amplitudes) per unit amplitude
 
 
 def design_interior(
@@ -50,10 +50,11 @@ def design_interior(
     """
     material = [design.matrix_material, design.pillar_material]
     body: BoxCell | TetCell
+    elements: Boxes | Elements
     if design.is_homogeneous:
         progress("cell")
         body, degree = BoxCell.of(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
-        elements = Elements.of_boxes(body.system.body.boxes)
+        elements = body.system.body.boxes
     else:
         progress("mesh")
         alone = lone_unit(design)
@@ -65,4 +66,4 @@ def design_interior(
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
     moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
-    return CellInterior(cell=cell, elements=elements, material=material, moved_mm=moved)
+    return CellInterior(cell=cell, field=Field(mesh=elements, displacement_mm=moved, material=material))

@@ -13,18 +13,18 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import lattice_boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
+from fem.field import Field, unfolded
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
-from fem.methods.box_field import crossings, picture_lines, unfolded_field
+from fem.methods.box_field import picture_boxes
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, images, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import Field, Solution, Stopwatch
+from fem.scene.solution import Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 
@@ -87,7 +87,7 @@ class SplitBoxes:
             duals, _ = checked_solve(factor, part.unit_loads(weights, scene.probes))
             both.append(np.concatenate([u[None], part.displaced(duals) / part.copies]))
         found = np.zeros((len(boxes.nodes), 3, len(weights)))
-        for seen in unfolded([part for part, _, _ in answers], both):
+        for seen in _images_of([part for part, _, _ in answers], both):
             found += surplus(body, seen[0], seen[1:])
         self.history.append(Indicated(probes, indicators_of_probes(found, len(probes))))
         watch.spent("solve")
@@ -101,20 +101,10 @@ class SplitBoxes:
         )
 
     def _field(self, boxes: Boxes, parts: list[tuple[Parity, FloatArray]]) -> Field:
-        """Displacement of the whole body on quadratic boxes, the wide ones split."""
-        points, cells, count = [], [], 0
-        for low, high in zip(boxes.low, boxes.high, strict=True):
-            halves, own = lattice_boxes(
-                [picture_lines(self.scene, np.array(ends)) for ends in zip(low, high, strict=True)]
-            )
-            points.append(crossings(halves))
-            cells.append(own + count)
-            count += len(points[-1])
-        places = np.vstack(points)
-        rows = boxes.at(places @ boxes.shear.T)
-        return unfolded_field(
-            self.scene, self.plan, places, np.vstack(cells), [(parity, rows @ u) for parity, u in parts]
-        )
+        """Displacement of the whole body on the boxes of pictures."""
+        grid = picture_boxes(self.scene, self.plan)
+        rows, materials = boxes.at(grid.points_mm), [self.scene.material, *(rubber for _, rubber in self.plan.regions)]
+        return unfolded(grid, self.plan.mirrors, [(parity, rows @ u) for parity, u in parts], materials)
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
         self.mesh.split(marked(indicators, float(np.clip((1 - 1 / excess) / TAKEN, *SHARES))))
@@ -123,7 +113,7 @@ class SplitBoxes:
         return float(estimated_errors(self.history).max())
 
 
-def unfolded(parts: Sequence[System], displacements: Sequence[FloatArray]) -> Iterator[FloatArray]:
+def _images_of(parts: Sequence[System], displacements: Sequence[FloatArray]) -> Iterator[FloatArray]:
     """Displacements of every image of the solved part, flipped back onto it, from its parities' (..., n_nodes, 3)."""
     for flipped, _ in images(parts[0].mirrors, parts[0].parity):
         signs = [math.prod(part.parity[mirror.axis] for mirror in flipped) for part in parts]

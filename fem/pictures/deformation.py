@@ -10,9 +10,19 @@ import numpy as np
 import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from fem.fields.deformed import Part, Parts
-from fem.pictures.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
-from fem.pictures.scenery import INK, Camera, draw_legend, draw_scenery, words_at
+from fem.pictures.parts import Part, Parts
+from fem.pictures.scenery import (
+    COLOURED_NOT,
+    INK,
+    QUANTITIES,
+    Camera,
+    Colour,
+    bar_of,
+    draw_legend,
+    draw_scenery,
+    pads_bar,
+    words_at,
+)
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]
@@ -172,7 +182,7 @@ class DeformedPicture:
 
     def _draw(self, panel: str, parts: Parts) -> None:
         for name, part in parts.items():
-            whole = grid_of(part)
+            whole = part.grid
             whole["full"], whole["point"] = part.displacement_mm, np.arange(len(part.points_mm))
 
             def moved(mesh: pv.PolyData, name: str = name) -> pv.PolyData:
@@ -297,8 +307,3 @@ def place(
         distance = 2 * np.linalg.norm(np.ptp(points_mm, axis=0))
     camera.position = focus + distance * toward
     return float(np.ptp(across) / np.ptp(upward))
-
-
-def grid_of(part: Part) -> pv.UnstructuredGrid:
-    """A part at rest, without what was found on it."""
-    return pv.UnstructuredGrid({pv.CellType(part.cell_type): part.cells}, part.points_mm)

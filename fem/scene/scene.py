@@ -124,9 +124,7 @@ class Probe(Checked):
     name: str
     kind: Literal["mean", "point"]
     center_mm: Pair | None = numbers(2, "centre of a mean probe's rectangle: x, y, in mm", None)
-    size_mm: Pair | None = numbers(
-        2, "extent of a mean probe's rectangle along x and y, in mm", None, above_0=True
-    )
+    size_mm: Pair | None = numbers(2, "extent of a mean probe's rectangle along x and y, in mm", None, above_0=True)
     position_mm: Triple | None = numbers(3, "position of a point probe: x, y, z, in mm", None)
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.interior import MESH_DEGREE
 from fem.array.meshed import condensed_cell, functionals
 from fem.array.solving import solve_response
-from fem.fields.array_field import solve_array_field
+from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import upper_electrodes

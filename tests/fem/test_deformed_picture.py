@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fem.fields.array_field import bell_pressure, uniform_pressure
-from fem.fields.deformed import Part, sensor_parts
-from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
+from fem.pictures.arrays import bell_pressure, uniform_pressure
 from fem.pictures.deformation import VIEWS, DeformedPicture, filled_points, look
-from fem.scene.solution import QUADRILATERAL
+from fem.pictures.parts import QUADRILATERAL, Part, sensor_parts
+from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
 from geometry.design import Array, SensorDesign
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.fields.finite_pictures import sampled_array_field
 from fem.finite.newton import find_equilibrium
 from fem.finite.samples import EXTRAPOLATED, FINE, SampleSolver
+from fem.pictures.arrays import sampled_array_field
 from fem.scene.loads import StiffLoad
 from fem.system import System
 from geometry.design import Array, Material, SensorDesign

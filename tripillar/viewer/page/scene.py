@@ -13,13 +13,21 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from fem.fields.array_field import ArrayField, FieldState
-from fem.fields.deformed import APART_MM, Part, pillar_surface
-from fem.fields.finite_pictures import FiniteArrayField
-from fem.pictures.colours import PAD_TITLES, QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
+from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField
 from fem.pictures.deformation import draw_off_screen, place
-from fem.pictures.scenery import draw_scenery, unit_names
-from fem.scene.solution import QUADRILATERAL
+from fem.pictures.parts import APART_MM, QUADRILATERAL, Part, pillar_surface
+from fem.pictures.scenery import (
+    PAD_TITLES,
+    QUANTITIES,
+    SHADES,
+    Bar,
+    Colour,
+    bar_of,
+    draw_scenery,
+    mixed,
+    shades,
+    unit_names,
+)
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, unit_centres
 
