@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from fem.pictures.parts import Part, Parts
 from fem.pictures.scenery import (
@@ -105,7 +104,7 @@ class DeformedPicture:
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
         self.plotter = self._plotter(rows, columns, medium)
-        self._titles: list[tuple[str, vtkTextActor]] = []
+        self._titles: list[tuple[str, pv.Text]] = []
         for number, (name, parts) in enumerate(panels.items()):
             row, column = divmod(number, columns)
             self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
@@ -115,7 +114,7 @@ class DeformedPicture:
             self.plotter.reset_camera_clipping_range()
             if not self._is_bare:
                 self.plotter.subplot(2 * row, column)
-                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "centre", size=24)))
+                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "center", size=24)))
         if not self._is_bare:
             self.plotter.subplot(2 * rows, 0)
             wide, _ = self.plotter.window_size
@@ -141,7 +140,7 @@ class DeformedPicture:
                 turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
                 mesh["Normals"] = turned["Normals"]
         for name, text in self._titles:
-            text.SetInput(name if share == 1 else f"{share:.0%} of {name}")
+            text.input = name if share == 1 else f"{share:.0%} of {name}"
 
     def _at(self, share: float, mesh: pv.PolyData, name: str) -> FloatArray:
         """Values of a mesh under a share of the load, linear between the steps that are known."""

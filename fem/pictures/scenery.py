@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 import pyvista as pv
 from matplotlib import colormaps, get_data_path
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+from matplotlib.colors import LinearSegmentedColormap
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D
 
 from fem.field import pressure, von_mises
 from fem.pictures.parts import Part, Parts
@@ -25,8 +26,7 @@ Camera = Literal["iso", "top", "front", "side"]
 SHOWN_SHARE = 0.998  #: of the volume, whose stress ends the colours: at edges it has no bound
 ROOM = 0.15  #: of a scale, that a label takes
 SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
-BELOW = ("#053061", "#3f8ec0", "#ffffff")  #: from the least value to 0
-ABOVE = ("#ffffff", "#d6604d", "#67001f")  #: from 0 to the largest
+SIGNED = ("#053061", "#3f8ec0", "#ffffff", "#d6604d", "#67001f")  #: from below 0 to above
 LOADED = ("#fcbba1", "#de2d26", "#67000d")  #: outlines of pads, from hardly loaded to the most
 #: titles of the bar of pads' outlines, by the part that is outlined: uniform traction, or what a plate passes on
 PAD_TITLES = {"pads": "traction on a pad [MPa]", "plates": "mean traction under a plate [MPa]"}
@@ -39,7 +39,7 @@ class Quantity:
 
     title: str
     of: Callable[[Part], FloatArray]  #: a part to values (n,) at its points
-    colours: str | None = None  #: a map of matplotlib; None: of both signs, white at 0
+    colours: str | tuple[str, ...] = SIGNED  #: as of `shades`
     of_stress: bool = False  #: it has no bound at edges, then: the largest value means nothing
 
 
@@ -103,53 +103,27 @@ def pads_bar(panels: Iterable[Parts]) -> Bar | None:
         for name in parts.keys() & PAD_TITLES.keys():
             most[name] = max(most[name], float(parts[name].strength_mpa.max()))
     name = max(most, key=most.__getitem__)
-    return Bar(title=PAD_TITLES[name], low=0.0, high=most[name], colours=mixed(LOADED, SHADES)) if most[name] else None
+    return Bar(title=PAD_TITLES[name], low=0.0, high=most[name], colours=shades(LOADED)) if most[name] else None
 
 
-def shades(name: str | None, low: float, high: float) -> list[str]:
-    """Colours from one end of a scale to the other.
+def shades(colours: str | tuple[str, ...], low: float = 0.0, high: float = 1.0) -> list[str]:
+    """Colours #rrggbb from one end of a scale to the other: of matplotlib's map of that name, or between some.
 
-    Parameters
-    ----------
-    name : str, optional
-        Of matplotlib's map; None: blue below 0, white at 0, red above, as strong for −1 as for 1.
-    low, high : float
-        Ends of the scale; low at most 0 and high at least 0 where the map has both signs.
+    `SIGNED` are white at 0, low being at most 0 and high at least 0, and as strong for −1 as for 1.
 
-    Examples
-    --------
-    >>> shades(None, -2.0, 2.0)[127]
+    >>> shades(SIGNED, -2.0, 2.0)[127]
     '#ffffff'
     """
     share = np.linspace(0.0, 1.0, SHADES)
-    if name is not None:
-        return [*_sequential(name)]
-    most = max(-low, high)
-    whole = np.array([_rgb(c) for c in mixed(BELOW, SHADES) + mixed(ABOVE, SHADES)[1:]])
-    at = np.linspace(-1.0, 1.0, len(whole))
-    values = (low + share * (high - low)) / most
-    return [_hex(rgb) for rgb in np.column_stack([np.interp(values, at, channel) for channel in whole.T]).tolist()]
+    if colours == SIGNED:
+        share = 0.5 + (low + share * (high - low)) / max(-low, high) / 2
+    table = colormaps[colours] if isinstance(colours, str) else _between(colours)
+    return ["#" + rgb.tobytes().hex() for rgb in np.asarray(table(share, bytes=True))[:, :3]]
 
 
 @cache
-def _sequential(name: str) -> tuple[str, ...]:
-    """Colours of a map of matplotlib from its first to its last."""
-    return tuple(_hex(rgb) for rgb in colormaps[name](np.linspace(0.0, 1.0, SHADES))[:, :3].tolist())
-
-
-def mixed(colours: tuple[str, ...], n: int) -> list[str]:
-    """n colours from the first of some, #rrggbb, to the last."""
-    ends = np.array([_rgb(colour) for colour in colours])
-    at = np.linspace(0.0, len(ends) - 1.0, n)
-    return [_hex([np.interp(x, range(len(ends)), ends[:, k]) for k in range(3)]) for x in at]
-
-
-def _rgb(colour: str) -> list[float]:
-    return [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-
-
-def _hex(rgb: Iterable[float]) -> str:
-    return "#" + bytes(round(255 * part) for part in rgb).hex()
+def _between(colours: tuple[str, ...]) -> LinearSegmentedColormap:
+    return LinearSegmentedColormap.from_list("", colours, N=4 * SHADES + 1)
 
 
 def colour_ticks(low: float, high: float) -> FloatArray:
@@ -182,7 +156,6 @@ def _number(value: float) -> str:
 
 
 INK = (0.13, 0.16, 0.19)
-VTK_FONT_FILE = 4  #: VTK's number of fonts that come from a file
 #: VTK's own font has no ≥, and brackets like parentheses
 FONT = str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf"))
 LETTER_PX = 19  #: pixels, of numbers and titles
@@ -234,28 +207,20 @@ def _draw_bar(plotter: pv.Plotter, bar: Bar, left: float, width: float, high: in
     plotter.renderer.AddViewProp(actor)
     words_at(plotter, bar.title, left, bottom + thick + 16 / high, "left")
     for value, words in bar.labels.items():
-        words_at(plotter, words, left + width * (value - bar.low) / (bar.high - bar.low), bottom - 16 / high, "centre")
+        at = left + width * (value - bar.low) / (bar.high - bar.low)
+        words_at(plotter, words, at, bottom - 16 / high, "center")
 
 
-def words_at(plotter: pv.Plotter, words: str, x: float, y: float, side: str, size: int = LETTER_PX) -> vtkTextActor:
+def words_at(plotter: pv.Plotter, words: str, x: float, y: float, side: str, size: int = LETTER_PX) -> pv.Text:
     """Write at a place of the chosen renderer, its corners being (0, 0) and (1, 1); upright about y."""
-    actor = vtkTextActor()
-    actor.SetInput(words)
-    style = actor.GetTextProperty()
-    style.SetFontSize(size)
-    style.SetColor(*INK)
-    style.SetFontFamily(VTK_FONT_FILE)
-    style.SetFontFile(FONT)
-    style.SetVerticalJustificationToCentered()
-    {
-        "left": style.SetJustificationToLeft,
-        "centre": style.SetJustificationToCentered,
-        "right": style.SetJustificationToRight,
-    }[side]()
-    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    actor.SetPosition(x, y)
-    plotter.renderer.AddViewProp(actor)
-    return actor
+    text = pv.Text(words)
+    text.prop = pv.TextProperty(
+        color=INK, font_size=size, font_file=FONT, justification_horizontal=side, justification_vertical="center"
+    )
+    text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    text.position = x, y
+    plotter.renderer.AddViewProp(text)
+    return text
 
 
 LETTER = 0.024  #: height of letters, of the body's larger side
@@ -277,14 +242,22 @@ def draw_scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
         low = np.where(right + up > 0, low, (low + high) / 2)
     size = float((high - low).max())
     letter, width = LETTER * size, float((high - low) @ right)
-    length = bar_length(width)
-    end = low + width * right - 1.8 * letter * up
-    meshes = _bar(end - length * right, length, letter, right, up)
-    corner = low - (AXES * size + 2.2 * letter) * right
-    across = np.cross(right, up)
+    length = round_step(width)  # about a quarter of it
+    # a line between two ticks, its length below it
+    start = low + (width - length) * right - 1.8 * letter * up
+    corners, thick = [start, start + length * right], 0.07 * letter
+    meshes = [_strip(at - 0.3 * letter * up, at + 0.3 * letter * up, thick * right) for at in corners]
+    meshes.append(_strip(corners[0], corners[1], thick * up))
+    meshes.append(_word(f"{length:g} mm", start + length / 2 * right - 1.3 * letter * up, letter, right, up))
+    corner, shaft = low - (AXES * size + 2.2 * letter) * right, AXES * size
     for axis, name in zip(np.eye(3), "xyz", strict=True):
-        if camera == "iso" or abs(across @ axis) < 0.5:  # not at the onlooker
-            meshes += _arrow(corner, AXES * size, axis, name, letter, right, axis if name == "z" else up)
+        if camera == "iso" or abs(np.cross(right, up) @ axis) < 0.5:  # not at the onlooker
+            meshes.append(pv.Arrow(
+                start=corner, direction=axis, scale=shaft, tip_length=0.3, tip_radius=0.1, shaft_radius=0.03,
+                tip_resolution=16, shaft_resolution=10,
+            ))  # fmt: skip
+            middle, upward = corner + (shaft + 0.9 * letter) * axis, axis if name == "z" else up
+            meshes.append(_word(name, middle, letter, right, upward))
     return pv.merge(meshes)
 
 
@@ -303,36 +276,6 @@ def unit_names(rows: int, cols: int, pitch_mm: float) -> pv.PolyData:
     places = [(f"col {j}" if j == 0 else f"{j}", (at, front - 1.2 * letter)) for j, at in enumerate(x)]
     places += [(f"row {i}" if i == 0 else f"{i}", (edge + 1.6 * letter, at)) for i, at in enumerate(y)]
     return pv.merge([_word(text, np.array([*place, 0.0]), letter, right, up) for text, place in places])
-
-
-def bar_length(width_mm: float) -> float:
-    """A round length of about a quarter of a width [mm].
-
-    >>> bar_length(90.0), bar_length(30.0)
-    (20.0, 5.0)
-    """
-    return round_step(width_mm)
-
-
-def _bar(start: FloatArray, length: float, letter: float, right: FloatArray, up: FloatArray) -> list[pv.PolyData]:
-    """A line between two ticks, its length below it."""
-    corners = [start, start + length * right]
-    thick = 0.07 * letter
-    line = _strip(corners[0], corners[1], thick * up)
-    ticks = [_strip(at - 0.3 * letter * up, at + 0.3 * letter * up, thick * right) for at in corners]
-    words = _word(f"{length:g} mm", start + length / 2 * right - 1.3 * letter * up, letter, right, up)
-    return [line, *ticks, words]
-
-
-def _arrow(
-    start: FloatArray, length: float, axis: FloatArray, name: str, letter: float, right: FloatArray, up: FloatArray
-) -> list[pv.PolyData]:
-    """An arrow along an axis, with its name beyond its tip."""
-    arrow = pv.Arrow(
-        start=start, direction=axis, scale=length, tip_length=0.3, tip_radius=0.1, shaft_radius=0.03,
-        tip_resolution=16, shaft_resolution=10,
-    )  # fmt: skip
-    return [arrow, _word(name, start + (length + 0.9 * letter) * axis, letter, right, up)]
 
 
 def _strip(start: FloatArray, end: FloatArray, half: FloatArray) -> pv.PolyData:

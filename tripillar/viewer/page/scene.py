@@ -19,12 +19,11 @@ from fem.pictures.parts import APART_MM, QUADRILATERAL, Part, pillar_surface
 from fem.pictures.scenery import (
     PAD_TITLES,
     QUANTITIES,
-    SHADES,
+    SIGNED,
     Bar,
     Colour,
     bar_of,
     draw_scenery,
-    mixed,
     shades,
     unit_names,
 )
@@ -45,7 +44,7 @@ MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#323b45"}  #: by whether it is dark; not so dark that dark pillars are lost
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
-PAD_COLOURS = mixed(("#93a1ad", "#d64541"), SHADES)  #: of the pads' outlines, grey where unloaded
+PAD_COLOURS = shades(("#93a1ad", "#d64541"))  #: of the pads' outlines, grey where unloaded
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 STEEPEST_DEG = 89.0  #: of the camera: straight from above there is no upright
 NEAREST, FARTHEST = 0.1, 5.0  #: of the distance from which all is seen
@@ -154,7 +153,7 @@ class ArrayScene:
         if colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
             most = max(float(np.abs(values).max()), MIN_CHANGE)
-            bar = Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=shades(None, -most, most))
+            bar = Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=shades(SIGNED, -most, most))
         else:
             quantity = QUANTITIES[colour]
             k = len(self._owner)
