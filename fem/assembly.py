@@ -27,7 +27,7 @@ class _Tied(NamedTuple):
     share: FloatArray  #: of their turns in the nodes, by spin, (h, b, s)
 
     def products(self, K: FloatArray, spins: FloatArray) -> FloatArray:
-        """Blocks of K, Tᵀ K, K T and Tᵀ K T of g elements, (g, (n + q)², 9); all fields have g rows. K is (g, n, n, 3, 3)."""
+        """Blocks of K, Tᵀ K, K T and Tᵀ K T of g elements of stiffness K (g, n, n, 3, 3), (g, (n + q)², 9)."""
         (g, h), n = self.nodes.shape, K.shape[1]
         q, k = self.blocks.shape[1], self.weights.shape[1]
         if not h:
@@ -144,7 +144,8 @@ def _ties(
     element, local = np.nonzero(tied)
     starts = np.concatenate([[0], np.cumsum(tied.sum(axis=1))])
     weights, bonds = weights[nodes[element, local]], bonds[nodes[element, local]]
-    none = _Tied(*np.zeros((2, 0), dtype=np.int64), np.zeros((0, 0)), np.zeros(0, dtype=np.int64), np.zeros((0, 0, 0)))
+    nobody = np.zeros(0, dtype=np.int64)
+    none = _Tied(nobody, nobody, np.zeros((0, 0)), nobody, np.zeros((0, 0, 0)))
     found = [none] * len(nodes)
     for number in np.flatnonzero(tied.any(axis=1)).tolist():
         start, end = starts[number : number + 2]
@@ -178,7 +179,7 @@ def _alike(ties: Sequence[_Tied]) -> list[tuple[IntArray, _Tied]]:
 
 
 def _pairs(number: IntArray, blocks: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows and columns of `_Tied.products` of elements: blocks that their nodes are (g, n), and that tie others (g, q)."""
+    """Rows and columns of `_Tied.products` of elements: blocks that nodes are (g, n), and those of the others (g, q)."""
     of_parts = ((number, number), (blocks, number), (number, blocks), (blocks, blocks))
     pairs = [np.broadcast_arrays(rows[:, :, None], cols[:, None]) for rows, cols in of_parts]
     rows, cols = (np.hstack([side.reshape(len(number), -1) for side in sides]) for sides in zip(*pairs, strict=True))

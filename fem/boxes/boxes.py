@@ -12,11 +12,26 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from skfem import ElementHex2
 
 from fem.boxes.lagrange import cube_functions, cube_slopes, interval_integrals, lobatto_points
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
+
+QUADRATIC = ElementHex2()  #: scikit-fem's box of order 2
+#: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
+#: the sides across x, y and z, and of the whole
+VTK_PLACES = np.array(
+    [
+        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
+        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
+        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
+    ]
+)
+#: which of the nodes of a box of order 2 each of scikit-fem's and of VTK's is, (27,)
+SKFEM_NODES, VTK_NODES = (np.rint(p).astype(np.int64) @ [9, 3, 1] for p in (2 * QUADRATIC.doflocs, VTK_PLACES))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from skfem import ElementTetP2
 
 from fem.array.meshed import cell_lines
-from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import ELEMENT, VTK_PLACES
+from fem.boxes.boxes import QUADRATIC, SKFEM_NODES, VTK_NODES, Boxes
 from fem.fields.array_field import ArrayField, FieldState, solve_array_field
 from fem.fields.finite_pictures import (
     FiniteArrayField,
@@ -322,5 +321,5 @@ def elements_of(field: Field) -> Elements:
     """The elements of a field, their nodes in scikit-fem's order."""
     element, cells = ElementTetP2(), field.cells
     if field.cell_type == TRIQUADRATIC_HEXAHEDRON:
-        element, cells = ELEMENT, cells[:, (2 * ELEMENT.doflocs[:, None] == VTK_PLACES).all(axis=2).argmax(axis=1)]
+        element, cells = QUADRATIC, cells[:, (SKFEM_NODES[:, None] == VTK_NODES).argmax(axis=1)]
     return Elements(element, field.points_mm, cells, field.region)

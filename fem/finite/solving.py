@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import lattice_boxes
+from fem.boxes.boxes import VTK_NODES, Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import FactorMemoryError
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
@@ -148,7 +147,7 @@ def unfolded(boxes: Boxes, u: FloatArray, mirrors: Sequence[Mirror]) -> tuple[Bo
 def _field(scene: Scene, boxes: Boxes, u: FloatArray) -> Field:
     """A state (n_nodes, 3) for pictures; cells count to the rubber at their middles."""
     regions = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
-    points, (_, cells) = boxes.points_mm, lattice_boxes(boxes.lines)
+    points, cells = boxes.points_mm, boxes.nodes[:, VTK_NODES]
     return Field(
         points_mm=points,
         cells=cells,

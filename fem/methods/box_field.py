@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import VTK_PLACES, lattice_boxes
+from fem.boxes.boxes import VTK_NODES, VTK_PLACES, Boxes
 from fem.factor import Factor, checked_solve
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, flipped_points, images, parities
@@ -43,32 +42,25 @@ def picture_lines(scene: Scene, lines: FloatArray) -> FloatArray:
     return np.concatenate([lines[:1], *pieces])
 
 
-def crossings(positions: Sequence[FloatArray]) -> FloatArray:
-    """Points at all crossings of positions along x, y and z, z fastest, shape (n, 3)."""
-    return np.stack(np.meshgrid(*positions, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
 def unfolded_field(
     scene: Scene,
     plan: Plan,
     points_mm: FloatArray,
     cells: NDArray[np.int64],
+    region: NDArray[np.int64],
     parts: Sequence[tuple[Parity, FloatArray]],
 ) -> Field:
     """The field of a whole body from even and odd displacements (n, 3) of its solved part.
 
-    `points_mm` (n, 3) are where the base shows the nodes of `cells` (m, 27): before a sheared body is sheared.
+    `points_mm` (n, 3) are the nodes of `cells` (m, 27), whose regions are given, (m,).
     """
-    region = regions_at(points_mm[cells[:, -1]], plan.regions)
-    sheared = points_mm.copy()
-    sheared[:, :2] += np.array(scene.outline.lean) * points_mm[:, 2:]
     all_points, all_moved, all_cells = [], [], []
     for number, (flipped, _) in enumerate(images(plan.mirrors, (1, 1))):
         own = cells
         for mirror in flipped:
             own = own[:, VTK_MIRRORED[mirror.axis]]
-        all_cells.append(own + number * len(sheared))
-        all_points.append(flipped_points(sheared, flipped))
+        all_cells.append(own + number * len(points_mm))
+        all_points.append(flipped_points(points_mm, flipped))
         all_moved.append(np.sum([u * images(plan.mirrors, parity)[number][1] for parity, u in parts], axis=0))
     return Field(
         points_mm=np.vstack(all_points),
@@ -134,5 +126,4 @@ def picture_field(scene: Scene, plan: Plan) -> Field:
         factor = Factor(part.matrix(blocks), definite=True, upper=True)
         y, _ = checked_solve(factor, part.loads_on(part.rest()).reshape(-1, 1))
         parts.append((part.parity, part.displaced(y)[0]))
-    halves, cells = lattice_boxes(boxes.lines)
-    return unfolded_field(scene, plan, crossings(halves), cells, parts)
+    return unfolded_field(scene, plan, boxes.points_mm, boxes.nodes[:, VTK_NODES], boxes.region, parts)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementHex1, ElementTetP1
 
-from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import ELEMENT, SKFEM_NODES
+from fem.boxes.boxes import QUADRATIC, SKFEM_NODES, Boxes
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are
@@ -34,7 +33,7 @@ class Elements:
     @classmethod
     def of_boxes(cls, boxes: Boxes) -> "Elements":
         """Quadratic boxes."""
-        return cls(ELEMENT, boxes.points_mm, boxes.nodes[:, SKFEM_NODES], boxes.region)
+        return cls(QUADRATIC, boxes.points_mm, boxes.nodes[:, SKFEM_NODES], boxes.region)
 
     @property
     def is_box(self) -> bool:

@@ -7,7 +7,7 @@ import pytest
 from skfem import MeshTet
 from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
-from fem.boxes.lattice import VTK_PLACES
+from fem.boxes.boxes import VTK_PLACES
 from fem.factor import Factor, checked_solve
 from fem.fields.array_field import solve_array_field
 from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
