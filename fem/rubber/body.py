@@ -185,11 +185,11 @@ class RubberBody:
         places = np.arange(self.nodes.size)
         return sp.csr_matrix((np.ones(len(places)), (self.nodes.ravel(), places)), shape=(self.n_nodes, len(places)))
 
-    def chunks(self, values_each: int) -> Iterator[slice]:
-        """Slices of elements of which each has so many numbers, few enough to stay in the processor's cache."""
-        step = max(1, CHUNK_VALUES // values_each)
-        for first in range(0, self.n_elements, step):
-            yield slice(first, min(first + step, self.n_elements))
+    @cached_property
+    def chunks(self) -> list[slice]:
+        """Elements whose stiffness is computed at a time; one by one where their insides are eliminated."""
+        step = 1 if len(self.reference.inside) else max(1, CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
+        return [slice(first, min(first + step, self.n_elements)) for first in range(0, self.n_elements, step)]
 
     def gradient(self, u: FloatArray) -> FloatArray:
         """∂uᵢ/∂X_J at the Gauss points, shape (3, 3, m, n_elements, q), of displacements (m, n_nodes, 3)."""
@@ -333,10 +333,9 @@ class RubberBody:
 
     def rest_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
         """Chunks of elements and their stiffness at rest between nodes on their surfaces, (e, n, n, 3, 3) [N/mm]."""
-        surface, inner = self.reference.surface, self.reference.inside
-        for some in self.chunks(9 * len(surface) ** 2):
-            if len(inner):
-                yield some, np.stack([self.condensed[kind].stiffness for kind in self._kinds[some]])
+        for some in self.chunks:
+            if len(self.reference.inside):
+                yield some, self.condensed[self._kinds[some.start]].stiffness[None]
             else:
                 yield some, self.rest_stiffness(some)
 
@@ -372,7 +371,7 @@ class Tangent:
         """Chunks of elements and their K, (e, n, n, 3, 3): entry [e, a, b, i, j] couples aᵢ with b_j [N/mm]."""
         body, box = self.body, self.body.reference
         n, k = body.nodes.shape[1], body.n_pressures
-        for some in body.chunks(9 * n * n):
+        for some in body.chunks:
             e = some.stop - some.start
             cof = self._in_box(plus_unit(self._strain.C[:, :, some].copy(), 1.0), 1, some)  # (3, 3, e, q)
             A = self._in_box(self._in_box(self._moduli(some), 1, some), 3, some)
