@@ -48,6 +48,7 @@ class Field:
     mesh: Boxes | Elements
     displacement_mm: FloatArray  #: at the nodes, (n, 3) or (n, 3, c)
     material: Sequence[Material]  #: of each region: 0 for the body, above for what is in it
+    loaded_mm: Sequence[FloatArray] = ()  #: rectangles of the top face, at whose edges the stress of boxes may jump
 
     @property
     def points_mm(self) -> FloatArray:
@@ -107,15 +108,23 @@ class Field:
 
     @cached_property
     def corners(self) -> IntArray:
-        """Number of each element's corners, (m, 4 or 8): elements of one region share it at a point."""
+        """Number of each element's corners, (m, 4 or 8): elements of one region share it at a point.
+
+        On the top those of boxes under a load do not share it with those beside it: traction jumps at the load's edge.
+        """
         mesh = self.mesh
-        if isinstance(mesh, Boxes):
+        if not isinstance(mesh, Boxes):
+            keys = mesh.corners * len(self.material) + mesh.region[:, None]
+        else:
             p = mesh.order
             nodes = mesh.nodes.reshape(-1, p + 1, p + 1, p + 1)[:, ::p, ::p, ::p].reshape(-1, 8)
-        else:
-            nodes = mesh.corners
-        _, numbers = np.unique(nodes * len(self.material) + mesh.region[:, None], return_inverse=True)
-        return numbers.reshape(nodes.shape)
+            middle = mesh.points_mm[nodes].mean(axis=1)[:, None, :2]
+            loaded = np.reshape(self.loaded_mm, (-1, 4))
+            under = ((middle > loaded[:, :2]) & (middle < loaded[:, 2:])).all(axis=2) @ np.arange(1, len(loaded) + 1)
+            jumps = under[:, None] * (mesh.points_mm[nodes, 2] == mesh.height_mm)
+            keys = (nodes + jumps * mesh.n_nodes) * len(self.material) + mesh.region[:, None]
+        _, numbers = np.unique(keys, return_inverse=True)
+        return numbers.reshape(keys.shape)
 
     @cached_property
     def corner_stress(self) -> FloatArray:

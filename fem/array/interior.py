@@ -66,4 +66,5 @@ def design_interior(
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
     moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
-    return CellInterior(cell=cell, field=Field(mesh=elements, displacement_mm=moved, material=material))
+    field = Field(mesh=elements, displacement_mm=moved, material=material, loaded_mm=[*rectangles_mm])
+    return CellInterior(cell=cell, field=field)
