@@ -101,7 +101,9 @@ class DeformedPicture:
         points = {name: filled_points(parts, scale) for name, parts in panels.items()}
         stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
-        self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
+        self.aspect = min(
+            look(pv.Camera(), at, camera, 1.0) for at in seen.values()
+        )  #: width over height of one picture
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
@@ -245,12 +247,6 @@ def draw_off_screen() -> None:
     """Let VTK draw where there is no display; before the first plotter."""
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
-
-
-def aspect_of(points_mm: FloatArray, camera: Camera) -> float:
-    """Width over height of what a camera of a picture sees of points (n, 3)."""
-    trial = pv.Camera()
-    return look(trial, points_mm, camera, 1.0)
 
 
 def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) -> float:

@@ -89,27 +89,14 @@ class Stopwatch:
 
 def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str, Any]:
     """A solution as the object that `tripillar solve --json` prints; what nobody could tell is null."""
-
-    def known(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
-    finite = {}
-    if isinstance(solution, FiniteSolution):
-        finite = {
-            "work_mj": known(solution.work_mj),
-            "energy_imbalance": known(solution.energy_imbalance),
-            "least_j": solution.least_j,
-            "iterations": solution.iterations,
-            "load_steps": solution.load_steps,
-        }
+    finite = ("work_mj", "energy_imbalance", "least_j", "iterations", "load_steps")
+    names = ("energy_mj", "residual", "unknowns", "error_estimate", *finite)
+    numbers = {name: getattr(solution, name) for name in names if hasattr(solution, name)}
+    known = {name: np.asarray(number).item() if math.isfinite(number) else None for name, number in numbers.items()}
     return {
-        "probes": {name: [float(u) for u in displacement] for name, displacement in solution.probes.items()},
-        "energy_mj": float(solution.energy_mj),
-        "residual": float(solution.residual),
-        "dofs": int(solution.unknowns),
-        "error_estimate": known(solution.error_estimate),
-        **finite,
-        "seconds": {step: float(seconds) for step, seconds in solution.seconds.items()},
+        "probes": {name: u.tolist() for name, u in solution.probes.items()},
+        **{"dofs" if name == "unknowns" else name: number for name, number in known.items()},
+        "seconds": dict(solution.seconds),
         "plan": [*plan_lines, *solution.steps],
     }
 
