@@ -10,7 +10,7 @@ Components run xx, yy, zz, yz, xz, xy everywhere; tension is positive.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
+SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a node
 QUADRATIC_TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 29  #: VTK's numbers of cells
 #: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
 #: the sides across x, y and z, and of the whole
@@ -178,20 +179,25 @@ class Field:
 def unfolded(
     boxes: Boxes, mirrors: Sequence[Mirror], parts: Sequence[tuple[Parity, FloatArray]], material: Sequence[Material]
 ) -> Field:
-    """The field of a whole body from displacements (n, 3) of a grid of its part above the planes, by parity."""
-    lines, region = list(boxes.lines), boxes.region.reshape(boxes.shape)
-    lattices = [(parity, u.reshape(*[boxes.order * n + 1 for n in boxes.shape], 3)) for parity, u in parts]
+    """The field of a whole body from displacements (n, 3) of its part above the planes, by parity.
+
+    Nodes in one place become one.
+    """
+    low, high, region, k = boxes.low, boxes.high, boxes.region, boxes.order + 1
+    nodes, moved = boxes.nodes.reshape(-1, k, k, k), list(parts)
     for mirror in mirrors:
-        axis = mirror.axis
-        lines[axis] = np.concatenate([2 * mirror.position_mm - lines[axis][:0:-1], lines[axis]])
-        region = np.concatenate([np.flip(region, axis), region], axis)
-        for number, (parity, lattice) in enumerate(lattices):
-            below = np.flip(lattice, axis).take(np.arange(lattice.shape[axis] - 1), axis)
-            signs = np.array([sign(component, axis, parity) for component in range(3)])
-            lattices[number] = parity, np.concatenate([below * signs, lattice], axis)
-    whole = Boxes.between(lines, boxes.order, boxes.lean, region)
-    u = np.sum([lattice for _, lattice in lattices], axis=0).reshape(-1, 3)
-    return Field(mesh=whole, displacement_mm=u, material=material)
+        d, plane = mirror.axis, 2 * mirror.position_mm
+        image_low, image_high = low.copy(), high.copy()
+        image_low[:, d], image_high[:, d] = plane - high[:, d], plane - low[:, d]
+        low, high = np.vstack([low, image_low]), np.vstack([high, image_high])
+        nodes, region = np.concatenate([nodes, np.flip(nodes, d + 1) + nodes.max() + 1]), np.tile(region, 2)
+        signs = [np.array([sign(component, d, parity) for component in range(3)]) for parity, _ in moved]
+        moved = [(parity, np.vstack([u, own * u])) for (parity, u), own in zip(moved, signs, strict=True)]
+    copies = replace(boxes, low=low, high=high, region=region, nodes=nodes.reshape(len(low), -1), constraint=None)
+    places = np.round(copies.points_mm / (SAME_PLACE * np.ptp(copies.points_mm, axis=0).max()))
+    _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    whole = replace(copies, nodes=number.reshape(-1)[copies.nodes])
+    return Field(mesh=whole, displacement_mm=np.sum([u for _, u in moved], axis=0)[first], material=material)
 
 
 def _lattice(places: FloatArray) -> FloatArray:

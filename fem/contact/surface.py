@@ -19,6 +19,7 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
+from fem.array.interior import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL
 from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -31,8 +32,6 @@ VERSION = 2  #: raise when the same design gives another compliance, so that cac
 TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
-GRID_LEVEL, GRID_DEGREE = 2, 6  #: of a cell of one rubber, and its ports; 3 and 8 change forces at a rim by 0.2 %
-MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
 PAD = 0.8  #: of the pitch: pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side

@@ -16,7 +16,6 @@ from fem.factor import Factor, checked_solve
 from fem.field import Field, unfolded
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
-from fem.methods.box_field import picture_boxes
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
@@ -90,10 +89,14 @@ class SplitBoxes:
         )
 
     def _field(self, boxes: Boxes, parity: Parity, u: FloatArray) -> Field:
-        """Displacement of the whole body on the boxes of pictures."""
-        grid, materials = picture_boxes(self.scene, self.plan), [self.scene.material]
-        materials += [rubber for _, rubber in self.plan.regions]
-        return unfolded(grid, self.plan.mirrors, [(parity, boxes.at(grid.points_mm) @ u)], materials)
+        """Displacement of the whole body on quadratic boxes, eight to each of the solution's."""
+        side, corners = boxes.size / 2, np.indices((2, 2, 2)).reshape(3, -1).T
+        low = (boxes.low[:, None] + corners * side[:, None]).reshape(-1, 3)
+        nodes, region = np.arange(27 * len(low)).reshape(-1, 27), np.repeat(boxes.region, 8)
+        high = low + np.repeat(side, 8, axis=0)
+        halves = Boxes(low=low, high=high, order=2, nodes=nodes, region=region, lean=boxes.lean)
+        materials = [self.scene.material, *(rubber for _, rubber in self.plan.regions)]
+        return unfolded(halves, self.plan.mirrors, [(parity, boxes.at(halves.points_mm) @ u)], materials)
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
         self.mesh.split(marked(indicators, float(np.clip((1 - 1 / excess) / TAKEN, *SHARES))))

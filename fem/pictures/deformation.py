@@ -101,9 +101,8 @@ class DeformedPicture:
         points = {name: filled_points(parts, scale) for name, parts in panels.items()}
         stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
-        self.aspect = min(
-            look(pv.Camera(), at, camera, 1.0) for at in seen.values()
-        )  #: width over height of one picture
+        #: width over height of one picture
+        self.aspect = min(look(pv.Camera(), at, camera, 1.0) for at in seen.values())
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
