@@ -179,7 +179,7 @@ def _alike(ties: Sequence[_Tied]) -> list[tuple[IntArray, _Tied]]:
 
 
 def _pairs(number: IntArray, blocks: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows and columns of `_Tied.products` of elements: blocks that nodes are (g, n), and those of the others (g, q)."""
+    """Rows and columns of `_Tied.products` of elements: blocks that nodes are (g, n), and those of others (g, q)."""
     of_parts = ((number, number), (blocks, number), (number, blocks), (blocks, blocks))
     pairs = [np.broadcast_arrays(rows[:, :, None], cols[:, None]) for rows, cols in of_parts]
     rows, cols = (np.hstack([side.reshape(len(number), -1) for side in sides]) for sides in zip(*pairs, strict=True))

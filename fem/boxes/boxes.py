@@ -6,7 +6,7 @@ nodes, dependent ones included: `at`, `slopes` and `integrals` are sparse rows o
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -90,16 +90,38 @@ class Boxes:
         out[:2, 2] = self.lean
         return out
 
+    def hung(self, owner: IntArray) -> "Boxes":
+        """The same with nodes that take what the functions of a larger box give there; `owner` (n,), −1 for none."""
+        hanging = np.flatnonzero(owner >= 0)
+        if not len(hanging):
+            return self
+        box = owner[hanging]
+        local = 2 * (self._places[hanging] - self.low[box]) / self.size[box] - 1
+        values = cube_functions(self.order, local)
+        values[np.abs(values) < 1e-14] = 0.0  # what is zero but for rounding would couple distant nodes
+        rows = sp.csr_matrix((np.ones(len(hanging)), (hanging, range(len(hanging)))), shape=(len(owner), len(hanging)))
+        direct = (sp.diags(1.0 * (owner < 0)) + rows @ self._rows(box, values)).tocsr()
+        direct.eliminate_zeros()
+        constraint = direct
+        while (owner[constraint.indices] >= 0).any():  # a larger face may itself hang on a yet larger one
+            constraint = constraint @ direct
+        return replace(self, constraint=constraint)
+
     @cached_property
     def points_mm(self) -> FloatArray:
         """Positions of the nodes, (n, 3) [mm]."""
+        return self._places @ self.shear.T
+
+    @cached_property
+    def _places(self) -> FloatArray:
+        """The same before they are sheared."""
         share = (lobatto_points(self.order) + 1) / 2
         local = share[np.indices((self.order + 1,) * 3).reshape(3, -1).T]
         points = np.empty((self.n_nodes, 3))
         points[self.nodes] = self.low[:, None] + local * self.size[:, None]
         ends = local == 1  # exact on the highest faces: clamps, mirrors and plates are found by position
         points[self.nodes] = np.where(ends, self.high[:, None], points[self.nodes])
-        return points @ self.shear.T
+        return points
 
     def located(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
         """The box that holds each of points (k, 3), (k,), and where in it, (k, 3) in −1..1.

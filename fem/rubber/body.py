@@ -30,6 +30,7 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 CHUNK_VALUES = 1_500_000  #: numbers in the stiffness matrices that are computed at a time: their products stay in cache
+AT_ONCE = 8  #: elements whose insides are eliminated, likewise
 PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))  #: components of a symmetric tensor
 
 
@@ -292,17 +293,16 @@ class RubberBody:
             del known[kind]
         first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
         new = np.array(list(first.values()), dtype=np.int64)
-        step = max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
-        for elements in np.array_split(new, 1 + len(new) // step) if len(new) else []:
+        for elements in np.array_split(new, np.arange(AT_ONCE, len(new), AT_ONCE)) if len(new) else []:
             K = self.rest_stiffness(elements)
-            parts = [
-                K[:, rows][:, :, cols].swapaxes(2, 3).reshape(len(K), 3 * len(rows), 3 * len(cols))
-                for rows, cols in ((surface, surface), (inside, surface), (inside, inside))
-            ]
-            inner = np.linalg.solve(parts[2], parts[1])
-            outer = (parts[0] - parts[1].swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
-            for element, own, recovered in zip(elements, outer.swapaxes(2, 3), inner, strict=True):
-                known[self._kinds[element]] = Condensed(np.ascontiguousarray(own), -recovered)
+            inside_rows = (K[:, inside[:, None], own].swapaxes(2, 3) for own in (inside, surface))
+            within, beside = (rows.reshape(len(K), 3 * len(inside), -1) for rows in inside_rows)
+            inner = np.linalg.solve(within, beside)
+            outer = K[:, surface[:, None], surface]
+            taken = (beside.swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
+            outer -= taken.swapaxes(2, 3)
+            for element, own, recovered in zip(elements, outer, inner, strict=True):
+                known[self._kinds[element]] = Condensed(own.copy(), -recovered)
         return known
 
     def filled(self, u: FloatArray) -> FloatArray:
