@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lagrange import cube_functions, cube_slopes
 from fem.mirrors import Mirror, Parity, sign
-from fem.tetrahedra.elements import Elements, shape_gradients
+from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray
@@ -29,17 +28,6 @@ from geometry.layout import FloatArray
 IntArray = NDArray[np.int64]
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
 SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a node
-QUADRATIC_TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 29  #: VTK's numbers of cells
-#: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
-#: the sides across x, y and z, and of the whole
-VTK_PLACES = np.array(
-    [
-        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
-        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
-        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
-        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
-    ]
-)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,92 +37,56 @@ class Field:
     mesh: Boxes | Elements
     displacement_mm: FloatArray  #: at the nodes, (n, 3) or (n, 3, c)
     material: Sequence[Material]  #: of each region: 0 for the body, above for what is in it
-    loaded_mm: Sequence[FloatArray] = ()  #: rectangles of the top face, at whose edges the stress of boxes may jump
+    loaded_mm: Sequence[FloatArray] = ()  #: rectangles of the top face, at whose edges stress may jump
 
     @property
     def points_mm(self) -> FloatArray:
         """The nodes at rest, (n, 3)."""
         return self.mesh.points_mm
 
-    @property
-    def cells(self) -> IntArray:
-        """Nodes of the elements in VTK's order, (m, 10 or 27); that of tetrahedra is scikit-fem's, too."""
-        return self.mesh.nodes[:, VTK_PLACES @ (9, 3, 1)] if isinstance(self.mesh, Boxes) else self.mesh.nodes
-
-    @property
-    def cell_type(self) -> int:
-        """VTK's number of the elements' kind."""
-        return TRIQUADRATIC_HEXAHEDRON if isinstance(self.mesh, Boxes) else QUADRATIC_TETRAHEDRON
-
     def displacement_at(self, points_mm: FloatArray, region: int | None = None) -> FloatArray:
         """Displacement at points (k, 3) of the body, or of one of its regions: (k, 3) or (k, 3, c) [mm]."""
-        if isinstance(self.mesh, Boxes):
-            rows = self.mesh.at(points_mm)
-        else:
-            rows = self.mesh.interpolation(*self.mesh.places(points_mm, region))
         u = self.displacement_mm
-        return np.asarray(rows @ u.reshape(len(u), -1)).reshape(len(points_mm), *u.shape[1:])
+        return np.asarray(self.mesh.at(points_mm, region) @ u.reshape(len(u), -1)).reshape(-1, *u.shape[1:])
 
     def slopes(self, points_mm: FloatArray) -> list[sp.csr_matrix]:
         """Matrices (k, n) that take nodal values to derivatives along x, y and z at points (k, 3) [1/mm]."""
-        if isinstance(self.mesh, Boxes):
-            rows, k = self.mesh.slopes(points_mm), len(points_mm)
-            return [rows[axis * k : (axis + 1) * k] for axis in range(3)]
-        found, local = self.mesh.places(points_mm)
-        slopes = shape_gradients(self.mesh.element, local.T) @ self.mesh.inverse_jacobian[found]
-        return _rows(slopes[:, None], self.mesh.nodes[found], len(self.points_mm))
+        rows, k = self.mesh.slopes(points_mm), len(points_mm)
+        return [rows[axis * k : (axis + 1) * k] for axis in range(3)]
 
     def stress_at(self, points_mm: FloatArray, region: int | None = None) -> FloatArray:
-        """Stress at points (k, 3), shape (k, 6) or (k, 6, c) [MPa].
-
-        On an interface that of `region`, if it is given; boxes of several regions may be asked for inner points only.
-        """
-        if isinstance(self.mesh, Boxes):
-            element, local = self.mesh.located(points_mm)
-        else:
-            element, local = self.mesh.places(points_mm, region)
+        """Stress at points (k, 3), on an interface that of `region`, shape (k, 6) or (k, 6, c) [MPa]."""
+        element, local = self.mesh.located(points_mm, region)
         stress = self.corner_stress[self.corners[element]]
-        return np.einsum("pa,pa...->p...", self._linear(local), stress, optimize=True)
+        return np.einsum("pa,pa...->p...", self.mesh.linear(local), stress, optimize=True)
 
     def nodal_stress(self, elements: NDArray[np.bool_]) -> FloatArray:
-        """Stress at the nodes of some elements, in the order of `cells`, shape (k, 10 or 27, 6) [MPa]."""
-        local = VTK_PLACES - 1.0 if isinstance(self.mesh, Boxes) else self.mesh.element.doflocs
-        return np.einsum("av,ev...->ea...", self._linear(local), self.corner_stress[self.corners[elements]])
-
-    def _linear(self, local: FloatArray) -> FloatArray:
-        """Linear functions of the corners at places in an element, (k, 4 or 8)."""
-        if isinstance(self.mesh, Boxes):
-            return cube_functions(1, local)
-        return np.column_stack([1 - local.sum(axis=1), local])
+        """Stress at the nodes of some elements, in the order of `mesh.cells`, shape (k, 10 or 27, 6) [MPa]."""
+        stress = self.corner_stress[self.corners[elements]]
+        return np.einsum("av,ev...->ea...", self.mesh.linear(self.mesh.cell_places), stress)
 
     @cached_property
     def corners(self) -> IntArray:
         """Number of each element's corners, (m, 4 or 8): elements of one region share it at a point.
 
-        On the top those of boxes under a load do not share it with those beside it: traction jumps at the load's edge.
+        On the top those under a load do not share it with those beside it: traction jumps at the load's edge.
         """
-        mesh = self.mesh
-        if not isinstance(mesh, Boxes):
-            keys = mesh.corners * len(self.material) + mesh.region[:, None]
-        else:
-            p = mesh.order
-            nodes = mesh.nodes.reshape(-1, p + 1, p + 1, p + 1)[:, ::p, ::p, ::p].reshape(-1, 8)
-            middle = mesh.points_mm[nodes].mean(axis=1)[:, None, :2]
-            loaded = np.reshape(self.loaded_mm, (-1, 4))
-            under = ((middle > loaded[:, :2]) & (middle < loaded[:, 2:])).all(axis=2) @ np.arange(1, len(loaded) + 1)
-            jumps = under[:, None] * (mesh.points_mm[nodes, 2] == mesh.height_mm)
-            keys = (nodes + jumps * mesh.n_nodes) * len(self.material) + mesh.region[:, None]
+        nodes, points = self.mesh.corners, self.points_mm[self.mesh.corners]
+        middle, loaded = points.mean(axis=1)[:, None, :2], np.reshape(self.loaded_mm, (-1, 4))
+        under = ((middle > loaded[:, :2]) & (middle < loaded[:, 2:])).all(axis=2) @ np.arange(1, len(loaded) + 1)
+        jumps = under[:, None] * (points[:, :, 2] == points[:, :, 2].max())
+        keys = (nodes + jumps * len(self.points_mm)) * len(self.material) + self.mesh.region[:, None]
         _, numbers = np.unique(keys, return_inverse=True)
         return numbers.reshape(keys.shape)
 
     @cached_property
     def corner_stress(self) -> FloatArray:
         """Stress at the corners, (n_corners, 6) or (n_corners, 6, c) [MPa]."""
-        volumes = self.mesh.size.prod(axis=1) if isinstance(self.mesh, Boxes) else self.mesh.volumes_mm3
-        average = self._summed @ sp.diags_array(np.repeat(volumes, self.corners.shape[1]))
+        average = self._summed @ sp.diags_array(np.repeat(self.mesh.volumes_mm3, self.corners.shape[1]))
         average = sp.diags_array(1 / np.asarray(average.sum(axis=1)).ravel()) @ average
         u = self.displacement_mm.reshape(len(self.displacement_mm), 3, -1)
-        H = np.stack([(average @ rows @ u.reshape(len(u), -1)).reshape(-1, *u.shape[1:]) for rows in self._slopes], 2)
+        slopes = [average @ rows for rows in self.mesh.corner_slopes()]
+        H = np.stack([(rows @ u.reshape(len(u), -1)).reshape(-1, *u.shape[1:]) for rows in slopes], axis=2)
         lame, mu = self._lame
         stress = np.stack([mu[:, None] * (H[:, i, j] + H[:, j, i]) for i, j in COMPONENTS], axis=1)
         if isinstance(self.mesh, Boxes):
@@ -148,7 +100,8 @@ class Field:
         assert isinstance(self.mesh, Elements)
         mass = self._summed @ sp.kron(sp.diags_array(self.mesh.volumes_mm3), (1 + np.eye(4)) / 20, format="csr")
         weighed = mass @ self._summed.T @ sp.diags_array(1 / self._lame[0])  # λ is one wherever a number is shared
-        return splu(sp.csc_matrix(weighed)).solve(sum(mass @ rows @ u[:, i] for i, rows in enumerate(self._slopes)))
+        volume = sum(mass @ rows @ u[:, i] for i, rows in enumerate(self.mesh.corner_slopes()))
+        return splu(sp.csc_matrix(weighed)).solve(volume)
 
     @cached_property
     def _summed(self) -> sp.csr_matrix:
@@ -161,19 +114,6 @@ class Field:
         region = np.empty(int(self.corners.max()) + 1, np.int64)
         region[self.corners] = self.mesh.region[:, None]
         return lame_of_regions(self.material, region, 0.0 if isinstance(self.mesh, Boxes) else MIN_POISSON)
-
-    @property
-    def _slopes(self) -> list[sp.csr_matrix]:
-        """Linear part of derivatives along x, y and z at elements' corners, from nodal values, (m·n_of_element, n)."""
-        mesh = self.mesh
-        if isinstance(mesh, Boxes):
-            gauss, corners = _lattice(np.array([-1.0, 1.0]) / np.sqrt(3)), _lattice(np.array([-1.0, 1.0]))
-            fitted = (1 + 3 * corners @ gauss.T) / 8  # values at Gauss points to those of a linear function at corners
-            along = (fitted @ cube_slopes(mesh.order, gauss))[:, None] * (2 / mesh.size).T[:, :, None, None]
-            slopes = np.tensordot(along, np.linalg.inv(mesh.shear), (0, 0))
-        else:
-            slopes = shape_gradients(mesh.element, mesh.element.doflocs[:4].T) @ mesh.inverse_jacobian[:, None]
-        return _rows(slopes, mesh.nodes, len(self.points_mm))
 
 
 def unfolded(
@@ -198,18 +138,6 @@ def unfolded(
     _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
     whole = replace(copies, nodes=number.reshape(-1)[copies.nodes])
     return Field(mesh=whole, displacement_mm=np.sum([u for _, u in moved], axis=0)[first], material=material)
-
-
-def _lattice(places: FloatArray) -> FloatArray:
-    """Crossings of places along three axes, z fastest, (k³, 3)."""
-    return np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def _rows(values: FloatArray, nodes: IntArray, n_nodes: int) -> list[sp.csr_matrix]:
-    """Sparse rows (m·r, n_nodes) along x, y and z of values (m, r, k, 3) at nodes (m, k)."""
-    m, r, k, _ = values.shape
-    rows, columns = np.repeat(np.arange(m * r), k), np.repeat(nodes, r, axis=0).ravel()
-    return [sp.csr_matrix((values[..., i].ravel(), (rows, columns)), shape=(m * r, n_nodes)) for i in range(3)]
 
 
 def von_mises(stress_mpa: FloatArray) -> FloatArray:

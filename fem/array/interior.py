@@ -67,5 +67,6 @@ def design_interior(
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
     moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
-    field = Field(mesh=elements, displacement_mm=moved, material=material, loaded_mm=[*rectangles_mm])
+    loaded = [*rectangles_mm] if isinstance(elements, Boxes) else []  # tetrahedra have no edges along those of loads
+    field = Field(mesh=elements, displacement_mm=moved, material=material, loaded_mm=loaded)
     return CellInterior(cell=cell, field=field)

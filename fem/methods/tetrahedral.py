@@ -195,7 +195,7 @@ def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
         rows["mean"] = list(sp.csr_matrix(sp.diags_array(1 / areas) @ patch_integrals(basis, rectangles)))
     if len(points):
         elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
-        rows["point"] = list(elements.interpolation(*elements.places(points)))
+        rows["point"] = list(elements.at(points))
     return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
 
 

@@ -31,6 +31,7 @@ from geometry.prism import Prism, unit_prisms
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
 ACROSS = 12  #: squares along a pad's side
+INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at its edge
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
@@ -173,8 +174,9 @@ def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool)
     forces = state.force_n.reshape(array.design.n_units, -1, 3)
     for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
         units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
-        corner, (a, b) = np.array([x0, y0, array.design.unit.height_mm]), np.diag([x1 - x0, y1 - y0, 0.0])[:2]
-        surface = sheet(corner, a, b, ACROSS, ACROSS)
+        a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
+        corner = np.array([x0, y0, array.design.unit.height_mm]) + INSIDE / 2 * (a + b)
+        surface = sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, ACROSS, ACROSS)
         traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
         part = _on_units(array, state, surface, stress, units=units)
         parts.append(replace(part, traction_mpa=np.repeat(traction, ACROSS**2, axis=0)))
@@ -246,7 +248,7 @@ def _loaded_array(
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
     field = finite_field(scene)
-    body = _part(field, np.ones(len(field.cells), dtype=bool), stress=False)
+    body = _part(field, np.ones(len(field.mesh.cells), dtype=bool), stress=False)
     if not scene.inclusions:
         return {"body": body}
     points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
@@ -257,7 +259,7 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
 
 def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
     """Some elements of a field; those of several regions share no points, since stress may jump between them."""
-    keys = field.cells[own] * len(field.material) + field.mesh.region[own, None]
+    keys = field.mesh.cells[own] * len(field.material) + field.mesh.region[own, None]
     used, cells = np.unique(keys, return_inverse=True)
     nodes, found = used // len(field.material), None
     if stress:
@@ -266,7 +268,7 @@ def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
     return Part(
         points_mm=field.points_mm[nodes],
         cells=cells.reshape(keys.shape),
-        cell_type=field.cell_type,
+        cell_type=field.mesh.cell_type,
         displacement_mm=field.displacement_mm[nodes],
         stress_mpa=found,
     )

@@ -105,7 +105,7 @@ def write_field(field: "Field", path: Path) -> None:
     """Write the displacement of the whole body as VTU, whole or not at all."""
     import pyvista as pv
 
-    grid = pv.UnstructuredGrid({pv.CellType(field.cell_type): field.cells}, field.points_mm)
+    grid = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
     grid.point_data["displacement_mm"] = field.displacement_mm
     grid.cell_data["region"] = field.mesh.region
     write_bytes(path, vtk_content(grid))

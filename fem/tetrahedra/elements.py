@@ -23,6 +23,7 @@ class Elements:
     points_mm: FloatArray  #: (n, 3), positions of the nodes
     nodes: NDArray[np.int64]  #: (m, k), numbers of the nodes
     region: NDArray[np.int64]  #: (m,)
+    cell_type = 24  #: VTK's number of quadratic tetrahedra
 
     @classmethod
     def of_basis(cls, basis: Basis, region: NDArray[np.int64]) -> "Elements":
@@ -45,7 +46,7 @@ class Elements:
         """Shape (m,)."""
         return 1 / np.abs(np.linalg.det(self.inverse_jacobian)) / 6
 
-    def places(self, points_mm: FloatArray, region: int | None = None) -> tuple[NDArray[np.int64], FloatArray]:
+    def located(self, points_mm: FloatArray, region: int | None = None) -> tuple[NDArray[np.int64], FloatArray]:
         """The element that holds each of the points (k, 3), shape (k,), and where in it, shape (k, 3) in 0..1.
 
         A point in none, or in none of `region` if that is given, goes to the element that it misses by least, and may
@@ -72,12 +73,41 @@ class Elements:
         each = np.arange(len(points_mm))
         return candidates[each, best], local[each, best], inside[each, best]
 
-    def interpolation(self, places: NDArray[np.int64], local: FloatArray) -> sp.csr_matrix:
-        """Rows of shape functions at places of `places`, shape (k, n_nodes)."""
-        values = shape_values(self.element, local.T)
-        rows = np.repeat(np.arange(len(places)), values.shape[1])
-        shape = (len(places), len(self.points_mm))
-        return sp.csr_matrix((values.ravel(), (rows, self.nodes[places].ravel())), shape=shape)
+    def at(self, points_mm: FloatArray, region: int | None = None) -> sp.csr_matrix:
+        """Rows that take nodal values to those at points (k, 3), found as by `located`, shape (k, n)."""
+        found, local = self.located(points_mm, region)
+        return self._rows(found, shape_values(self.element, local.T))
+
+    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
+        found, local = self.located(points_mm)
+        slopes = shape_gradients(self.element, local.T) @ self.inverse_jacobian[found]
+        return sp.vstack([self._rows(found, slopes[..., axis]) for axis in range(3)], format="csr")
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """Nodes as VTK orders them, which is scikit-fem's order, (m, k)."""
+        return self.nodes
+
+    @property
+    def cell_places(self) -> FloatArray:
+        """Where they lie in an element, (k, 3) in 0..1."""
+        return np.asarray(self.element.doflocs, np.float64)
+
+    def linear(self, local: FloatArray) -> FloatArray:
+        """Linear functions of the corners at places (k, 3) in 0..1, shape (k, 4)."""
+        return np.column_stack([1 - local.sum(axis=1), local])
+
+    def corner_slopes(self) -> list[sp.csr_matrix]:
+        """Derivatives along x, y and z at elements' corners, from nodal values, (4 m, n)."""
+        m = len(self.nodes)
+        slopes = shape_gradients(self.element, self.element.doflocs[:4].T) @ self.inverse_jacobian[:, None]
+        return [self._rows(np.repeat(np.arange(m), 4), slopes[..., axis].reshape(4 * m, -1)) for axis in range(3)]
+
+    def _rows(self, found: NDArray[np.int64], values: FloatArray) -> sp.csr_matrix:
+        rows = np.repeat(np.arange(len(found)), values.shape[1])
+        shape = (len(found), len(self.points_mm))
+        return sp.csr_matrix((values.ravel(), (rows, self.nodes[found].ravel())), shape=shape)
 
 
 def shape_values(element: Element, local: FloatArray) -> FloatArray:

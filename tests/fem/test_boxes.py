@@ -160,7 +160,7 @@ def test_the_field_of_the_whole_body_agrees_with_its_probes(traction):
     at = np.flatnonzero(near < 1e-6)
     assert len(at) > 0
     assert np.allclose(field.displacement_mm[at], solution.probes["p"], atol=1e-6)
-    corner, opposite = field.points_mm[field.cells[:, 0]], field.points_mm[field.cells[:, 6]]
+    corner, opposite = field.points_mm[field.mesh.cells[:, 0]], field.points_mm[field.mesh.cells[:, 6]]
     assert np.abs((opposite - corner).prod(axis=1)).sum() == pytest.approx(9000.0, rel=1e-12)
 
 

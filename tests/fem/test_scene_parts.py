@@ -8,8 +8,9 @@ import pyvista as pv
 from skfem import MeshTet
 from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
+from fem.boxes.boxes import VTK_PLACES, Boxes
 from fem.factor import Factor, checked_solve
-from fem.field import TRIQUADRATIC_HEXAHEDRON, VTK_PLACES, Field
+from fem.field import Field
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import pressed_sensor, solve_array_field
@@ -59,17 +60,17 @@ def test_fields_of_every_method_have_their_nodes_in_order(planned):
     """VTK finds the body's volume in the cells, and shape functions at a node give what is known there."""
     scene = replace(BLOCK, tolerance=0.2)
     field = follow(planned(scene), scene, field=True).field
-    cells = pv.UnstructuredGrid({pv.CellType(field.cell_type): field.cells}, field.points_mm)
+    cells = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
     assert cells.compute_cell_sizes()["Volume"].min() > 0
     assert cells.volume == pytest.approx(12 * 12 * 6)
-    some = np.unique(field.cells[::7])
+    some = np.unique(field.mesh.cells[::7])
     assert np.allclose(field.displacement_at(field.points_mm[some]), field.displacement_mm[some], atol=1e-12)
 
 
 def test_hexahedra_have_vtk_s_order_of_nodes():
     """VTK itself says where its nodes lie."""
     cell = vtkGenericCell()
-    cell.SetCellType(TRIQUADRATIC_HEXAHEDRON)
+    cell.SetCellType(Boxes.cell_type)
     places = np.array(cell.GetParametricCoords()[: 3 * cell.GetNumberOfPoints()]).reshape(-1, 3)
     assert np.array_equal(2 * places, VTK_PLACES)
 

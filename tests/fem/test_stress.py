@@ -38,7 +38,7 @@ def fields(disordered_cube, u):
 
 def inner_points(field):
     share = np.random.default_rng(0).uniform(0, 1, (50, 4))
-    own = field.points_mm[field.cells[np.random.default_rng(1).integers(len(field.cells), size=50), :4]]
+    own = field.points_mm[field.mesh.cells[np.random.default_rng(1).integers(len(field.mesh.cells), size=50), :4]]
     return np.einsum("pa,pai->pi", share / share.sum(axis=1)[:, None], own)
 
 
@@ -58,7 +58,7 @@ def test_a_point_far_from_all_centres_is_found_too():
     points = np.array([[99.0, 0.5, 0.0125], [1.0, 0.5, 0.9875]])
     field = Field(mesh=elements, displacement_mm=elements.points_mm, material=[RUBBER])
     assert np.allclose(field.displacement_at(points), points, rtol=0, atol=1e-10)
-    assert (elements.places(points)[1] > -1e-9).all()
+    assert (elements.located(points)[1] > -1e-9).all()
 
 
 def test_uniform_stress_is_exact_in_every_element(disordered_cube):
