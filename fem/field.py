@@ -27,7 +27,7 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
-SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a node
+SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a point
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,10 +134,16 @@ def unfolded(
         signs = [np.array([sign(component, d, parity) for component in range(3)]) for parity, _ in moved]
         moved = [(parity, np.vstack([u, own * u])) for (parity, u), own in zip(moved, signs, strict=True)]
     copies = replace(boxes, low=low, high=high, region=region, nodes=nodes.reshape(len(low), -1), constraint=None)
-    places = np.round(copies.points_mm / (SAME_PLACE * np.ptp(copies.points_mm, axis=0).max()))
-    _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    whole = replace(copies, nodes=number.reshape(-1)[copies.nodes])
+    first, number = same_places(copies.points_mm)
+    whole = replace(copies, nodes=number[copies.nodes])
     return Field(mesh=whole, displacement_mm=np.sum([u for _, u in moved], axis=0)[first], material=material)
+
+
+def same_places(points_mm: FloatArray) -> tuple[IntArray, IntArray]:
+    """The first of points (n, 3) in each place, and for all of them the number of their place, (n,)."""
+    places = np.round(points_mm / (SAME_PLACE * np.ptp(points_mm, axis=0).max()))
+    _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
 
 
 def von_mises(stress_mpa: FloatArray) -> FloatArray:

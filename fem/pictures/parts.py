@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fem.array.meshed import cell_lines
 from fem.boxes.boxes import Boxes
-from fem.field import Field
+from fem.field import Field, same_places
 from fem.methods.box_field import picture_field
 from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import make_plan
@@ -35,7 +35,6 @@ INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
-SAME_PLACE = 1e-9  #: of the body's size: how far apart rounding may put copies of a point
 QUADRILATERAL, HEXAHEDRON = 9, 12  #: VTK's numbers of cells
 VTK_CORNERS = [0, 4, 6, 2, 1, 5, 7, 3]  #: of a box's, z fastest
 
@@ -189,9 +188,8 @@ def _joined(parts: list[Part], shared: bool = False) -> Part:
     given = [name for name in ("displacement_mm", "stress_mpa", "traction_mpa") if getattr(parts[0], name) is not None]
     values = {name: np.vstack([getattr(part, name) for part in parts]) for name in given}
     if shared:
-        places = np.round(points / (SAME_PLACE * np.ptp(points, axis=0).max()))
-        _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
-        points, cells = points[first], number.reshape(-1)[cells]
+        first, number = same_places(points)
+        points, cells = points[first], number[cells]
         values = {name: found[first] for name, found in values.items()}
     return Part(points_mm=points, cells=cells, cell_type=parts[0].cell_type, **values)
 
