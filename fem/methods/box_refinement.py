@@ -36,6 +36,7 @@ NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the she
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
 SHARES = 0.3, 0.7  #: least and greatest share of the indicators' sum that is split at once
 TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
+AIM = 0.85  #: share of the tolerance at which splitting aims: what it takes varies
 MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
 
 
@@ -77,7 +78,7 @@ class SplitBoxes:
         weights = unit_loads(probes)
         duals, _ = checked_solve(factor, system.unit_loads(weights, scene.probes))
         found = surplus(body, u, system.displaced(duals))
-        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes))))
+        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes)), len(boxes.nodes)))
         watch.spent("solve")
         return MeshAnswer(
             probes=probes,
@@ -99,7 +100,7 @@ class SplitBoxes:
         return unfolded(halves, self.plan.mirrors, [(parity, boxes.at(halves.points_mm) @ u)], materials)
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh.split(marked(indicators, float(np.clip((1 - 1 / excess) / TAKEN, *SHARES))))
+        self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
 
     def error(self) -> float:
         return float(estimated_errors(self.history).max())
