@@ -19,7 +19,9 @@ from geometry.layout import FloatArray
 
 MAX_PROBES = 20  #: that have unit loads of their own; of more, `N_SUMS` sums with random signs
 N_SUMS = 24
-PRESSURE_WEIGHT = 0.05  #: of pressures beside shear strains; with 0.25 meshes of ν near 0.5 had 10 to 20 % more unknowns
+PRESSURE_WEIGHT = (
+    0.05  #: of pressures beside shear strains; with 0.25 meshes of ν near 0.5 had 10 to 20 % more unknowns
+)
 SAFETY = 2.5  #: factor on the ratio of error to η that changes have shown
 LARGEST_RATIO = 1.5  #: taken where no change has shown it, and the most that is believed
 SMALLEST_RATIO, EARLY_RATIO = 0.3, 1.2  #: the least, and that of the first two meshes and of few boxes

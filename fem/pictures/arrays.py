@@ -18,9 +18,8 @@ from fem.array.meshed import lone_unit, pad_plate
 from fem.field import Field
 from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite
-from fem.methods.cell_scene import forces_on_cells
 from fem.methods.plan import make_plan
-from fem.scene.loads import FollowerLoad, Load, Rectangle, SceneError, StiffLoad
+from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -201,25 +200,6 @@ def finite_field(scene: Scene) -> Field:
     found = solve_finite(coarse, None, make_plan(coarse).mirrors, with_field=True).field
     assert found is not None  # it was asked for
     return found
-
-
-def finite_array_field(scene: Scene, body: Sensor) -> FiniteArrayField:
-    """Solve a neo-Hookean scene of a unit or an array.
-
-    Raises
-    ------
-    SceneError, UnreachableLoadError
-        If it cannot be solved.
-    """
-    local: dict[Rectangle, int] = {}
-    newtons = forces_on_cells(scene, body, local)
-    return FiniteArrayField(
-        design=body.design,
-        rectangles_mm=np.array(list(local)) if local else pad_squares(lone_unit(body.design)),
-        force_n=newtons.reshape(len(newtons), -1),
-        has_plates=bool(scene.stiff_loads),
-        field=finite_field(scene),
-    )
 
 
 def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_mm: FloatArray) -> FiniteArrayField:

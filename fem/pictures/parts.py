@@ -7,7 +7,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from fem.array.meshed import cell_lines
+from fem.array.meshed import cell_lines, lone_unit
 from fem.boxes.boxes import Boxes
 from fem.field import Field, same_places
 from fem.methods.box_field import picture_field
@@ -18,7 +18,6 @@ from fem.pictures.arrays import (
     ArrayField,
     FieldState,
     FiniteArrayField,
-    finite_array_field,
     finite_field,
     no_stress,
     solve_array_field,
@@ -26,7 +25,7 @@ from fem.pictures.arrays import (
 from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from geometry.design import Unit
-from geometry.layout import FloatArray, electrode_centres, unit_centres
+from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
 from geometry.prism import Prism, unit_prisms
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
@@ -229,18 +228,25 @@ def _loaded_array(
     scene: Scene, body: Sensor, progress: Callable[[str], None]
 ) -> tuple[ArrayField | FiniteArrayField, FieldState]:
     """A scene's unit or array: by superposition on one cell, or at finite strain."""
-    if not scene.is_linear:
-        progress("solve")
-        pressed = finite_array_field(scene, body)
-        return pressed, pressed.state
     local: dict[Rectangle, int] = {}
     newtons = forces_on_cells(scene, body, local)
-    if not local:  # unloaded: its pads are shown instead
+    force_n, rectangles = newtons.reshape(len(newtons), -1), np.array(list(local)) if local else None
+    if not scene.is_linear:
+        progress("solve")
+        pads = pad_squares(lone_unit(body.design)) if rectangles is None else rectangles
+        pressed = FiniteArrayField(
+            design=body.design,
+            rectangles_mm=pads,
+            force_n=force_n,
+            has_plates=bool(scene.stiff_loads),
+            field=finite_field(scene),
+        )
+        return pressed, pressed.state
+    if rectangles is None:  # unloaded: its pads are shown instead
         array = solve_array_field(body.design, progress)
         return array, array.under(np.zeros((body.design.n_units, 3)))
-    rectangles = None if scene.stiff_loads else np.array(list(local))
-    array = solve_array_field(design_of_cells(scene, body), progress, rectangles)
-    return array, array.under(newtons.reshape(len(newtons), -1))
+    array = solve_array_field(design_of_cells(scene, body), progress, None if scene.stiff_loads else rectangles)
+    return array, array.under(force_n)
 
 
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
