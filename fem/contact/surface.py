@@ -17,11 +17,11 @@ import scipy.sparse as sp
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
+from fem.array.meshed import DesignCell, TetCell, lone_unit
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
-from geometry.mesh import sensor_mesh, suited_settings
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
@@ -30,7 +30,7 @@ TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
 GRID_LEVEL, GRID_DEGREE = 2, 6  #: of a cell of one rubber, and its ports; 3 and 8 change forces at a rim by 0.2 %
-MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
+MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
 PAD = 0.8  #: of the pitch: pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
@@ -143,12 +143,12 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     size = pitch / tiles
     rectangles = np.vstack([np.stack([x0, y0, x0 + size, y0 + size], axis=1), electrode_squares(alone)])
     if design.is_homogeneous:
-        cell, _ = condensed_cell(design, GRID_LEVEL, GRID_DEGREE, rectangles)
+        cell = DesignCell(design, rectangles).condensed(GRID_LEVEL, GRID_DEGREE)
         return cell, cell
-    mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
-    own, _ = condensed_cell(design, MESH_LEVEL, MESH_DEGREE, rectangles)
-    matrix = replace(alone, pillar_material=design.matrix_material)
-    return own, condense(TetCell(elastic_body(matrix, mesh)), own.ports, rectangles)
+    source = DesignCell(design, rectangles)
+    own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
+    matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
+    return own, condense(TetCell(matrix), own.ports, rectangles)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:

@@ -16,7 +16,7 @@ from fem.boxes.boxes import Boxes
 from fem.boxes.lattice import lattice_boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
-from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.adaptive import solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
 from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
@@ -24,7 +24,7 @@ from fem.mirrors import Parity, images, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import Field, Solution, Stopwatch
+from fem.scene.solution import Field, MeshAnswer, Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 
