@@ -6,18 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
-from fem.array.meshed import BoxCell, TetCell, cell_lines, elastic_body, lone_unit
+from fem.array.meshed import BoxCell, DesignCell, TetCell, cell_lines
 from fem.boxes.boxes import Boxes
 from fem.field import Field
 from fem.tetrahedra.elements import Elements
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.mesh import sensor_mesh, suited_settings
 
 #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time); with
 #: degree 8 it changes a contact's forces at a rim by 0.2 %
 GRID_LEVEL, GRID_DEGREE = 2, 6
-MESH_LEVEL, MESH_DEGREE = 1.0, 5  #: of a cell with pillars of another rubber
+MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,11 +57,11 @@ def design_interior(
         elements = body.system.body.boxes
     else:
         progress("mesh")
-        alone = lone_unit(design)
-        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
+        source = DesignCell(design, rectangles_mm, plate)
+        tetrahedra = source.tetrahedra(MESH_LEVEL)
         progress("cell")
-        body, degree = TetCell(elastic_body(alone, mesh), plate), MESH_DEGREE
-        elements = Elements.of_basis(body.body.basis, mesh.region.astype(np.int64))
+        body, degree = TetCell(tetrahedra, plate), MESH_DEGREE
+        elements = Elements.of_basis(tetrahedra.basis, tetrahedra.region)
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)

@@ -4,28 +4,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from skfem import MeshTet
 
 from fem.array.cell import CellBody, CondensedCell, PortModes, condense
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
+from fem.levels import richardson_factor
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
 from fem.rubber.law import LAWS
-from fem.scene.loads import StiffLoad
+from fem.scene.loads import DeadLoad, Load, StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
+from fem.scene.solution import Stopwatch
 from fem.system import System
-from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+from fem.tetrahedra.adapted import AdaptedTetrahedra
+from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.patch import patch_integrals
 from fem.tetrahedra.plate import Plate, tied
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
-from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 
 
 class Weights(NamedTuple):
@@ -40,6 +42,12 @@ class Weights(NamedTuple):
 
 #: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
 WEIGHTS = {"soft": Weights(1.0, 2.5, 0.3, 0.5, 0.6), "stiff": Weights(2.0, 2.0, 0.0, 0.2, 0.7)}
+
+
+PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
+#: slowest convergence of boxes as level^(−rate), 2.5 to 4 being measured (pads of 8 to 14 mm, pitches of 12 to 20 mm,
+#: ν from 0.3 to 0.499, heights of 6 to 14 mm), and of tetrahedra as unknowns^(−rate), 0.9 to 1.6 being measured
+BOX_RATE, MESH_RATE = 2.5, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,30 +215,76 @@ def mirrored(lines: FloatArray) -> FloatArray:
     return np.concatenate([-lines[:0:-1], lines])
 
 
-def elastic_body(design: SensorDesign, mesh: TetMesh) -> TaylorHood:
-    """The meshed sensor as a Taylor-Hood body; regions take the matrix's and the pillars' rubber."""
-    skfem_mesh = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    return taylor_hood(skfem_mesh, [design.matrix_material, design.pillar_material], mesh.region)
+class DesignCell:
+    """A design's cell at levels of refinement: boxes where it is of one rubber, else nested meshes of tetrahedra.
 
+    A level of boxes divides their edges. That of tetrahedra counts how often the coarsest mesh was halved where it
+    errs: for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.tetrahedra.adapted`).
 
-def condensed_cell(
-    design: SensorDesign, level: float, degree: int, rectangles: FloatArray, plate: FloatArray | None = None
-) -> tuple[CondensedCell, float]:
-    """A cell at a level of refinement, and the seconds that meshing it took.
-
-    `rectangles` (k, 4) of its top face are loaded or observed; `degree` is that of the port modes; a plate is bonded to
-    a rectangle (4,).
+    Parameters
+    ----------
+    design : SensorDesign
+    rectangles : array, shape (k, 4)
+        What is loaded or observed of the cell's top face.
+    plate : array, shape (4,), optional
+        Rectangle of a plate bonded to it.
     """
-    start = perf_counter()
-    body: CellBody
-    if design.is_homogeneous:
-        mirrors = cell_mirrors(design)
-        body = BoxCell.of(cell_lines(design, int(level), mirrors), [design.matrix_material], plate, mirrors)
-        meshed = 0.0
-    else:
-        alone = lone_unit(design)
-        mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(level))
-        meshed = perf_counter() - start
-        body = TetCell(elastic_body(alone, mesh), plate)
-    ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
-    return condense(body, ports, rectangles), meshed
+
+    def __init__(self, design: SensorDesign, rectangles: FloatArray, plate: FloatArray | None = None) -> None:
+        self.design, self.rectangles, self.plate = design, rectangles, plate
+        self.meshing_s = 0.0  #: by the clock
+        self._bodies: list[TaylorHood] = []
+        self._indicators: list[FloatArray] = []  #: of all meshes but the last
+        self._cells: dict[float, CondensedCell] = {}
+
+    @cached_property
+    def _adapted(self) -> AdaptedTetrahedra:
+        squares = functionals(self.design)
+        load: Load = DeadLoad(**_sides(squares[0]), traction_mpa=PUSH)
+        if self.plate is not None:
+            load = StiffLoad(**_sides(self.plate), force_n=PUSH)
+        probes = tuple(Probe(name=str(k), kind="mean", **_sides(square)) for k, square in enumerate(squares))
+        unit = Sensor(design=self.design, kind="unit")
+        scene = Scene(body=unit, material=self.design.matrix_material, loads=(load,), probes=probes)
+        return AdaptedTetrahedra(scene, scene.regions, self.rectangles)
+
+    def body(self, level: int) -> CellBody:
+        """The cell at a level."""
+        if self.design.is_homogeneous:
+            mirrors = cell_mirrors(self.design)
+            lines = cell_lines(self.design, level, mirrors)
+            return BoxCell.of(lines, [self.design.matrix_material], self.plate, mirrors)
+        return TetCell(self.tetrahedra(level), self.plate)
+
+    def tetrahedra(self, level: int) -> TaylorHood:
+        """The cell's body on the mesh of a level."""
+        start = perf_counter()
+        mesh = self._adapted
+        while len(self._bodies) <= level:
+            if self._bodies:
+                self._indicators.append(mesh.solve(Stopwatch()).indicators)
+                mesh.refine(self._indicators[-1], np.inf)
+            self._bodies.append(mesh.body)
+        self.meshing_s += perf_counter() - start
+        return self._bodies[level]
+
+    def condensed(self, level: int, degree: int) -> CondensedCell:
+        """The cell condensed at a level onto ports of a degree; none is condensed twice."""
+        known = self._cells.get(level)
+        if known is None or known.ports.side < degree:
+            ports = PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree, degree)
+            known = self._cells[level] = condense(self.body(level), ports, self.rectangles)
+        return known.of_degree(degree)
+
+    def error_factor(self, coarse: int, fine: int) -> float:
+        """Error of the finer of two levels over the change between them, at the slowest rate of convergence."""
+        if self.design.is_homogeneous:
+            return richardson_factor(coarse, fine, BOX_RATE)
+        one, other = (self._bodies[level].n_unknowns for level in (coarse, fine))
+        return richardson_factor(one, other, MESH_RATE)
+
+
+def _sides(rectangle: FloatArray) -> dict[str, Any]:
+    """Centre and size of a rectangle (4,)."""
+    x0, y0, x1, y1 = rectangle.tolist()
+    return {"center_mm": ((x0 + x1) / 2, (y0 + y1) / 2), "size_mm": (x1 - x0, y1 - y0)}

@@ -14,14 +14,14 @@ from fem.boxes.boxes import Boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
 from fem.field import Field, unfolded
-from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.adaptive import solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import Solution, Stopwatch
+from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 

@@ -13,7 +13,7 @@ from skfem import Basis, MeshTet
 
 from fem.scene.solution import SMALLEST_SHARE
 from fem.tetrahedra.elements import Elements, shape_gradients
-from fem.tetrahedra.mixed import IntArray, TaylorHood, pressure_dofs
+from fem.tetrahedra.mixed import IntArray, TaylorHood
 from geometry.layout import FloatArray
 
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
@@ -47,9 +47,6 @@ def residuals(
     body: TaylorHood,
     u: FloatArray,
     pressure: FloatArray,
-    region: IntArray,
-    lame_mpa: FloatArray,
-    mu_mpa: FloatArray,
     traction: Traction | None,
     plates: FloatArray | None = None,
 ) -> FloatArray:
@@ -62,8 +59,6 @@ def residuals(
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
         Corner pressures of the mixed form [MPa].
-    region, lame_mpa, mu_mpa : arrays, shape (m,)
-        Region, λ and μ of each element.
     traction : function, optional
         On the top face; None where nothing loads it.
     plates : array, shape (k, 4), optional
@@ -77,7 +72,7 @@ def residuals(
     points, cells = mesh.p.T, mesh.t.T
     gradient, slopes = corner_gradients(body.basis, u)
     divergence = np.trace(gradient, axis1=2, axis2=3)
-    p = pressure[pressure_dofs(mesh, region).T]
+    p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
     for i in range(3):
         stress[..., i, i] += p

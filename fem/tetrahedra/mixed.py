@@ -42,12 +42,17 @@ class TaylorHood:
     """
 
     basis: Basis  #: scikit-fem's, of one component of the displacement
-    corners: IntArray  #: number of the pressure at each corner of each element, (4, m)
+    region: IntArray  #: the rubber of each element, (m,)
     law: Law  #: its λ and μ of shape (m, 1)
 
     @property
     def mesh(self) -> MeshTet:
         return self.basis.mesh
+
+    @cached_property
+    def corners(self) -> IntArray:
+        """Number of the pressure at each corner of each element, (4, m)."""
+        return pressure_dofs(self.mesh, self.region)
 
     @property
     def points_mm(self) -> FloatArray:
@@ -208,7 +213,7 @@ def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) 
     raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
     shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
     law = LAWS[materials[0].model].of(raised, shares)
-    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), pressure_dofs(mesh, region), law)
+    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), region, law)
 
 
 def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:
