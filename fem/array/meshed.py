@@ -14,7 +14,7 @@ from fem.array.cell import CellBody, CondensedCell, PortModes, condense
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
-from fem.levels import richardson_factor
+from fem.levels import SAFETY, richardson_factor
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
 from fem.rubber.law import LAWS
@@ -25,7 +25,7 @@ from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
 from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import Plate, tied
+from fem.tetrahedra.plate import bonded
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
@@ -137,12 +137,8 @@ class TetCell:
     @cached_property
     def _tied(self) -> sp.csr_matrix:
         """Unknowns of the body from those that are left, and the motions of the plate."""
-        plates = []
-        if self.plate is not None:
-            plate = Plate(self.plate, float(self.body.basis.doflocs[2].max()))
-            bonded, motions = plate.followers(self.body.free, self.body.basis.doflocs)
-            plates.append((np.searchsorted(self.body.free, bonded), motions))
-        return tied(self.body.matrix.shape[0], plates)
+        plates = np.empty((0, 4)) if self.plate is None else self.plate[None]
+        return bonded(self.body.n_unknowns, self.body.free, self.points_mm, plates)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
@@ -153,6 +149,8 @@ class TetCell:
         return found
 
     def matrix(self, parity: Parity) -> SparseMatrix:
+        if self.plate is None:
+            return self.body.upper
         return sp.triu(self._tied.T @ self.body.matrix @ self._tied, format="csr")
 
     def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
@@ -277,11 +275,11 @@ class DesignCell:
         return known.of_degree(degree)
 
     def error_factor(self, coarse: int, fine: int) -> float:
-        """Error of the finer of two levels over the change between them, at the slowest rate of convergence."""
+        """Error of the finer of two levels over their change, at the slowest rate; of tetrahedra times `SAFETY`."""
         if self.design.is_homogeneous:
             return richardson_factor(coarse, fine, BOX_RATE)
         one, other = (self._bodies[level].n_unknowns for level in (coarse, fine))
-        return richardson_factor(one, other, MESH_RATE)
+        return SAFETY * richardson_factor(one, other, MESH_RATE)
 
 
 def _sides(rectangle: FloatArray) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from fem.tetrahedra.indicator import (
 )
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import Plate, tied
+from fem.tetrahedra.plate import bonded
 from fem.tetrahedra.scene_mesh import bisected, mesh_scene, prism_of_cells
 from geometry.layout import FloatArray
 
@@ -117,12 +117,9 @@ class AdaptedTetrahedra:
         loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
         forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
         rows = probe_rows(scene, body.basis)
-        plates = []
-        for rectangle in scene.plate_rectangles_mm:
-            bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
-            plates.append((np.searchsorted(body.free, bonded), own))
-        motions = tied(body.n_unknowns, plates)
-        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if plates else body.upper
+        plates = scene.plate_rectangles_mm
+        motions = bonded(body.n_unknowns, body.free, body.points_mm, plates)
+        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if len(plates) else body.upper
         watch.spent("assemble")
         factor = Factor(matrix, upper=True)
         watch.spent("factor")
@@ -142,7 +139,7 @@ class AdaptedTetrahedra:
 
         def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
             pressing = uniform_tractions(rectangles, traction) if len(rectangles) else None
-            return residuals(body, u, p, pressing, scene.plate_rectangles_mm)
+            return residuals(body, u, p, pressing, plates)
 
         of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
         of_duals = [

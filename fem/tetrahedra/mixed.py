@@ -103,6 +103,12 @@ class TaylorHood:
         return np.stack([functions[0].grad for functions in self.basis.basis]).transpose(2, 3, 0, 1)
 
     @cached_property
+    def at_corners(self) -> Basis:
+        """The same functions at the corners of elements, where gradients, which are linear, are known by."""
+        corners = ElementTetP2().doflocs[:4].T
+        return Basis(self.mesh, ElementTetP2(), quadrature=(corners, np.full(4, 1 / 24)))
+
+    @cached_property
     def _of_pressure(self) -> FloatArray:
         """P1 functions at the points of integration, (q, 4)."""
         X = self.basis.quadrature[0]
