@@ -24,6 +24,7 @@ SAFETY = 2.5  #: factor on the ratio of error to η that changes have shown
 LARGEST_RATIO = 1.5  #: taken where no change has shown it, and the most that is believed
 SMALLEST_RATIO, EARLY_RATIO = 0.3, 1.2  #: the least, and that of the first two meshes and of few boxes
 FEW_BOXES = 24
+LEAST_FALL = 0.3  #: of η from mesh to mesh, where changes are compared with it: over less they say little
 
 
 class Indicated(NamedTuple):
@@ -65,9 +66,8 @@ def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
     ratio = np.full(eta.shape[1], LARGEST_RATIO)
     if len(history) > 1:
         changes = np.linalg.norm(np.diff(probes, axis=0), axis=2) / _scale(probes[-1])
-        falls = -np.diff(eta, axis=0)
-        shown = np.full(changes.shape, LARGEST_RATIO)
-        np.divide(changes, falls, out=shown, where=falls > 0)
+        falls = np.maximum(-np.diff(eta, axis=0), LEAST_FALL * eta[:-1])
+        shown = changes / np.where(falls > 0, falls, 1.0)
         least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else SMALLEST_RATIO
         ratio = np.clip(SAFETY * shown.max(axis=0), least, LARGEST_RATIO)
     return ratio * eta[-1]

@@ -26,15 +26,15 @@ from fem.system import System
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
-WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
-MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
+WIDEST = 1.0  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
+MAX_FIRST = 45  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
 ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
 SMALL = 0.2  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
 SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
 NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the shell's
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
-SHARES = 0.3, 0.7  #: least and greatest share of the indicators' sum that is split at once
+SHARES = 0.4, 0.7  #: least and greatest share of the indicators' sum that is split at once
 TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
 AIM = 0.85  #: share of the tolerance at which splitting aims: what it takes varies
 MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
