@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
+from fem.mirrors import Mirror, flipped_points, flipped_rectangles
 from fem.scene.cells import has_alike_plates
 from fem.scene.checks import SceneError
 from fem.scene.loads import Rectangle
@@ -16,7 +16,7 @@ from geometry.layout import AXES
 
 Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
 
-BOXES = "split hexahedra of order 3 or 4"
+BOXES = "split hexahedra of order 4"
 HEXAHEDRA = "quadratic hexahedra"
 MIXED = "mixed quadratic hexahedra"
 TETRAHEDRA = "Taylor-Hood tetrahedra"
@@ -51,7 +51,7 @@ class Plan:
 
     method: Method
     regions: tuple[Region, ...]  #: prisms inside the body that need a region of their own
-    mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
+    mirrors: tuple[Mirror, ...]  #: planes that mirror the body, at most one per axis; those of finite strain, the loads
     decisions: tuple[Decision, ...]
 
     @property
@@ -153,20 +153,18 @@ def _are_soft(scene: Scene) -> bool:
 
 
 def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mirror, ...], Decision]:
-    """Planes that mirror the body; if `even`, the loads too."""
+    """Planes that mirror the body; if `even`, the loads too. The decision is on those where loads are even, or odd."""
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
-    if even:
-        mirrors = tuple(mirror for mirror in mirrors if mirror.parities == (1,))
-    if not mirrors:
-        return (), Decision(name="symmetry", choice="unused", reason="no plane of the body mirrors the loads")
-    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
-    share = {1: "half", 2: "a quarter"}[len(mirrors)]
-    count = len(parities(mirrors))
-    loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
-    reason = f"the body mirrors in {planes} mm, {loads}"
-    return mirrors, Decision(name="symmetry", choice=f"{share} of the body", reason=reason)
+    used = tuple(mirror for mirror in mirrors if mirror.parities == (1,) or (len(mirror.parities) == 1 and not even))
+    if not used:
+        unused = Decision(name="symmetry", choice="unused", reason="no plane of the body mirrors the loads")
+        return (() if even else mirrors), unused
+    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in used)
+    share = {1: "half", 2: "a quarter"}[len(used)]
+    reason = f"the body mirrors in {planes} mm, the loads as well"
+    return (used if even else mirrors), Decision(name="symmetry", choice=f"{share} of the body", reason=reason)
 
 
 def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:
