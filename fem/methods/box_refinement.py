@@ -223,9 +223,7 @@ def _shells(patches: list[Solid], stops: list[FloatArray], widest: float) -> lis
             one, two = low - margin, high + margin * np.array([1.0, 1.0, 0.0])
             for axis in range(3):
                 for end in (one, two):
-                    nearest = stops[axis][np.abs(stops[axis] - end[axis]).argmin()]
-                    if abs(nearest - end[axis]) <= NEAR * margin:
-                        end[axis] = nearest
+                    end[axis] = _nearest(stops[axis], end[axis], NEAR * margin)
             found.append(((one, two), margin))
             margin = max(SHELL_RATIO * margin, side)
     return found
@@ -249,9 +247,7 @@ def _solids(scene: Scene, plan: Plan) -> list[Solid]:
         for load in solids[n_lasting:]:
             within = ON_FACE * (load[1] - load[0])[axis]
             for side in load:
-                nearest = faces[np.argmin(np.abs(faces - side[axis]))]
-                if abs(nearest - side[axis]) <= within:
-                    side[axis] = nearest
+                side[axis] = _nearest(faces, side[axis], within)
     return solids
 
 
