@@ -26,9 +26,7 @@ from fem.system import System
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
-WIDEST = 1.0  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
-MAX_FIRST = 45  #: first boxes, before any is split, likewise; where there would be more, they are wider
-LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
+MAX_FIRST = 45  #: first boxes, before any is split; where there would be more, they are wider than the body is thin
 ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
 SMALL = 0.2  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
 SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
@@ -161,9 +159,8 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
         for axis in range(3)
     ]
-    looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
-    widest = WIDEST * looser * min(scene.height_mm, *scene.outline.section_mm)
-    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST / looser:
+    widest = min(scene.height_mm, *scene.outline.section_mm)
+    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST:
         widest *= 1.25
     lines = [
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
