@@ -21,10 +21,10 @@ MAX_PROBES = 20  #: that have unit loads of their own; of more, `N_SUMS` sums wi
 N_SUMS = 24
 PRESSURE_WEIGHT = 0.05  #: of pressures beside shear strains; with 0.25 meshes of ν near 0.5 had 10 % more unknowns
 SAFETY = 2.5  #: factor on the ratio of error to η that changes have shown
-LARGEST_RATIO = 1.5  #: taken where no change has shown it, and the most that is believed
-SMALLEST_RATIO, EARLY_RATIO = 0.3, 1.2  #: the least, and that of the first two meshes and of few boxes
+MAX_RATIO = 1.5  #: taken where no change has shown it, and the most that is believed
+MIN_RATIO, EARLY_RATIO = 0.3, 1.2  #: the least, and that of the first two meshes and of few boxes
 FEW_BOXES = 24
-LEAST_FALL = 0.3  #: of η from mesh to mesh, where changes are compared with it: over less they say little
+MIN_FALL = 0.3  #: of η from mesh to mesh, where changes are compared with it: over less they say little
 
 
 class Indicated(NamedTuple):
@@ -64,13 +64,13 @@ def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
     of 771, 1.5 leaves 21 of 807.
     """
     probes, eta = (np.array([mesh[k] for mesh in history[-4:]]) for k in (0, 1))
-    ratio = np.full(eta.shape[1], LARGEST_RATIO)
+    ratio = np.full(eta.shape[1], MAX_RATIO)
     if len(history) > 1:
         changes = np.linalg.norm(np.diff(probes, axis=0), axis=2) / _scale(probes[-1])
-        falls = np.maximum(-np.diff(eta, axis=0), LEAST_FALL * eta[:-1])
+        falls = np.maximum(-np.diff(eta, axis=0), MIN_FALL * eta[:-1])
         shown = changes / np.where(falls > 0, falls, 1.0)
-        least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else SMALLEST_RATIO
-        ratio = np.clip(SAFETY * shown.max(axis=0), least, LARGEST_RATIO)
+        least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else MIN_RATIO
+        ratio = np.clip(SAFETY * shown.max(axis=0), least, MAX_RATIO)
     return ratio * eta[-1]
 
 
