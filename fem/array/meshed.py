@@ -39,7 +39,7 @@ class Weights(NamedTuple):
 
 
 #: stress at the edge of a stiff pad is singular as r^(−1/2), of a soft one as log r; electrodes under a plate are rigid
-WEIGHTS = {"soft": Weights(1.0, 2.5, 0.3, 0.5, 0.6), "stiff": Weights(2.0, 2.0, 0.0, 0.2, 0.7)}
+WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 0.0, 0.2, 0.7)}
 
 
 @dataclass(frozen=True, eq=False)
