@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.lagrange import gauss_points, lobatto_points, shape_functions
+from fem.boxes.lagrange import cube_functions, cube_slopes, gauss_points, lobatto_points
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 
@@ -32,12 +33,12 @@ class Hexahedra:
     @cached_property
     def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         x, w = gauss_points(self.order + 1)
-        linear, bent = shape_functions(1, x), shape_functions(self.order, x)
-        places = np.einsum("ai,bj,ck->abcijk", linear[0], linear[0], linear[0]).reshape(-1, 8)
-        jacobian = np.einsum("qdn,enx->eqxd", _slopes(*linear), self.corners_mm)  # ∂x/∂ξ
-        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ _slopes(*bent)
+        points = np.array(list(product(x, x, x)))
+        jacobian = np.einsum("dqn,enx->eqxd", cube_slopes(1, points), self.corners_mm)  # ∂x/∂ξ
+        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ cube_slopes(self.order, points).swapaxes(0, 1)
         weights = np.einsum("a,b,c->abc", w, w, w).ravel() * np.abs(np.linalg.det(jacobian))
-        return (places @ self.corners_mm).reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
+        places = cube_functions(1, points) @ self.corners_mm
+        return places.reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
 
     @property
     def points_mm(self) -> FloatArray:
@@ -66,9 +67,8 @@ def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) ->
     on_terminals : sequence of functions
         Points (n, 3) to booleans: those on each terminal.
     """
-    share = (lobatto_points(order) + 1) / 2
-    linear = np.stack([1 - share, share], axis=1)
-    places = (np.einsum("ai,bj,ck->abcijk", linear, linear, linear).reshape(-1, 8) @ corners_mm).reshape(-1, 3)
+    x = lobatto_points(order)
+    places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
     rounded = np.round(places / (SAME * np.ptp(places, axis=0).max())).astype(np.int64)
     _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     nodes = places[first]
@@ -80,10 +80,3 @@ def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) ->
         terminals=tuple(np.flatnonzero(on(nodes)) for on in on_terminals),
         constraint=sp.eye(len(nodes), format="csr"),
     )
-
-
-def _slopes(values: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Derivatives of products of three functions along each axis, from (k, n) of one, shape (k³, 3, n³)."""
-    k, n = values.shape
-    sides = [[slopes if d == axis else values for d in range(3)] for axis in range(3)]
-    return np.stack([np.einsum("ai,bj,ck->abcijk", *three).reshape(k**3, n**3) for three in sides], axis=1)

@@ -29,6 +29,16 @@ MESHES_ACROSS = ((2, 1), (3, 2))
 EXTRAPOLATED = 0.16
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AtRest:
+    """A conductor without deformation, the potentials in it for 1 on each of n terminals and 0 on the others."""
+
+    stiffness: sp.csr_matrix  #: of the unknowns
+    potentials: FloatArray  #: (n_unknowns, n)
+    gradients: FloatArray  #: at the mesh's points, (n_points, 3, n) [1/mm]
+    matrix: FloatArray  #: conductances times the resistivity, (n, n) [mm]
+
+
 class Conductor:
     """Potentials in a body on one mesh."""
 
@@ -71,11 +81,18 @@ class Conductor:
         self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
     ) -> FloatArray:
         """Conductances between the terminals times the resistivity at rest, shape (n, n) [mm]; see `Conductances`."""
-        points = self.mesh.points_mm
-        F = np.broadcast_to(np.eye(3), (len(points), 3, 3)) if deformation is None else deformation(points)
-        K = self.stiffness(pulled_back(F, piezoresistivity))
+        if deformation is None:
+            return self.at_rest.matrix
+        K = self.stiffness(pulled_back(deformation(self.mesh.points_mm), piezoresistivity))
         phi = self.potentials(K)
         return np.asarray(phi.T @ (K @ phi))
+
+    @cached_property
+    def at_rest(self) -> "AtRest":
+        """The conductor without deformation."""
+        K = self.stiffness(np.broadcast_to(np.eye(3), (len(self.mesh.points_mm), 3, 3)))
+        phi = self.potentials(K)
+        return AtRest(stiffness=K, potentials=phi, gradients=self.gradients(phi), matrix=phi.T @ (K @ phi))
 
     def gradients(self, potentials: FloatArray) -> FloatArray:
         """∇φ at the mesh's points of potentials (n_unknowns, k), shape (n_points, 3, k) [1/mm]."""
@@ -83,33 +100,6 @@ class Conductor:
         nodal = (self.mesh.constraint @ potentials)[self.mesh.elements]  # (n_elements, n, k)
         found = self.mesh.gradient.reshape(n_elements, -1, n) @ nodal
         return np.asarray(found.reshape(len(self.mesh.points_mm), 3, -1))
-
-
-def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
-    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
-
-    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
-
-    Returns
-    -------
-    array, shape (n_pillars, n_points, 3, 3)
-        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
-    """
-    mesh = conductor.mesh
-    K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-    phi = conductor.potentials(K)
-    slopes, matrix = conductor.gradients(phi), phi.T @ (K @ phi)
-    piezo = piezoresistivity or Piezoresistivity()
-    derivatives = []
-    for i, j in mesh.pairs:
-        one, other = slopes[..., i], slopes[..., j]
-        dot = (one * other).sum(axis=1)[:, None, None]
-        cross = one[:, :, None] * other[:, None, :]
-        # δσ = (1 − m₁₂) tr g − (1 + (m₁₁ − m₁₂)/2) (g + gᵀ) for g = grad u
-        slope = (1 - piezo.across) * dot * np.eye(3)
-        slope = slope - (1 + (piezo.along - piezo.across) / 2) * (cross + cross.swapaxes(1, 2))
-        derivatives.append(slope * mesh.weight_mm3[:, None, None] / matrix[i, j] ** 2)
-    return np.array(derivatives)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,4 +1,4 @@
-"""Second derivatives of a unit's resistances by the displacement gradient in its pillars, at rest."""
+"""First and second derivatives of a unit's resistances by the displacement gradient in its pillars, at rest."""
 
 import numpy as np
 import scipy.sparse as sp
@@ -7,6 +7,29 @@ from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import Conductor
 from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
+
+
+def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
+
+    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
+
+    Returns
+    -------
+    array, shape (n_pillars, n_points, 3, 3)
+        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
+    """
+    rest, mesh, piezo = conductor.at_rest, conductor.mesh, piezoresistivity or Piezoresistivity()
+    derivatives = []
+    for i, j in mesh.pairs:
+        one, other = rest.gradients[..., i], rest.gradients[..., j]
+        dot = (one * other).sum(axis=1)[:, None, None]
+        cross = one[:, :, None] * other[:, None, :]
+        # δσ = (1 − m₁₂) tr g − (1 + (m₁₁ − m₁₂)/2) (g + gᵀ) for g = grad u
+        slope = (1 - piezo.across) * dot * np.eye(3)
+        slope = slope - (1 + (piezo.along - piezo.across) / 2) * (cross + cross.swapaxes(1, 2))
+        derivatives.append(slope * mesh.weight_mm3[:, None, None] / rest.matrix[i, j] ** 2)
+    return np.array(derivatives)
 
 
 def second_derivatives(
@@ -38,9 +61,8 @@ def second_derivatives(
     q, difference = piezo.across, piezo.along - piezo.across
     p = 1 + difference / 2
     mesh, m = conductor.mesh, gradient.shape[3]
-    K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-    phi = conductor.potentials(K)
-    slopes, weight = conductor.gradients(phi), mesh.weight_mm3
+    rest = conductor.at_rest
+    phi, slopes, weight = rest.potentials, rest.gradients, mesh.weight_mm3
     free = np.flatnonzero(~((phi == 0) | (phi == 1)).all(axis=1))
     S, tau = gradient + gradient.swapaxes(1, 2), np.trace(gradient, axis1=1, axis2=2)  # (n, 3, 3, m), (n, m)
     stretched = [np.einsum("nabm,nb->nam", S, slope) for slope in np.moveaxis(slopes, -1, 0)]
@@ -55,10 +77,9 @@ def second_derivatives(
         return np.asarray(gather @ (by_element @ flux.reshape(n_elements, -1, m)).reshape(-1, m))
 
     residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
-    inner = K[free][:, free].tocsr()
+    inner = rest.stiffness[free][:, free].tocsr()
     solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
     answers = np.hsplit(solved, n_first)  # of the pillars' first ends
-    at_rest = phi.T @ (K @ phi)
     found = []
     for i, j in mesh.pairs:
         dot = weight * (slopes[..., i] * slopes[..., j]).sum(axis=1)
@@ -71,5 +92,5 @@ def second_derivatives(
         G += (p**2 - difference / 2) * product(stretched[i], stretched[j], weight)
         G += (2 * p * q - q - p) * product(tau, across, weight) + (q**2 - q) * product(tau, tau, dot)
         G -= answers[i].T @ residuals[j]
-        found.append((G + G.T) / 2 / at_rest[i, j])
+        found.append((G + G.T) / 2 / rest.matrix[i, j])
     return np.array(found)
