@@ -4,7 +4,7 @@ Only the part of the body above each plane's position is solved. A load that is 
 each of which is a problem of that part with its own conditions on the planes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -79,26 +79,6 @@ def folded_point(point_mm: FloatArray, mirrors: tuple[Mirror, ...], parity: Pari
     beyond = tuple(mirror for mirror in mirrors if point_mm[mirror.axis] < mirror.position_mm)
     signs = next(signs for flipped, signs in images(mirrors, parity) if flipped == beyond)
     return flipped_points(point_mm, beyond), signs
-
-
-def folded_integrals(
-    integral: Callable[[FloatArray], FloatArray],
-    rectangle: FloatArray,
-    mirrors: tuple[Mirror, ...],
-    parity: Parity,
-) -> FloatArray:
-    """Integrals of the solved part's functions over a rectangle anywhere on the body, shape (..., 3).
-
-    `integral` takes a rectangle (4,) to ∫ φ dA over what the solved part has of it, shape (...,). The last axis is the
-    component of displacement.
-    """
-    return np.sum(
-        [
-            integral(flipped_rectangles(rectangle, flipped))[..., None] * signs
-            for flipped, signs in images(mirrors, parity)
-        ],
-        axis=0,
-    )
 
 
 def folded_loads(loads: Sequence[Load], mirrors: tuple[Mirror, ...], parity: Parity) -> list[Load]:

@@ -14,7 +14,6 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
-from scipy.optimize import brentq
 from scipy.special import j0, j1, xlogy
 
 from fem.array.response import ArrayResponse
@@ -226,37 +225,6 @@ def layer_mean_compliance(
     flat = np.zeros((len(felt), 3, 3))  # what is not felt is 0, not the rounding of two large numbers
     flat[felt] = compliance.reshape(-1, 3, 3)[felt] + rest / (2 * np.pi * G * height_mm)
     return flat.reshape(compliance.shape)
-
-
-def decay_length_mm(height_mm: float, poisson: float) -> float:
-    """Distance over which what a load does to a layer's surface falls by e, far from the load.
-
-    Parameters
-    ----------
-    height_mm : float
-        Of the layer.
-    poisson : float
-        ν, from 0 to below 0.5.
-
-    Returns
-    -------
-    float
-        λ [mm]: displacements fall as exp(−r/λ)/√r; 1.35 heights as ν → 0.5.
-
-    Notes
-    -----
-    Far away counts the pole of the spectrum that is nearest the real axis: D = 0 at q = i x, x the root of
-    2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it is that of cos x = x. What twists the surface about the
-    load (the transverse part) falls faster, with x = π/2.
-
-    Examples
-    --------
-    >>> round(decay_length_mm(10.0, 0.49), 2)
-    13.37
-    """
-    kappa = 3 - 4 * poisson
-    x = brentq(lambda x: 2 * kappa * np.cos(2 * x) - 4 * x**2 + 1 + kappa**2, 0.0, np.pi / 2)
-    return float(height_mm / x)
 
 
 def layer_response(design: SensorDesign) -> ArrayResponse:

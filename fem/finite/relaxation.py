@@ -141,10 +141,6 @@ def _combined(places: list[FloatArray], changes: list[FloatArray], weight: Float
     if len(places) < 2:
         return np.zeros_like(places[-1])
     differences = np.stack([changes[-1] - earlier for earlier in changes[:-1]])
-    weighted = differences * weight
-    products = weighted @ weighted.T
-    scale = 1 / np.sqrt(np.maximum(products.diagonal(), 1e-300))
-    scaled = products * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    share = scale * np.linalg.solve(scaled, scale * (weighted @ (weight * changes[-1])))
+    share = np.linalg.lstsq((differences * weight).T, weight * changes[-1], rcond=1e-6)[0]
     steps = np.stack([places[-1] - earlier for earlier in places[:-1]])
     return np.asarray(share @ (differences + steps))

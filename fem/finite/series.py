@@ -6,7 +6,6 @@ Computers & Structures 53 (1994) 1181). Products and one division are all it tak
 1/J in its stress. Many samples share the factor and are expanded together.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +19,6 @@ from fem.system import State, System
 from geometry.layout import FloatArray
 
 Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
-Stop = Callable[[Terms, Terms], bool]  #: whether shifts and half spins of the plates so far, from s¹ on, suffice
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +83,12 @@ class BaseState:
 class LoadSeries:
     """Coefficients of sᵏ, k = 1 … orders, of m samples; what is of the base state is not in them."""
 
-    base: BaseState
     u: FloatArray  #: displacements, (orders, m, n_nodes, 3) [mm]
-    p: FloatArray  #: pressures, (orders, m, n_elements, 4) [MPa]
     shift: FloatArray  #: of the plates, (orders, m, k, 3) [mm]
     half_spin: FloatArray  #: vector part of the quaternion of each plate's further rotation, (orders, m, k, 3)
 
 
-def load_series(
-    base: BaseState, loads: FloatArray, orders: int, stop: Stop = lambda shifts, half_spins: False
-) -> LoadSeries:
+def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
     """Series of the response to loads on the plates, of many samples at once.
 
     Parameters
@@ -103,9 +97,6 @@ def load_series(
     loads : array, shape (m, 2, k, 3)
         Forces and moments over half-widths on the plates of m samples, less those of the base state [N].
     orders : int
-        At most.
-    stop : function, optional
-        Called after every order but the last; True ends the series there.
 
     Returns
     -------
@@ -115,7 +106,7 @@ def load_series(
     -----
     Rotations are R = I + 2 q₀ [v] + 2 [v]², q₀² = 1 − |v|²: a series of v gives that of R by products and a root.
     """
-    return _Expansion(base, len(loads)).expand(loads, orders, stop)
+    return _Expansion(base, len(loads)).expand(loads, orders)
 
 
 class _Expansion:
@@ -136,7 +127,7 @@ class _Expansion:
         self.arm: Terms = [self.system.plates.turned(base.state.rotation)[None]]
         self.force: Terms = [base.plate_forces[None]]
 
-    def expand(self, loads: FloatArray, orders: int, stop: Stop) -> LoadSeries:
+    def expand(self, loads: FloatArray, orders: int) -> LoadSeries:
         base, system, body = self.base, self.system, self.body
         rotation = np.broadcast_to(base.state.rotation, (self.m, self.k, 3, 3))
         n = len(system.free)
@@ -157,16 +148,15 @@ class _Expansion:
             z = base.solve(unbalanced)
             v = z[:, n + self.k :] / system.plates.half_mm[:, None] / 2
             u = system.nodal_change(rotation, z)
-            p = self._add(order, terms, u, last=order == orders)
+            if order < orders:
+                self._add(terms, u)
             u[:, system.plates.node] += known_arm
-            found.append((u, p, z[:, n : n + self.k], v))
+            found.append((u, z[:, n : n + self.k], v))
             self.v.append(v)
-            if stop([terms[2] for terms in found], self.v[1:]):
-                break
             self.arm.append(known_arm + self._turned(2 * skew(v)))
             self.q0.append(self._root(order))
-        u, p, shift, half_spin = (np.array(part) for part in zip(*found, strict=True))
-        return LoadSeries(base=base, u=u, p=p, shift=shift, half_spin=half_spin)
+        u, shift, half_spin = (np.array(part) for part in zip(*found, strict=True))
+        return LoadSeries(u=u, shift=shift, half_spin=half_spin)
 
     def _turned(self, turn: FloatArray) -> FloatArray:
         return self.system.plates.turned(turn @ self.base.state.rotation)
@@ -198,11 +188,10 @@ class _Expansion:
     def _no_terms(self) -> tuple[FloatArray, ...]:
         at_points = (self.m, self.body.n_elements, len(self.body.reference.weights))
         H, scalar = np.zeros((3, 3, *at_points)), np.zeros(at_points)
-        pressure = np.zeros((self.m, self.body.n_elements, self.body.n_pressures))
-        return H, H.copy(), scalar, scalar.copy(), pressure, scalar.copy(), H.copy()
+        return H, H.copy(), scalar, scalar.copy(), scalar.copy(), H.copy()
 
     def _known_terms(self, order: int, held: FloatArray) -> tuple[FloatArray, ...]:
-        """This order's F, cof F, J, 1/J, p, s and stress by lower orders and displacements (m, n_nodes, 3)."""
+        """This order's F, cof F, J, 1/J, s and stress by lower orders and displacements (m, n_nodes, 3)."""
         F, cof, J = self.F, self.cof, self.J
         H = self.body.gradient(held)
         C = bilinear_cofactors(F[0], H)
@@ -217,24 +206,20 @@ class _Expansion:
         for j in range(1, order):
             total += J[j] * self.inverse[order - j]
         inverse = -self.inverse[0] * total
-        pressure = self.body.pressures(D)
-        s = pressure @ self.functions - self.mu * inverse
+        s = self.body.pressures(D) @ self.functions - self.mu * inverse
         stress = self.mu * H + self.s[0] * C + s * cof[0]
         for j in range(1, order):
             stress += self.s[j] * cof[order - j]
-        return H, C, D, inverse, pressure, s, stress
+        return H, C, D, inverse, s, stress
 
-    def _add(self, order: int, known: tuple[FloatArray, ...], u: FloatArray, last: bool) -> FloatArray:
-        """Complete this order's terms by what is linear in its displacements; returns the pressures."""
-        H, C, D, inverse, pressure, s, stress = known
+    def _add(self, known: tuple[FloatArray, ...], u: FloatArray) -> None:
+        """Complete this order's terms by what is linear in its displacements."""
+        H, C, D, inverse, s, stress = known
         dF = self.body.gradient(u)
         dJ = np.einsum("ij...,ij...->...", self.cof[0], dF)
-        dp = self.body.pressures(dJ)
-        if last:
-            return pressure + dp
         dC = bilinear_cofactors(self.F[0], dF)
         d_inverse = -(self.inverse[0] ** 2) * dJ
-        ds = dp @ self.functions - self.mu * d_inverse
+        ds = self.body.pressures(dJ) @ self.functions - self.mu * d_inverse
         stress += self.mu * dF + self.s[0] * dC + ds * self.cof[0]
         self.F.append(H + dF)
         self.cof.append(C + dC)
@@ -242,34 +227,6 @@ class _Expansion:
         self.inverse.append(inverse + d_inverse)
         self.s.append(s + ds)
         self.force.append(self.body.divergence(stress)[:, self.system.plates.node])
-        return pressure + dp
-
-
-def rank_reduced_sum(terms: FloatArray) -> FloatArray:
-    """Sum of a series of vectors (orders, n) by reduced rank extrapolation.
-
-    Notes
-    -----
-    Of all weighted means Σ γⱼ Sⱼ of the partial sums that one is taken for which the same mean of the terms, Σ γⱼ uⱼ,
-    is least (Sidi, Vector Extrapolation Methods, 2017, ch. 1); for terms of one geometric series it is exact.
-
-    Examples
-    --------
-    >>> rank_reduced_sum(np.array([[1.0, 2.0], [-0.5, -1.0], [0.25, 0.5]])).round(9)
-    array([0.66666667, 1.33333333])
-    """
-    return np.asarray(rank_reduced_weights(terms) @ terms)
-
-
-def rank_reduced_weights(terms: FloatArray) -> FloatArray:
-    """Weights (orders,) of the terms in their `rank_reduced_sum`."""
-    products = terms @ terms.T
-    if not products[-1, -1] > 0:
-        return np.ones(len(terms))
-    scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
-    scaled = products / np.outer(scale, scale) + 1e-13 * np.eye(len(terms))
-    shares = np.linalg.solve(scaled, 1 / scale) / scale
-    return np.cumsum(shares[::-1])[::-1] / shares.sum()  # a term is in every later partial sum
 
 
 def quaternion_rotations(half_spin: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ ACROSS_PRISM = 1.5  #: edges beside a prism inside the body, in terms of its nar
 GROWTH = 0.6  #: of wanted edges with the distance from a prism
 ENVELOPE_SHARE = 0.05  #: of the thinnest extent of anything: how far the mesher may move a surface
 WEDGE_SHARE = 0.02  #: the same where prisms cut each other, whose wedges are rounded off and cannot be snapped back
-VOLUME_TOLERANCE = 1e-3  #: relative, of what the prisms inside hold together; the body's own is exact
+VOLUME_TOLERANCE = 1e-9  #: relative, of prisms that cut no other: a mesh with a corner cut off is made again
 
 
 def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:

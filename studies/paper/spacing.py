@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
-from fem.array.closed_forms import decay_length_mm, layer_mean_compliance
+from fem.array.closed_forms import layer_mean_compliance
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from geometry.design import Array, SensorDesign
@@ -244,3 +244,34 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
     readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, PILLAR_TOP])
     strongest: FloatArray = np.abs(readings).max(axis=(0, 1))
     return strongest
+
+
+def decay_length_mm(height_mm: float, poisson: float) -> float:
+    """Distance over which what a load does to a layer's surface falls by e, far from the load.
+
+    Parameters
+    ----------
+    height_mm : float
+        Of the layer.
+    poisson : float
+        ν, from 0 to below 0.5.
+
+    Returns
+    -------
+    float
+        λ [mm]: displacements fall as exp(−r/λ)/√r; 1.35 heights as ν → 0.5.
+
+    Notes
+    -----
+    Far away counts the pole of the spectrum that is nearest the real axis: D = 0 at q = i x, x the root of
+    2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it is that of cos x = x. What twists the surface about the
+    load (the transverse part) falls faster, with x = π/2.
+
+    Examples
+    --------
+    >>> round(decay_length_mm(10.0, 0.49), 2)
+    13.37
+    """
+    kappa = 3 - 4 * poisson
+    x = brentq(lambda x: 2 * kappa * np.cos(2 * x) - 4 * x**2 + 1 + kappa**2, 0.0, np.pi / 2)
+    return float(height_mm / x)

@@ -14,7 +14,6 @@ from skfem import MeshTet
 
 from fem.array.closed_forms import (
     HalfspaceError,
-    decay_length_mm,
     layer_mean_compliance,
     layer_response,
     layer_spectrum,
@@ -392,19 +391,3 @@ def test_response_is_symmetric_and_local():
     assert far < 2e-3 * own
     stiffer = replace(design, matrix_material=Material(young_mpa=12.2))
     assert np.allclose(2 * layer_response(stiffer).influence_mm_per_n, layer.influence_mm_per_n, rtol=1e-12)
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.4999])
-def test_far_from_a_load_the_surface_falls_as_its_decay_length_says(nu):
-    """u √r falls by e over λ; 10 to 11 heights away the next term of K₀(r/λ) changes that by 1/(8 (r/λ)²) < 0.3 %."""
-    material, r = Material(young_mpa=6.1, poisson=nu), np.array([100.0, 110.0])
-    squares = np.column_stack([r - 1, -np.ones(2), r + 1, np.ones(2)])
-    u = layer_mean_compliance(squares, PAD, 10.0, material)[:, 2, 2]
-    measured = -np.diff(r) / np.diff(np.log(np.abs(u) * np.sqrt(r)))
-    assert measured[0] == pytest.approx(decay_length_mm(10.0, nu), rel=3e-3)
-
-
-def test_the_decay_length_of_what_cannot_be_compressed():
-    """cos x = x has the root 0.7390851332; λ is a length, so it grows with the height."""
-    assert decay_length_mm(1.0, 0.5 - 1e-9) == pytest.approx(1 / 0.7390851332, rel=1e-8)
-    assert decay_length_mm(7.0, 0.4) == pytest.approx(7 * decay_length_mm(1.0, 0.4))

@@ -5,7 +5,7 @@ import pytest
 
 from fem.boxes.boxes import Boxes
 from fem.finite.newton import find_equilibrium
-from fem.finite.series import BaseState, load_series, quaternion_rotations, rank_reduced_sum
+from fem.finite.series import BaseState, load_series, quaternion_rotations
 from fem.rubber.body import RubberBody
 from fem.scene.loads import StiffLoad
 from fem.system import System
@@ -51,9 +51,3 @@ def test_samples_are_expanded_alike_alone_and_together():
     together = load_series(base, loads, orders=3)
     alone = load_series(base, loads[1:2], orders=3)
     assert np.allclose(together.u[:, 1], alone.u[:, 0], rtol=1e-10, atol=1e-14)
-
-
-def test_geometric_series_are_summed_exactly():
-    direction = np.array([1.0, -2.0, 0.5])
-    terms = np.array([direction * ratio for ratio in (1.0, -1.5, 2.25)])  # diverges; its sum is 1 / (1 + 1.5)
-    assert np.allclose(rank_reduced_sum(terms), direction / 2.5)

@@ -7,9 +7,9 @@ import pytest
 
 from dataset.resistance import pillar_lengths, pillar_resistances
 from dataset.simulation import displacements
-from fem.array.closed_forms import decay_length_mm
+from fem.array.closed_forms import layer_mean_compliance
 from fem.array.solving import ResponseSettings, solve_response
-from geometry.design import Array, Pad, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import pillar_volumes
 from studies.paper import spacing
 
@@ -41,7 +41,7 @@ def test_influence_on_an_endless_layer_decays_as_theory_says():
     """The whole array in closed form, with no rim; its nearest electrodes are not yet far: 6 % on λ from 4 heights."""
     one = spacing.spaced_units(in_closed_form(PAPER), noise=0.001)
     far = replace(one, on_rim=[False] * len(one.on_rim))
-    assert spacing.fitted_decay_mm([far], 40.0) == pytest.approx(decay_length_mm(10.0, 0.49), rel=0.06)
+    assert spacing.fitted_decay_mm([far], 40.0) == pytest.approx(spacing.decay_length_mm(10.0, 0.49), rel=0.06)
 
 
 def test_shares_fall_with_distance_and_pitch():
@@ -97,3 +97,19 @@ def test_the_study_holds_every_pitch_and_agrees_with_the_layer_inside_the_array(
     closed = spacing.spaced_units(in_closed_form(spacing.design_at(SMALL, 20.0)), noise=0.001)
     inside = ~np.array(closed.on_rim)
     np.testing.assert_allclose(np.array(found.spaced[-1].moved)[inside], np.array(closed.moved)[inside], rtol=0.1)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.4999])
+def test_far_from_a_load_the_surface_falls_as_its_decay_length_says(nu):
+    """u √r falls by e over λ; 10 to 11 heights away the next term of K₀(r/λ) changes that by 1/(8 (r/λ)²) < 0.3 %."""
+    material, r = Material(young_mpa=6.1, poisson=nu), np.array([100.0, 110.0])
+    squares = np.column_stack([r - 1, -np.ones(2), r + 1, np.ones(2)])
+    u = layer_mean_compliance(squares, [-6.0, -6.0, 6.0, 6.0], 10.0, material)[:, 2, 2]
+    measured = -np.diff(r) / np.diff(np.log(np.abs(u) * np.sqrt(r)))
+    assert measured[0] == pytest.approx(spacing.decay_length_mm(10.0, nu), rel=3e-3)
+
+
+def test_the_decay_length_of_what_cannot_be_compressed():
+    """cos x = x has the root 0.7390851332; λ is a length, so it grows with the height."""
+    assert spacing.decay_length_mm(1.0, 0.5 - 1e-9) == pytest.approx(1 / 0.7390851332, rel=1e-8)
+    assert spacing.decay_length_mm(7.0, 0.4) == pytest.approx(7 * spacing.decay_length_mm(1.0, 0.4))
