@@ -11,7 +11,7 @@ that is how displacements begin where a free side meets the clamped base: six do
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,8 +19,11 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fem.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
-from fem.mirrors import Mirror, Parity, flipped_rectangles, images, parities, sign
+from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.meshed import CellBody
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
 FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
@@ -215,47 +218,8 @@ class CondensedCell:
         )
 
 
-class CellBody(Protocol):
-    """A cell x, y ∈ [−a, a], or the part of it beyond mirror planes, as a linear system of n nodes and m unknowns.
-
-    Its base is clamped, its side faces are free. Unknowns of a parity are those of a problem of the part.
-    """
-
-    @property
-    def mirrors(self) -> tuple[Mirror, ...]:
-        """Planes beyond which the part lies."""
-
-    @property
-    def definite(self) -> bool:
-        """Whether its matrices are."""
-
-    @property
-    def points_mm(self) -> FloatArray:
-        """Positions of the nodes, (n, 3)."""
-
-    @property
-    def numbers(self) -> NDArray[np.int64]:
-        """Unknown that moves each node along each axis, and no other node; −1 where there is none, (n, 3)."""
-
-    @property
-    def is_square(self) -> bool:
-        """True if the body stays the same when x and y are exchanged."""
-
-    def matrix(self, parity: Parity) -> SparseMatrix:
-        """Upper triangle of the system of a parity, (m, m); rows of nodes in whole blocks, if it is stored in such."""
-
-    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
-        """∫ φ dA of every node's function over what the part has of rectangles (k, 4) of the top face, (k, n) [mm²]."""
-
-    def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
-        """Forces (m, k) on the unknowns of forces (k, n, 3) on the nodes [N]."""
-
-    def displacements(self, solution: FloatArray) -> FloatArray:
-        """Displacements (k, n, 3) of the nodes by unknowns (m, k) [mm]."""
-
-
 def condense(
-    body: CellBody, ports: PortModes, rectangles: FloatArray, inside: list[FloatArray] | None = None
+    body: "CellBody", ports: PortModes, rectangles: FloatArray, inside: list[FloatArray] | None = None
 ) -> CondensedCell:
     """Condense a cell, whatever its mesh.
 
@@ -310,7 +274,7 @@ def condense(
 
 
 def _eliminated(
-    body: CellBody,
+    body: "CellBody",
     ports: PortModes,
     loads: FloatArray,
     parity: Parity,

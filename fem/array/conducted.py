@@ -13,16 +13,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import CellInterior, design_interior
-from fem.array.meshed import functionals, pad_plate
+from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
 from fem.array.response import ConductedPillars
 from fem.array.substructured import MAX_TESTED, PADS, expanded, influence_range, reduced, representatives
 from fem.conduction.conductivity import Piezoresistivity
-from fem.conduction.derivatives import second_derivatives, strain_derivatives
 from fem.conduction.potentials import (
     EXTRAPOLATED,
     Conductor,
     pillars_per_mm,
+    second_derivatives,
+    strain_derivatives,
     unit_conductances,
     unit_conductors,
 )
@@ -74,7 +74,7 @@ def conducted_pillars(
     Raises
     ------
     DesignError
-        As of `fem.conduction.unit_mesh.unit_hexahedra`.
+        As of `fem.conduction.meshes.unit_hexahedra`.
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
     """

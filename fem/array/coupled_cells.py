@@ -68,7 +68,7 @@ class CoupledArray:
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
     def seen(self, functionals: FloatArray, loads: Sequence[int]) -> tuple[FloatArray, float]:
-        """What every cell shows of 1 N on some of each cell's functionals, and the largest residual.
+        """Functionals of every cell's amplitudes by 1 N on each of some loads of each cell, and the largest residual.
 
         `functionals` (k, n_modes·3 + n_loads) are rows on a cell's port displacements and on the forces of its own
         loads. Shape (n_cells, k, n_cells, n_loads), seen first.
@@ -79,9 +79,9 @@ class CoupledArray:
         at_once = max(1, COLUMNS // n_loads)  # bounds the memory
         for first in range(0, self.n_cells, at_once):
             loaded = np.arange(first, min(first + at_once, self.n_cells))
-            newtons = np.zeros((self.n_cells, n_loads, len(loaded), n_loads))
-            newtons[loaded, :, loaded - first] = np.eye(n_loads)
-            newtons = newtons.reshape(self.n_cells, n_loads, -1)
+            each = np.zeros((self.n_cells, n_loads, len(loaded), n_loads))
+            each[loaded, :, loaded - first] = np.eye(n_loads)
+            newtons = each.reshape(self.n_cells, n_loads, -1)
             forces = np.zeros((self.n_cells, self.cell.transfer.shape[1], newtons.shape[2]))
             forces[:, loads] = newtons
             q, misfit = self.port_displacements(forces)
@@ -101,7 +101,7 @@ class CoupledArray:
         Parameters
         ----------
         changes : sequence of (dS, dL, dC)
-            For each parameter the derivatives of a cell's stiffness, reach and compliance.
+            For each parameter the derivatives of a cell's stiffness, transfer and compliance.
         loads, observed : sequences of int
             As in `influence`.
 

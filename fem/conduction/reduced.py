@@ -13,8 +13,8 @@ from numpy.polynomial import legendre
 
 from fem.boxes.lagrange import gauss_points
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
+from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, unit_conductances
-from fem.conduction.unit_mesh import unit_hexahedra
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections
 

@@ -11,8 +11,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import CellInterior, design_interior
-from fem.array.meshed import lone_unit, pad_plate
+from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.fields.stress import CornerStress, corner_stress, projected_pressure
 from geometry.design import SensorDesign
 from geometry.errors import DesignError

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
-from fem.conduction.derivatives import strain_derivatives
-from fem.conduction.hexahedra import Hexahedra, joined
+from fem.conduction.meshes import Hexahedra, joined
 from fem.conduction.potentials import (
     Conductor,
     pillars_per_mm,
+    strain_derivatives,
     unit_conductances,
     unit_conductors,
 )

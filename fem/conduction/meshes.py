@@ -5,15 +5,16 @@ upright and an oblique one, between −w/2 and w/2 across. Their union is a plan
 quadrilaterals along lines that end at the electrode's edges and in the crotch.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
-from itertools import combinations, pairwise
+from functools import cache, cached_property, partial
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from fem.boxes.lagrange import shape_functions
-from fem.conduction.hexahedra import Hexahedra, joined
+from fem.boxes.lagrange import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
 from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.errors import DesignError
@@ -23,7 +24,74 @@ from geometry.prism import unit_prisms
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
+COINCIDENT = 1e-8  #: of the body's extent: nodes closer than that are one
+
+Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hexahedra:
+    """Trilinear hexahedra with Lagrange functions of an order along each edge; corners and nodes run z fastest."""
+
+    order: int
+    corners_mm: FloatArray  #: (n_elements, 8, 3)
+    nodes_mm: FloatArray  #: (n_nodes, 3)
+    elements: IntArray  #: (n_elements, (order + 1)³): nodes of each
+    terminals: tuple[IntArray, ...]  #: nodes on each terminal
+    constraint: sp.csr_matrix  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
+    pairs: tuple[tuple[int, int], ...] = ((0, 1),)  #: terminals at both ends of each pillar
+
+    @cached_property
+    def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, w = gauss_points(self.order + 1)
+        points = np.array(list(product(x, x, x)))
+        jacobian = np.einsum("dqn,enx->eqxd", cube_slopes(1, points), self.corners_mm)  # ∂x/∂ξ
+        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ cube_slopes(self.order, points).swapaxes(0, 1)
+        weights = np.einsum("a,b,c->abc", w, w, w).ravel() * np.abs(np.linalg.det(jacobian))
+        places = cube_functions(1, points) @ self.corners_mm
+        return places.reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Gauss points of all elements, one after the other, (n_points, 3)."""
+        return self._gauss[0]
+
+    @property
+    def weight_mm3(self) -> FloatArray:
+        """Volume of each of `points_mm`, (n_points,)."""
+        return self._gauss[1]
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Gradients of the element's functions at `points_mm`, (n_points, 3, (order + 1)³) [1/mm]."""
+        return self._gauss[2]
+
+
+def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
+    """Hexahedra that share the nodes of common faces.
+
+    Parameters
+    ----------
+    corners_mm : array, shape (n_elements, 8, 3)
+        Of conforming elements, either orientation.
+    order : int
+    on_terminals : sequence of functions
+        Points (n, 3) to booleans: those on each terminal.
+    """
+    x = lobatto_points(order)
+    places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
+    rounded = np.round(places / (COINCIDENT * np.ptp(places, axis=0).max())).astype(np.int64)
+    _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    nodes = places[first]
+    return Hexahedra(
+        order=order,
+        corners_mm=corners_mm,
+        nodes_mm=nodes,
+        elements=numbers.reshape(len(corners_mm), -1),
+        terminals=tuple(np.flatnonzero(on(nodes)) for on in on_terminals),
+        constraint=sp.eye(len(nodes), format="csr"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +133,9 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     """
     h, half, layout = unit.height_mm, unit.pillar_width_mm / 2, unit.layout
     slack = 1e-6 * unit.pillar_width_mm
-    corners, nodes, elements, terminals, n = [], [], [], [], 0
+    corners: list[FloatArray] = []
+    nodes: list[FloatArray] = []
+    elements, terminals, n = [], [], 0
     ties: dict[int, Tie] = {}
     swept = cache(partial(_swept, unit, order, levels, strained))
     for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit), strict=True)):
@@ -142,8 +212,13 @@ def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, r
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    reach = np.array([e, e, 0.0]) + 2e-6 * half
-    return joined(corners.reshape(-1, 8, 3), order, [lambda at: (np.abs(at) <= reach).all(axis=1)])
+    slack = 2e-6 * half
+    on_electrode = partial(_within, low=np.array([-e, -e, 0.0]) - slack, high=np.array([e, e, 0.0]) + slack)
+    return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
+
+
+def _within(points: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
