@@ -236,8 +236,9 @@ def cell_of_stage(
     found = answer(cell)
     if cell is two:
         of_levels = factor * difference(answer(one), answer(two.of_degree(COMPARED_DEGREE)))
-    else:
-        of_levels = EXTRAPOLATION_ERROR[design.pad.kind] * difference(answer(two), found)
+    else:  # which the extrapolation changes in these degrees alone
+        low = (answer(each.of_degree(COMPARED_DEGREE)) for each in (two, cell))
+        of_levels = EXTRAPOLATION_ERROR[design.pad.kind] * difference(*low)
     of_ports = difference(answer(cell.of_degree(degree - 1)), found)
     meshing = meshed_one + meshed_two
     spent = {"mesh": meshing, "condense": condensed - start - meshing, "couple": perf_counter() - condensed}
