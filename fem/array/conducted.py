@@ -18,8 +18,8 @@ from fem.array.response import ConductedPillars
 from fem.array.substructured import MAX_TESTED, PADS, expanded, influence_range, reduced, representatives
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
-    EXTRAPOLATED,
     Conductor,
+    extrapolation,
     pillars_per_mm,
     second_derivatives,
     strain_derivatives,
@@ -87,7 +87,7 @@ def conducted_pillars(
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
     modes = _Modes.of(interior, conductors[0], design)
-    first = _first_derivatives(interior, conductors, piezo)
+    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0])
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, modes.amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
     n_modes = second.shape[1]
@@ -206,9 +206,12 @@ class _Modes:
 
 
 def _first_derivatives(
-    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity
+    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity, beyond: float
 ) -> FloatArray:
-    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes)."""
+    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes).
+
+    From both meshes; `beyond` is how much of their difference is added to the finer one's.
+    """
     n = interior.cell.stiffness.shape[0] + 3
     found = []
     for conductor in conductors:
@@ -218,4 +221,4 @@ def _first_derivatives(
         nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.moved_mm[:, :, :n], 2) for part in nodal]))
     coarse, fine = found
-    return fine + EXTRAPOLATED * (fine - coarse)
+    return fine + beyond * (fine - coarse)

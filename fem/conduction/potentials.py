@@ -23,9 +23,10 @@ Deformation = Callable[[FloatArray], FloatArray]
 MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit at rest
 #: the same where strain varies across the pillars, or electrodes are narrower than these and have edges on all sides
 MESHES_ACROSS = ((2, 1), (3, 2))
-#: of the difference of both, added to the finer one's and taken as its error: at rest 0.13 to 0.19 by meshes of order 4
-#: and 5; 0.10 to 0.15 for `MESHES_ACROSS`
-EXTRAPOLATED = 0.16
+#: of the difference of both, what is added to the finer one's and what is taken for the error that this leaves: at rest
+#: the limit by meshes of order 4 and 5 lies 0.13 to 0.19 beyond the finer one; 0.10 to 0.15 for `MESHES_ACROSS`
+EXTRAPOLATED = (0.16, 0.16)
+NARROW = (0.5, 0.2)  #: the same of electrodes narrower than pillars: it lies 0.32 to 0.68 beyond
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -143,16 +144,18 @@ def unit_conductances(
 
     Notes
     -----
-    From two meshes, extrapolated; what that adds to a pillar's resistance is the estimate of its error.
+    From two meshes, extrapolated.
     """
     conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
-    matrix = fine + EXTRAPOLATED * (fine - coarse)
-    return Conductances(
-        matrix_mm=matrix,
-        error_estimate=np.abs(pillars_per_mm(matrix, pairs) / pillars_per_mm(fine, pairs) - 1),
-        pairs=pairs,
-    )
+    beyond, left = extrapolation(unit)
+    change = np.abs(pillars_per_mm(coarse, pairs) / pillars_per_mm(fine, pairs) - 1)
+    return Conductances(matrix_mm=fine + beyond * (fine - coarse), error_estimate=left * change, pairs=pairs)
+
+
+def extrapolation(unit: Unit) -> tuple[float, float]:
+    """Of the difference of a unit's meshes: what is added to the finer one's answer, and its error after that."""
+    return NARROW if unit.electrode_mm < unit.pillar_width_mm else EXTRAPOLATED
 
 
 @cache
