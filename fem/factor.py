@@ -62,8 +62,6 @@ class Factor:
         True if only the upper triangle of a symmetric matrix is given; blocks on the diagonal are whole.
     solver : {"pardiso", "superlu"}, optional
         Default: `solver_name`.
-    memory_gb : float, optional
-        Memory that the factor may take [GB]; default: most of what is free at the first factorisation.
 
     Notes
     -----
@@ -81,7 +79,6 @@ class Factor:
         symmetric: bool = True,
         upper: bool = False,
         solver: str | None = None,
-        memory_gb: float | None = None,
     ) -> None:
         if solver not in (None, "pardiso", "superlu"):
             raise ValueError(f"no solver '{solver}': choose pardiso or superlu.")
@@ -89,7 +86,6 @@ class Factor:
         self.definite, self.symmetric, self.upper = definite, symmetric, upper
         self.memory_gb = 0.0  #: of the factor, at the peak [GB]
         self.n_negative: int | None = None  #: eigenvalues of an indefinite K below 0, where the solver counts them
-        self._limit_gb = memory_gb
         self._pardiso: _Pardiso | None = None
         if matrix is not None:
             self.factor(matrix)
@@ -146,7 +142,7 @@ class Factor:
 
     def _need(self, memory_gb: float) -> None:
         self.memory_gb = memory_gb
-        limit = MEMORY_SHARE * psutil.virtual_memory().available / 1e9 if self._limit_gb is None else self._limit_gb
+        limit = MEMORY_SHARE * psutil.virtual_memory().available / 1e9
         if memory_gb > limit:
             need = f"the factor of {self.n_unknowns} unknowns needs {memory_gb:.3g} GB"
             raise FactorMemoryError(f"{need} of {limit:.3g} GB available: take a coarser mesh.")
