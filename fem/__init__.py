@@ -5,15 +5,14 @@ error (`solve_scene`), or the influence matrix of the array (`array_response`): 
 electrode. The rooms, in the order of the data: `scene/` (a scene and its file), `methods/` (open `solving.py` and
 `plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array), `contact/` (open
 `indentation.py` first: rigid shapes pressed into it), `boxes/` and `tetrahedra/` (elements), `rubber/` (what fills
-them), `factor.py` (factorisations and checked solves), `fields/` (displacement and stress anywhere, for pictures),
-`pictures/` (the pictures).
+them), `factor.py` (factorisations and checked solves), `field.py` (displacement and stress anywhere), `pictures/`.
 """
 
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.factor import SolverError
 from fem.methods.solving import solve_scene
-from fem.scene.checks import SceneError
+from fem.scene.loads import SceneError
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution

@@ -60,6 +60,9 @@ class Factor:
         Positive definite, as of displacements alone (the mixed form's K is not); symmetric, or with `False` not.
     upper : bool
         True if only the upper triangle of a symmetric matrix is given; blocks on the diagonal are whole.
+    by_degree : bool
+        Order by minimum degree, not by nested dissection: of boxes that are split (5 to 30 thousand unknowns) factors
+        took 20 to 30 % less time, of grids they take more.
     solver : {"pardiso", "superlu"}, optional
         Default: `solver_name`.
 
@@ -78,6 +81,7 @@ class Factor:
         definite: bool = False,
         symmetric: bool = True,
         upper: bool = False,
+        by_degree: bool = False,
         solver: str | None = None,
     ) -> None:
         if solver not in (None, "pardiso", "superlu"):
@@ -86,6 +90,7 @@ class Factor:
         self.definite, self.symmetric, self.upper = definite, symmetric, upper
         self.memory_gb = 0.0  #: of the factor, at the peak [GB]
         self.n_negative: int | None = None  #: eigenvalues of an indefinite K below 0, where the solver counts them
+        self._by_degree = by_degree
         self._pardiso: _Pardiso | None = None
         if matrix is not None:
             self.factor(matrix)
@@ -129,7 +134,7 @@ class Factor:
         part = _upper(matrix) if self.symmetric and not self.upper else matrix
         part = part if part.has_sorted_indices else part.sorted_indices()  # answers are wrong otherwise
         if self._pardiso is None:
-            pardiso = _Pardiso(part, mtype=(2 if self.definite else -2) if self.symmetric else 11)
+            pardiso = _Pardiso(part, (2 if self.definite else -2) if self.symmetric else 11, self._by_degree)
             # not at exit: the process gives all memory back then, and MKL may be gone already
             weakref.finalize(self, pardiso.call, -1).atexit = False
             pardiso.call(11)
@@ -182,7 +187,7 @@ class _Pardiso:
     nothing: they stay at 0. Scaling and matching (11, 13) want the values at the analysis, and tangents need neither.
     """
 
-    def __init__(self, part: SparseMatrix, mtype: int) -> None:
+    def __init__(self, part: SparseMatrix, mtype: int, by_degree: bool) -> None:
         block = part.blocksize[0] if part.format == "bsr" else 1
         self.n, self.mtype = part.shape[0], mtype
         if part.nnz >= 2**31:
@@ -198,7 +203,7 @@ class _Pardiso:
         # numbers as in MKL's manual, which counts from 1; its own defaults gave wrong answers (pypardiso issue 87)
         for number, value in {
             1: 1,  # take these settings instead of the defaults
-            2: 3,  # nested dissection, in parallel
+            2: 0 if by_degree else 3,  # nested dissection, in parallel
             8: 0,  # no iterative refinement, unless a pivot had to be perturbed
             10: 13,  # perturb pivots below 1e-13: none of definite, quasi-definite or indefinite tangents' were
             21: 1,  # 1×1 and 2×2 Bunch-Kaufman pivots

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.scene.checks import SceneError
-from fem.scene.loads import Rectangle
+from fem.scene.loads import Rectangle, SceneError
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]

@@ -256,7 +256,7 @@ class System:
             weights=weights,
             bonds=bonds,
             spin_of=n + k + self.plates.plate,
-            chunks=list(self.body.chunks(9 * own.shape[1] ** 2)),
+            chunks=self.body.chunks,
             symmetric=self.symmetric,
             more=[(spins, spins), (face_rows, face_cols)],
         )

@@ -14,10 +14,10 @@ from scipy.optimize import least_squares
 
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
-from fem.fields.deformed import solve_scene_parts
-from fem.fields.finite_pictures import pressed_sensor
 from fem.finite.samples import SampleSolver
+from fem.pictures.arrays import pressed_sensor
 from fem.pictures.deformation import DeformedPicture
+from fem.pictures.parts import solve_scene_parts
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import write_text

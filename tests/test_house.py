@@ -32,7 +32,6 @@ ROOMS = {
         "array",
         "contact",
         "methods",
-        "fields",
         "pictures",
     ],
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],

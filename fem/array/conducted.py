@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
@@ -26,7 +25,6 @@ from fem.conduction.potentials import (
     unit_conductances,
     unit_conductors,
 )
-from fem.tetrahedra.elements import shape_gradients
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes
 
@@ -37,23 +35,13 @@ SPREAD = 2500  #: points that choose the modes
 TRUNCATION = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
 
 
-def _slopes(interior: CellInterior, points_mm: FloatArray) -> list[sp.csr_matrix]:
-    """Matrices (n, n_nodes) that take nodal values to derivatives along x, y and z at points (n, 3) [1/mm]."""
-    elements = interior.elements
-    places, local = elements.places(points_mm)
-    slopes = shape_gradients(elements.element, local.T) @ elements.inverse_jacobian[places]
-    rows, columns = np.repeat(np.arange(len(places)), slopes.shape[1]), elements.nodes[places].ravel()
-    shape = (len(places), len(elements.points_mm))
-    return [sp.csr_matrix((slopes[:, :, b].ravel(), (rows, columns)), shape=shape) for b in range(3)]
-
-
 def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplitudes: FloatArray) -> FloatArray:
     """Displacement gradients ∂uₐ/∂X_b at points (n, 3), shape (n, 3, 3, k) [1/mm].
 
     `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
     """
-    moved = (interior.moved_mm[:, :, : len(amplitudes)] @ amplitudes).reshape(len(interior.moved_mm), -1)
-    along = [matrix @ moved for matrix in _slopes(interior, points_mm)]
+    moved = interior.field.displacement_mm[:, :, : len(amplitudes)] @ amplitudes
+    along = [matrix @ moved.reshape(len(moved), -1) for matrix in interior.field.slopes(points_mm)]
     return np.stack(along, axis=1).reshape(len(points_mm), 3, 3, -1).swapaxes(1, 2)
 
 
@@ -217,8 +205,8 @@ def _first_derivatives(
     for conductor in conductors:
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
-        slopes = _slopes(interior, conductor.mesh.points_mm)
+        slopes = interior.field.slopes(conductor.mesh.points_mm)
         nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each
-        found.append(np.array([np.tensordot(part, interior.moved_mm[:, :, :n], 2) for part in nodal]))
+        found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
     coarse, fine = found
     return fine + beyond * (fine - coarse)

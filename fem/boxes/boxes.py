@@ -6,7 +6,7 @@ nodes, dependent ones included: `at`, `slopes` and `integrals` are sparse rows o
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,10 +18,23 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 
+#: VTK's nodes of a triquadratic hexahedron in half steps: corners, lower edges, upper edges, uprights, the middles of
+#: the sides across x, y and z, and of the whole
+VTK_PLACES = np.array(
+    [
+        *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
+        *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
+        *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+        *[(0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2), (1, 1, 1)],
+    ]
+)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Boxes:
     """m boxes of (order + 1)³ nodes each, n nodes in all; the base is z = 0."""
+
+    cell_type = 29  #: VTK's number of boxes of order 2
 
     low: FloatArray  #: (m, 3), lowest corners before they are sheared [mm]
     high: FloatArray  #: (m, 3), highest corners
@@ -90,19 +103,41 @@ class Boxes:
         out[:2, 2] = self.lean
         return out
 
+    def hung(self, owner: IntArray) -> "Boxes":
+        """The same with nodes that take what the functions of a larger box give there; `owner` (n,), −1 for none."""
+        hanging = np.flatnonzero(owner >= 0)
+        if not len(hanging):
+            return self
+        box = owner[hanging]
+        local = 2 * (self._places[hanging] - self.low[box]) / self.size[box] - 1
+        values = cube_functions(self.order, local)
+        values[np.abs(values) < 1e-14] = 0.0  # what is zero but for rounding would couple distant nodes
+        rows = sp.csr_matrix((np.ones(len(hanging)), (hanging, range(len(hanging)))), shape=(len(owner), len(hanging)))
+        direct = (sp.diags(1.0 * (owner < 0)) + rows @ self._rows(box, values)).tocsr()
+        direct.eliminate_zeros()
+        constraint = direct
+        while (owner[constraint.indices] >= 0).any():  # a larger face may itself hang on a yet larger one
+            constraint = constraint @ direct
+        return replace(self, constraint=constraint)
+
     @cached_property
     def points_mm(self) -> FloatArray:
         """Positions of the nodes, (n, 3) [mm]."""
+        return self._places @ self.shear.T
+
+    @cached_property
+    def _places(self) -> FloatArray:
+        """The same before they are sheared."""
         share = (lobatto_points(self.order) + 1) / 2
         local = share[np.indices((self.order + 1,) * 3).reshape(3, -1).T]
         points = np.empty((self.n_nodes, 3))
         points[self.nodes] = self.low[:, None] + local * self.size[:, None]
         ends = local == 1  # exact on the highest faces: clamps, mirrors and plates are found by position
         points[self.nodes] = np.where(ends, self.high[:, None], points[self.nodes])
-        return points @ self.shear.T
+        return points
 
-    def located(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The box that holds each of points (k, 3), (k,), and where in it, (k, 3) in −1..1.
+    def located(self, points_mm: FloatArray, region: int | None = None) -> tuple[IntArray, FloatArray]:
+        """The box that holds each of points (k, 3), (k,), and where in it, (k, 3) in −1..1; whatever its region.
 
         A point outside is taken for the nearest one inside, along each axis.
         """
@@ -126,8 +161,8 @@ class Boxes:
             found[i:i1, j:j1, k:k1] = box
         return found
 
-    def at(self, points_mm: FloatArray) -> sp.csr_matrix:
-        """Rows that take nodal values to those at points (k, 3), shape (k, n)."""
+    def at(self, points_mm: FloatArray, region: int | None = None) -> sp.csr_matrix:
+        """Rows that take nodal values to those at points (k, 3), shape (k, n); whatever the region."""
         box, local = self.located(points_mm)
         return self._rows(box, cube_functions(self.order, local))
 
@@ -137,6 +172,40 @@ class Boxes:
         along = cube_slopes(self.order, local) * (2 / self.size[box]).T[:, :, None]
         along = np.tensordot(np.linalg.inv(self.shear), along, (0, 0))
         return sp.vstack([self._rows(box, values) for values in along], format="csr")
+
+    @property
+    def cells(self) -> IntArray:
+        """Nodes of boxes of order 2 as VTK orders them, (m, 27)."""
+        return self.nodes[:, VTK_PLACES @ (9, 3, 1)]
+
+    @property
+    def cell_places(self) -> FloatArray:
+        """Where they lie in a box, (27, 3) in −1..1."""
+        return VTK_PLACES - 1.0
+
+    @property
+    def corners(self) -> IntArray:
+        """Numbers of the corner nodes, (m, 8), z fastest."""
+        k, p = self.order + 1, self.order
+        return self.nodes.reshape(-1, k, k, k)[:, ::p, ::p, ::p].reshape(-1, 8)
+
+    @property
+    def volumes_mm3(self) -> FloatArray:
+        """Shape (m,)."""
+        return np.asarray(self.size.prod(axis=1), np.float64)
+
+    def linear(self, local: FloatArray) -> FloatArray:
+        """Linear functions of the corners at places (k, 3) in −1..1, shape (k, 8)."""
+        return cube_functions(1, local)
+
+    def corner_slopes(self) -> list[sp.csr_matrix]:
+        """Linear part of derivatives along x, y and z at boxes' corners, from nodal values of order 2, (8 m, n)."""
+        corners = 2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1
+        gauss = corners / np.sqrt(3)
+        fitted = (1 + 3 * corners @ gauss.T) / 8  # values at Gauss points to those of a linear function at corners
+        along = (fitted @ cube_slopes(self.order, gauss))[:, None] * (2 / self.size).T[:, :, None, None]
+        along = np.tensordot(np.linalg.inv(self.shear), along, (0, 0)).reshape(3, 8 * len(self.nodes), -1)
+        return [self._rows(np.repeat(np.arange(len(self.nodes)), 8), values) for values in along]
 
     def _rows(self, box: IntArray, values: FloatArray) -> sp.csr_matrix:
         rows = np.repeat(np.arange(len(box)), values.shape[1])

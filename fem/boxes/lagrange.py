@@ -70,21 +70,3 @@ def interval_integrals(
     half = (end - start) / 2
     places = (2 * (start[:, None] + half[:, None] * (x + 1)) - (left + right)[:, None]) / (right - left)[:, None]
     return half[:, None] * np.einsum("q,mqa->ma", weights, shape_functions(order, places)[0])
-
-
-def line_nodes(lines: FloatArray, order: int) -> FloatArray:
-    """Position of every node of a line, shape (n_elements·order + 1,)."""
-    share = (lobatto_points(order)[1:] + 1) / 2
-    return np.concatenate([lines[:1], (lines[:-1, None] + np.diff(lines)[:, None] * share).ravel()])
-
-
-@cache
-def reference_matrices(order: int, n_points: int) -> dict[tuple[bool, bool], FloatArray]:
-    """∫ φₐ⁽ⁱ⁾ φ_b⁽ʲ⁾ dx over [−1, 1] by n_points Gauss points; keyed by (i, j): which is differentiated."""
-    x, weights = gauss_points(n_points)
-    functions = shape_functions(order, x)
-    return {
-        (test, trial): np.einsum("q,qa,qb->ab", weights, functions[test], functions[trial])
-        for test in (False, True)
-        for trial in (False, True)
-    }

@@ -2,7 +2,7 @@
 
 Every axis is a forest of intervals (`AxisTree`). A box is one interval of each axis, so boxes that meet have faces and
 edges of which one holds the other, once `BoxMesh` has split those that would cross. Nodes on the face or edge of a
-larger box are no unknowns: they take what that box's functions give there (`Nodes.constraint`), so displacements stay
+larger box are no unknowns: they take what that box's functions give there (`Boxes.constraint`), so displacements stay
 continuous.
 """
 
@@ -12,19 +12,17 @@ from functools import cached_property
 from itertools import pairwise, product
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lagrange import lobatto_points, shape_functions
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 
 TOWARD_STOP = 0.2  #: of an interval that ends at a stop, the part on that side when it is split; 0.15 and 0.3 do alike
 BITS = 20  #: of a number of a vertex or an interval, in the key of an entity
-#: an element's vertices, edges and faces: along each axis its low end, its inside or its high end
-ENTITIES = tuple(place for place in product(range(3), repeat=3) if place != (1, 1, 1))
+#: a box's vertices, edges, faces and inside: along each axis its low end, its inside or its high end
+PLACES = tuple(product(range(3), repeat=3))
 
 
 class AxisTree:
@@ -108,16 +106,6 @@ class Table:
         return depth
 
 
-@dataclass(frozen=True, eq=False)
-class Nodes:
-    """Nodes on the surfaces of the elements, and the constraints of those on larger elements' faces and edges."""
-
-    of_elements: IntArray  #: (n_elements, n_surface), in the lexicographic order of an element's nodes
-    constraint: sp.csr_matrix  #: (n_nodes, n_nodes): takes values of independent nodes to those of all
-    independent: NDArray[np.bool_]  #: (n_nodes,)
-    vertex: IntArray  #: (n_nodes, 3): the vertex of each axis on which a node lies, −1 if inside an interval
-
-
 class BoxMesh:
     """Boxes over three axes; the first ones fill the whole grid of the axes' first intervals."""
 
@@ -155,19 +143,6 @@ class BoxMesh:
         )
         return low, high
 
-    def filled(self, order: int, lean: tuple[float, float], region: IntArray) -> Boxes:
-        """Functions of an order on the boxes, whose region (n,) and lean are as in `Boxes`."""
-        found, (low, high) = self.nodes(order), self.corners
-        within = (np.indices((order + 1,) * 3).reshape(3, -1) % order != 0).all(axis=0)
-        n, inside = found.constraint.shape[0], len(low) * int(within.sum())
-        nodes = np.empty((len(low), len(within)), dtype=np.int64)
-        nodes[:, ~within] = found.of_elements
-        nodes[:, within] = n + np.arange(inside).reshape(len(low), -1)
-        constraint = None
-        if not found.independent.all():
-            constraint = sp.block_diag([found.constraint, sp.eye(inside)], format="csr")
-        return Boxes(low=low, high=high, order=order, nodes=nodes, region=region, lean=lean, constraint=constraint)
-
     def _crossing(self) -> NDArray[np.bool_]:
         """Boxes to split, shape (n, 3), because a face is narrower one way and wider the other than what it meets."""
         tables, n = self.tables(), len(self.boxes)
@@ -183,37 +158,28 @@ class BoxMesh:
             marks[owner[np.isin(wider, longer)] % n, two] = True
         return marks
 
-    def nodes(self, order: int) -> Nodes:
-        """Number the nodes of functions of an order on the boxes' surfaces, and constrain those on larger boxes."""
-        tables = self.tables()
+    def filled(self, order: int, lean: tuple[float, float], region: IntArray) -> Boxes:
+        """Functions of an order on the boxes, whose region (n,) and lean are as in `Boxes`."""
+        tables, (low, high), m = self.tables(), self.corners, len(self.boxes)
         places = [
             np.column_stack([t.ends[self.boxes[:, d], 0], self.boxes[:, d], t.ends[self.boxes[:, d], 1]])
             for d, t in enumerate(tables)
         ]
-        keys = np.column_stack([_key(*(places[d][:, at[d]] for d in range(3))) for at in ENTITIES])
-        entity_keys, of_boxes = np.unique(keys, return_inverse=True)
-        entities = np.column_stack([entity_keys >> (2 * BITS), (entity_keys >> BITS) % 2**BITS, entity_keys % 2**BITS])
+        every = np.column_stack([_key(*(places[d][:, at[d]] for d in range(3))) for at in PLACES])
+        keys, first, of_boxes = np.unique(every, return_index=True, return_inverse=True)
+        entities = np.column_stack([keys >> (2 * BITS), (keys >> BITS) % 2**BITS, keys % 2**BITS])
         within = np.column_stack([~t.is_vertex[entities[:, d]] for d, t in enumerate(tables)])
         count = (order - 1) ** within.sum(axis=1)
-        start = np.concatenate([[0], np.cumsum(count)])
-
-        inside = [[0], list(range(1, order)), [order]]
-        local = [
-            [(i * (order + 1) + j) * (order + 1) + k for i, j, k in product(*(inside[p] for p in at))]
-            for at in ENTITIES
-        ]
-        by_place = np.argsort(np.concatenate(local))
-        numbered = np.hstack(
-            [
-                start[of_boxes.reshape(keys.shape)[:, column]][:, None] + np.arange(len(local[column]))
-                for column in range(len(ENTITIES))
-            ]
-        )
-        master = _masters(tables, entities, entity_keys, within)
-        slave = master != np.arange(len(entities))
-        constraint = _constraint(order, tables, entities, entity_keys, start, master)
-        on_vertex = np.repeat(np.where(within, -1, entities), count, axis=0)
-        return Nodes(numbered[:, by_place], constraint, np.repeat(~slave, count), on_vertex)
+        start = np.concatenate([[0], np.cumsum(count)])[of_boxes.reshape(every.shape)]
+        nodes, steps = np.empty((m, *[order + 1] * 3), dtype=np.int64), [[0], range(1, order), [order]]
+        for column, at in enumerate(PLACES):
+            own = [steps[place] for place in at]
+            number = np.arange(np.prod([len(along) for along in own])).reshape([len(along) for along in own])
+            nodes[np.ix_(range(m), *own)] = start[:, column, None, None, None] + number
+        boxes = Boxes(low=low, high=high, order=order, nodes=nodes.reshape(m, -1), region=region, lean=lean)
+        master = _masters(tables, entities, keys, within)
+        owner = np.where(master == np.arange(len(keys)), -1, first[master] // len(PLACES))
+        return boxes.hung(np.repeat(owner, count))
 
 
 def _key(i: IntArray, j: IntArray, k: IntArray) -> IntArray:
@@ -260,73 +226,3 @@ def _masters(
         x = tables[0].parent[x]
         x, rows_x = (values[x >= 0] for values in (x, rows_x))
     return master
-
-
-def _constraint(
-    order: int,
-    tables: tuple[Table, Table, Table],
-    entities: IntArray,
-    keys: IntArray,
-    start: IntArray,
-    master: IntArray,
-) -> sp.csr_matrix:
-    """Values of all nodes from those of the independent ones, shape (n_nodes, n_nodes)."""
-    number = {int(key): entity for entity, key in enumerate(keys)}
-    share = (lobatto_points(order)[1:-1] + 1) / 2
-    closures: dict[int, IntArray] = {}
-
-    def closure(entity: int) -> IntArray:
-        """All nodes of an entity, its own and those of its edges and vertices, in lexicographic order."""
-        if entity not in closures:
-            cells = entities[entity]
-            parts = [
-                [(c, slice(0, 1))]
-                if t.is_vertex[c]
-                else [
-                    (t.ends[c, 0], slice(0, 1)),
-                    (c, slice(1, order)),
-                    (t.ends[c, 1], slice(order, order + 1)),
-                ]
-                for t, c in zip(tables, cells, strict=True)
-            ]
-            lattice = np.zeros([1 if len(part) == 1 else order + 1 for part in parts], dtype=np.int64)
-            for (i, along_x), (j, along_y), (k, along_z) in product(*parts):
-                part = number[(int(i) << (2 * BITS)) | (int(j) << BITS) | int(k)]
-                where = lattice[along_x, along_y, along_z]
-                where[...] = np.arange(start[part], start[part + 1]).reshape(where.shape)
-            closures[entity] = lattice.ravel()
-        return closures[entity]
-
-    interpolations: dict[tuple[int, int, int], FloatArray] = {}
-
-    def interpolation(d: int, own: int, holder: int) -> FloatArray:
-        """Functions of an interval, or the one of a vertex, at the nodes within a vertex or interval that it holds."""
-        if (d, own, holder) not in interpolations:
-            t = tables[d]
-            if t.is_vertex[holder]:
-                values = np.ones((1, 1))
-            else:
-                at = t.low[own, None] if t.is_vertex[own] else t.low[own] + share * (t.high[own] - t.low[own])
-                values = shape_functions(order, 2 * (at - t.low[holder]) / (t.high[holder] - t.low[holder]) - 1)[0]
-            interpolations[d, own, holder] = values
-        return interpolations[d, own, holder]
-
-    slave = master != np.arange(len(entities))
-    independent = np.repeat(~slave, np.diff(start))
-    rows, columns, values = [np.flatnonzero(independent)], [np.flatnonzero(independent)], [np.ones(independent.sum())]
-    for entity in np.flatnonzero(slave):
-        holder = master[entity]
-        X, Y, Z = (interpolation(d, int(entities[entity, d]), int(entities[holder, d])) for d in range(3))
-        weights = np.einsum("ai,bj,ck->abcijk", X, Y, Z)
-        own, others = np.arange(start[entity], start[entity + 1]), closure(int(holder))
-        rows.append(np.repeat(own, len(others)))
-        columns.append(np.tile(others, len(own)))
-        values.append(weights.ravel())
-    shape = (int(start[-1]),) * 2
-    direct = sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    direct.data[np.abs(direct.data) < 1e-14] = 0.0  # what is zero but for rounding would couple distant nodes
-    direct.eliminate_zeros()
-    constraint = direct
-    while not independent[constraint.indices].all():  # a larger face may itself hang on a yet larger one
-        constraint = (constraint @ direct).tocsr()
-    return constraint

@@ -2,8 +2,8 @@
 
 In: a design, a shape, a depth. Out: tractions on the top, forces on every unit, displacements of the electrodes. In the
 order of the data: `shapes.py` (sphere, cylinder, flat punch, solid of an STL file), `surface.py` (how the top gives way
-under tractions, cached), `patch.py` (the same on the fine grid of one contact), `coulomb.py` (unilateral contact with
-friction on that grid), `indentation.py` (all of it: open this file first).
+under tractions, cached, and on the fine grid of one contact), `indentation.py` (unilateral contact with friction on
+that grid: open this file first).
 """
 
 from fem.contact.indentation import Contact, ContactError, press

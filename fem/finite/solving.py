@@ -7,23 +7,20 @@ from itertools import pairwise
 import numpy as np
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import lattice_boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import FactorMemoryError
+from fem.field import unfolded
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium, solve_rest
 from fem.levels import Convergence
 from fem.mirrors import Mirror
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import (
-    TRIQUADRATIC_HEXAHEDRON,
-    Field,
     FiniteSolution,
     Solution,
     Stopwatch,
 )
 from fem.system import System
-from geometry.layout import FloatArray
 
 #: least and greatest rate at which probes are taken to converge with the level; 1.9 to 3.1 was observed under tractions
 #: and on slender pillars, 2.45 at small strain under plates, whose answers are extrapolated
@@ -71,6 +68,7 @@ def solve_finite(
     answers are the limit to which the last two grids tend.
     """
     inside = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
+    materials = [scene.material, *(rubber for _, rubber in inside)]
     watch = Stopwatch()
     is_extrapolated = linear is None and len(scene.stiff_loads) == len(scene.loads)
     found = Convergence(RATES, is_extrapolated)
@@ -84,7 +82,7 @@ def solve_finite(
             unknowns > MAX_UNKNOWNS or (before > ALWAYS and unknowns * last[0].iterations > MAX_WORK)
         ):
             break
-        body = RubberBody.of(boxes, [scene.material, *(rubber for _, rubber in inside)])
+        body = RubberBody.of(boxes, materials)
         system = System(body, scene.loads, tuple(mirrors))
         watch.spent("assemble")
         try:
@@ -128,34 +126,7 @@ def solve_finite(
         error_estimate=estimate,
         seconds=watch.seconds,
         steps=tuple(steps),
-        field=_field(scene, *unfolded(boxes, equilibrium.state.u, mirrors)) if with_field else None,
-    )
-
-
-def unfolded(boxes: Boxes, u: FloatArray, mirrors: Sequence[Mirror]) -> tuple[Boxes, FloatArray]:
-    """The boxes of the whole body and its displacements (n_nodes, 3), from those of the part above the planes."""
-    lattice = u.reshape(*[boxes.order * n + 1 for n in boxes.shape], 3)
-    lines = list(boxes.lines)
-    for mirror in mirrors:
-        axis = mirror.axis
-        lines[axis] = np.concatenate([2 * mirror.position_mm - lines[axis][:0:-1], lines[axis]])
-        below = np.flip(lattice, axis).take(np.arange(lattice.shape[axis] - 1), axis)
-        lattice = np.concatenate([below * np.where(np.arange(3) == axis, -1.0, 1.0), lattice], axis)
-    whole = Boxes.between(lines, boxes.order, boxes.lean)
-    return whole, np.ascontiguousarray(lattice.reshape(-1, 3))
-
-
-def _field(scene: Scene, boxes: Boxes, u: FloatArray) -> Field:
-    """A state (n_nodes, 3) for pictures; cells count to the rubber at their middles."""
-    regions = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
-    points, (_, cells) = boxes.points_mm, lattice_boxes(boxes.lines)
-    return Field(
-        points_mm=points,
-        cells=cells,
-        cell_type=TRIQUADRATIC_HEXAHEDRON,
-        displacement_mm=u,
-        region=regions_at(points[cells[:, -1]], regions),
-        material=(scene.material, *(rubber for _, rubber in regions)),
+        field=unfolded(boxes, mirrors, [((1, 1), equilibrium.state.u)], materials) if with_field else None,
     )
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import psutil
 
 from fem.factor import FactorMemoryError, SolverError
+from fem.field import Field
 from fem.scene.scene import Scene
-from fem.scene.solution import Field, Solution, Stopwatch
+from fem.scene.solution import Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual

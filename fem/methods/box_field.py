@@ -4,81 +4,20 @@ The few large elements of the methods give displacements to a tolerance, but the
 pictures of stress come from one grid of many small ones (`picture_field`).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import VTK_PLACES, lattice_boxes
 from fem.factor import Factor, checked_solve
+from fem.field import Field, unfolded
 from fem.methods.plan import Plan
-from fem.mirrors import Parity, flipped_points, images, parities
+from fem.mirrors import parities
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON, Field
 from fem.system import System
 from geometry.layout import FloatArray
-
-PER_HEIGHT, PER_WIDTH = 4, 24  #: boxes of a picture to the body's height and to its greatest extent, at least
-
-#: for each axis, the node that a mirror puts in each node's place, so that mirrored boxes are not inside out
-VTK_MIRRORED = [
-    [
-        int(np.flatnonzero((np.where(np.arange(3) == axis, 2 - place, place) == VTK_PLACES).all(axis=1))[0])
-        for place in VTK_PLACES
-    ]
-    for axis in (0, 1)
-]
-
-
-def picture_lines(scene: Scene, lines: FloatArray) -> FloatArray:
-    """Element boundaries along one axis with wide intervals split evenly, for quadratic boxes that look smooth."""
-    extent = np.ptp(scene.outline.corners(), axis=0).max()
-    widest = max(scene.height_mm / PER_HEIGHT, extent / PER_WIDTH)
-    parts = np.ceil(np.diff(lines) / widest - 1e-9).astype(int).clip(1)
-    pieces = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(lines[:-1], lines[1:], parts, strict=True)]
-    return np.concatenate([lines[:1], *pieces])
-
-
-def crossings(positions: Sequence[FloatArray]) -> FloatArray:
-    """Points at all crossings of positions along x, y and z, z fastest, shape (n, 3)."""
-    return np.stack(np.meshgrid(*positions, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def unfolded_field(
-    scene: Scene,
-    plan: Plan,
-    points_mm: FloatArray,
-    cells: NDArray[np.int64],
-    parts: Sequence[tuple[Parity, FloatArray]],
-) -> Field:
-    """The field of a whole body from even and odd displacements (n, 3) of its solved part.
-
-    `points_mm` (n, 3) are where the base shows the nodes of `cells` (m, 27): before a sheared body is sheared.
-    """
-    region = regions_at(points_mm[cells[:, -1]], plan.regions)
-    sheared = points_mm.copy()
-    sheared[:, :2] += np.array(scene.outline.lean) * points_mm[:, 2:]
-    all_points, all_moved, all_cells = [], [], []
-    for number, (flipped, _) in enumerate(images(plan.mirrors, (1, 1))):
-        own = cells
-        for mirror in flipped:
-            own = own[:, VTK_MIRRORED[mirror.axis]]
-        all_cells.append(own + number * len(sheared))
-        all_points.append(flipped_points(sheared, flipped))
-        all_moved.append(np.sum([u * images(plan.mirrors, parity)[number][1] for parity, u in parts], axis=0))
-    return Field(
-        points_mm=np.vstack(all_points),
-        cells=np.vstack(all_cells),
-        cell_type=TRIQUADRATIC_HEXAHEDRON,
-        displacement_mm=np.vstack(all_moved),
-        region=np.tile(region, len(all_cells)),
-        material=(scene.material, *(material for _, material in plan.regions)),
-    )
-
 
 WIDEST = 0.35  #: boxes of a picture of stress, relative to the body's height
 ACROSS = 15  #: such boxes to the greatest extent of a flat body, where that makes them wider
@@ -127,12 +66,12 @@ def _layered(places: dict[float, float], widest: float, slack: float) -> FloatAr
 def picture_field(scene: Scene, plan: Plan) -> Field:
     """Displacement of the whole body on boxes that are fine enough for pictures, not to the scene's tolerance."""
     boxes = picture_boxes(scene, plan)
-    body = RubberBody.of(boxes, [scene.material, *(material for _, material in plan.regions)])
+    materials = [scene.material, *(material for _, material in plan.regions)]
+    body = RubberBody.of(boxes, materials)
     system = System(body, scene.loads, plan.mirrors, parities(plan.mirrors)[0])
     blocks, parts = system.rest_tangent(), []
     for part in (system.of_parity(parity) for parity in parities(plan.mirrors)):
         factor = Factor(part.matrix(blocks), definite=True, upper=True)
         y, _ = checked_solve(factor, part.loads_on(part.rest()).reshape(-1, 1))
         parts.append((part.parity, part.displaced(y)[0]))
-    halves, cells = lattice_boxes(boxes.lines)
-    return unfolded_field(scene, plan, crossings(halves), cells, parts)
+    return unfolded(boxes, plan.mirrors, parts, materials)

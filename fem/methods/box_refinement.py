@@ -5,26 +5,23 @@ errors of the probes come from, and along which axis; those are split, the other
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 """
 
-import math
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import lattice_boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
+from fem.field import Field, unfolded
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
-from fem.methods.box_field import crossings, picture_lines, unfolded_field
 from fem.methods.plan import Plan
-from fem.mirrors import Parity, images, parities
+from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import Field, Solution, Stopwatch
+from fem.scene.solution import Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 
@@ -33,25 +30,26 @@ WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, a
 MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
 LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
 ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
-SMALL = 0.3  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
+SMALL = 0.2  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
 SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
 NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the shell's
-COST_POWER = 1.5  #: of the number of boxes, to which a solve's time is about proportional
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
 SHARES = 0.3, 0.7  #: least and greatest share of the indicators' sum that is split at once
 TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
+AIM = 0.85  #: share of the tolerance at which splitting aims: what it takes varies
 MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
 
 
 class SplitBoxes:
-    """A scene on boxes."""
+    """A scene on boxes, folded at the mirror planes in which all loads are even, or all odd.
+
+    Loads that are neither need every box refined where their images are, or several factors: neither was faster.
+    """
 
     def __init__(self, scene: Scene, plan: Plan) -> None:
-        one_parity = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
-        plans = [replace(plan, mirrors=mirrors) for mirrors in dict.fromkeys([plan.mirrors, one_parity])]
-        meshes = [(first_mesh(scene, own), own) for own in plans]
-        self.mesh, self.plan = min(meshes, key=lambda m: len(parities(m[1].mirrors)) * len(m[0].boxes) ** COST_POWER)
-        self.scene = scene
+        mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
+        self.scene, self.plan = scene, replace(plan, mirrors=mirrors)
+        self.mesh = first_mesh(scene, self.plan)
         self.history: list[Indicated] = []
         self._condensed: dict[Kind, Condensed] = {}
 
@@ -63,71 +61,49 @@ class SplitBoxes:
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, mirrors = self.scene, self.plan.mirrors
+        (parity,) = parities(mirrors)
         low, high = self.mesh.corners
         boxes = self.mesh.filled(ORDER, scene.outline.lean, regions_at((low + high) / 2, self.plan.regions))
         materials = [scene.material, *(material for _, material in self.plan.regions)]
         body = RubberBody.of(boxes, materials, self._condensed)
-        system = System(body, on_lines(scene, boxes), mirrors, parities(mirrors)[0])
-        blocks = system.rest_tangent()
+        system = System(body, on_lines(scene, boxes), mirrors, parity)
+        matrix = system.matrix(system.rest_tangent())
         watch.spent("assemble")
-        probes, energy_mj, residuals, answers = np.zeros((len(scene.probes), 3)), 0.0, [], []
-        for part in (system.of_parity(parity) for parity in parities(mirrors)):
-            factor = Factor(part.matrix(blocks), definite=True, upper=True)
-            watch.spent("factor")
-            forces = part.loads_on(part.rest()).reshape(-1, 1)
-            y, residual = checked_solve(factor, forces)
-            u = part.displaced(y)[0]
-            probes += [part.seen(probe, u) for probe in scene.probes]
-            energy_mj += part.copies * float((forces * y).sum()) / 2
-            residuals.append(residual)
-            answers.append((part, factor, u))
-            watch.spent("solve")
-        weights, both = unit_loads(probes), []
-        for part, factor, u in answers:
-            duals, _ = checked_solve(factor, part.unit_loads(weights, scene.probes))
-            both.append(np.concatenate([u[None], part.displaced(duals) / part.copies]))
-        found = np.zeros((len(boxes.nodes), 3, len(weights)))
-        for seen in unfolded([part for part, _, _ in answers], both):
-            found += surplus(body, seen[0], seen[1:])
-        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes))))
+        factor = Factor(matrix, definite=True, upper=True, by_degree=True)
+        watch.spent("factor")
+        forces = system.loads_on(system.rest()).reshape(-1, 1)
+        y, residual = checked_solve(factor, forces)
+        u = system.displaced(y)[0]
+        probes = np.array([system.seen(probe, u) for probe in scene.probes])
+        weights = unit_loads(probes)
+        duals, _ = checked_solve(factor, system.unit_loads(weights, scene.probes))
+        found = surplus(body, u, system.displaced(duals))
+        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes)), len(boxes.nodes)))
         watch.spent("solve")
         return MeshAnswer(
             probes=probes,
-            energy_mj=energy_mj,
-            residual=max(residuals),
+            energy_mj=system.copies * float((forces * y).sum()) / 2,
+            residual=residual,
             unknowns=system.n_unknowns,
             indicators=found.sum(axis=2),
-            field=lambda: self._field(boxes, [(part.parity, u) for part, _, u in answers]),
+            field=lambda: self._field(boxes, parity, u),
         )
 
-    def _field(self, boxes: Boxes, parts: list[tuple[Parity, FloatArray]]) -> Field:
-        """Displacement of the whole body on quadratic boxes, the wide ones split."""
-        points, cells, count = [], [], 0
-        for low, high in zip(boxes.low, boxes.high, strict=True):
-            halves, own = lattice_boxes(
-                [picture_lines(self.scene, np.array(ends)) for ends in zip(low, high, strict=True)]
-            )
-            points.append(crossings(halves))
-            cells.append(own + count)
-            count += len(points[-1])
-        places = np.vstack(points)
-        rows = boxes.at(places @ boxes.shear.T)
-        return unfolded_field(
-            self.scene, self.plan, places, np.vstack(cells), [(parity, rows @ u) for parity, u in parts]
-        )
+    def _field(self, boxes: Boxes, parity: Parity, u: FloatArray) -> Field:
+        """Displacement of the whole body on quadratic boxes, eight to each of the solution's."""
+        side, corners = boxes.size / 2, np.indices((2, 2, 2)).reshape(3, -1).T
+        low = (boxes.low[:, None] + corners * side[:, None]).reshape(-1, 3)
+        nodes, region = np.arange(27 * len(low)).reshape(-1, 27), np.repeat(boxes.region, 8)
+        high = low + np.repeat(side, 8, axis=0)
+        halves = Boxes(low=low, high=high, order=2, nodes=nodes, region=region, lean=boxes.lean)
+        materials = [self.scene.material, *(rubber for _, rubber in self.plan.regions)]
+        return unfolded(halves, self.plan.mirrors, [(parity, boxes.at(halves.points_mm) @ u)], materials)
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh.split(marked(indicators, float(np.clip((1 - 1 / excess) / TAKEN, *SHARES))))
+        self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
 
     def error(self) -> float:
         return float(estimated_errors(self.history).max())
-
-
-def unfolded(parts: Sequence[System], displacements: Sequence[FloatArray]) -> Iterator[FloatArray]:
-    """Displacements of every image of the solved part, flipped back onto it, from its parities' (..., n_nodes, 3)."""
-    for flipped, _ in images(parts[0].mirrors, parts[0].parity):
-        signs = [math.prod(part.parity[mirror.axis] for mirror in flipped) for part in parts]
-        yield np.sum([sign * u for sign, u in zip(signs, displacements, strict=True)], axis=0)
 
 
 def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:

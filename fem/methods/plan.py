@@ -6,43 +6,28 @@ from typing import Literal
 
 import numpy as np
 
+from fem.methods.cell_scene import has_alike_plates
 from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
-from fem.scene.cells import has_alike_plates
-from fem.scene.checks import SceneError
-from fem.scene.loads import Rectangle
+from fem.scene.loads import SceneError
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
-from geometry.layout import AXES
+from geometry.layout import AXES, FloatArray
 
 Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
 
-BOXES = "split hexahedra of order 3 or 4"
-HEXAHEDRA = "quadratic hexahedra"
-MIXED = "mixed quadratic hexahedra"
-TETRAHEDRA = "Taylor-Hood tetrahedra"
-#: by the element's name, why it is used
+#: by method, its elements and why they are used; cells of two rubbers are of tetrahedra
 ELEMENTS = {
-    BOXES: "fine only where the probes need it, factored: whatever contrast, ν, shear and slenderness",
-    HEXAHEDRA: "they crowd at the edges of plates, two levels extrapolated",
-    MIXED: "the pressure linear in each and found there: neo-Hookean rubber does not lock",
-    TETRAHEDRA: "displacement P2 and pressure P1: they do not lock, whatever ν",
+    "boxes": "split hexahedra of order 3 or 4, fine only where the probes need it, factored: whatever contrast, ν, "
+    "shear and slenderness",
+    "cells": "quadratic hexahedra, they crowd at the edges of plates, two levels extrapolated",
+    "finite": "mixed quadratic hexahedra, the pressure linear in each and found there: rubber does not lock",
+    "tetrahedra": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
 }
 SOFT = 0.1  #: modulus of pillars over the matrix's, below which cells err more than they estimate: 1.4 % for 0.9 % at
 #: 0.2, 3.4 % for 1.5 % at 0.025
 SOFT_CELLS = 5e-2  #: tolerance that cells of such pillars keep
 MAX_WHOLE = 4  #: units of such arrays that are meshed as a whole instead
-
-
-@dataclass(frozen=True, kw_only=True)
-class Decision:
-    """One choice of the plan and its reason."""
-
-    name: str
-    choice: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.choice}, {self.reason}"
+SAME = 1e-12  #: relative difference of equal numbers that rounding may make
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +37,7 @@ class Plan:
     method: Method
     regions: tuple[Region, ...]  #: prisms inside the body that need a region of their own
     mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
-    decisions: tuple[Decision, ...]
-
-    @property
-    def lines(self) -> list[str]:
-        """The decisions for people, one line each."""
-        return [str(decision) for decision in self.decisions]
+    lines: tuple[str, ...]  #: for people: name, choice and reason of every decision
 
 
 def make_plan(scene: Scene, *, field: bool = False) -> Plan:
@@ -74,99 +54,79 @@ def make_plan(scene: Scene, *, field: bool = False) -> Plan:
     SceneError
         For a tolerance that arrays of soft pillars cannot keep.
     """
-    regions, decisions = _regions(scene)
+    regions = [entry for entry in scene.regions if entry[1] != scene.material]
     method, mesh = _method(scene, regions, field)
-    decisions.append(mesh)
+    lines = [*_one_material(scene, regions), f"mesh: {mesh}"]
     mirrors: tuple[Mirror, ...] = ()
     if method in ("boxes", "finite"):
         mirrors, symmetry = _symmetry(scene, regions, even=method == "finite")
-        decisions.append(symmetry)
+        lines.append(f"symmetry: {symmetry}")
     if method != "nothing":
-        element = _element(method, regions)
-        decisions.append(Decision(name="element", choice=element, reason=ELEMENTS[element]))
-    decisions.append(_field(scene, field))
-    return Plan(method=method, regions=tuple(regions), mirrors=mirrors, decisions=tuple(decisions))
+        lines.append(f"element: {ELEMENTS['tetrahedra' if method == 'cells' and regions else method]}")
+    skipped = f"skipped, {_count(scene.probes, 'probe')} asked for, no picture"
+    lines.append(f"field: {'computed, a picture was asked for' if field else skipped}")
+    return Plan(method=method, regions=tuple(regions), mirrors=mirrors, lines=tuple(lines))
 
 
-def _element(method: Method, regions: Sequence[Region]) -> str:
-    """The key of `ELEMENTS` of a method."""
-    if method == "cells":
-        return TETRAHEDRA if regions else HEXAHEDRA
-    return {"boxes": BOXES, "finite": MIXED, "tetrahedra": TETRAHEDRA}[method]
-
-
-def _regions(scene: Scene) -> tuple[list[Region], list[Decision]]:
-    every = scene.regions
+def _one_material(scene: Scene, own: list[Region]) -> list[str]:
+    """What is said of prisms in the body, `own` of which are of another rubber."""
+    every, what = scene.regions, "pillar" if isinstance(scene.body, Sensor) else "inclusion"
     if not every:
-        return [], []
-    what = "pillar" if isinstance(scene.body, Sensor) else "inclusion"
-    own = [entry for entry in every if entry[1] != scene.material]
-    same = len(every) - len(own)
-    if not same:
-        theirs = " and ".join(sorted({_rubber(material) for _, material in own}))
-        reason = f"{_count(own, what)} of {theirs} in {_rubber(scene.material)}"
-        return own, [Decision(name="one-material", choice="nothing to skip", reason=reason)]
-    reason = f"{same} of {_count(every, what)} are of the body's own material"
-    return own, [Decision(name="one-material", choice="interfaces skipped", reason=reason)]
+        return []
+    if len(own) < len(every):
+        same = len(every) - len(own)
+        return [f"one-material: interfaces skipped, {same} of {_count(every, what)} are of the body's own material"]
+    theirs = " and ".join(sorted({_rubber(material) for _, material in own}))
+    return [f"one-material: nothing to skip, {_count(own, what)} of {theirs} in {_rubber(scene.material)}"]
 
 
-def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, Decision]:
-    def tetrahedra(reason: str, choice: str = "tetrahedra") -> tuple[Method, Decision]:
-        return "tetrahedra", Decision(name="mesh", choice=choice, reason=reason)
-
+def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, str]:
+    """The method, and what is said of its mesh."""
     if scene.is_unloaded and not field:
-        return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
+        return "nothing", "none, nothing loads the body, so nothing moves"
     if not scene.is_linear:
         loads = ", ".join(sorted({load.kind for load in scene.loads}))
-        return "finite", Decision(name="mesh", choice="graded hexahedra", reason=f"finite strain under {loads} loads")
+        return "finite", f"graded hexahedra, finite strain under {loads} loads"
     is_sensor = isinstance(scene.body, Sensor)
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
-    soft = units > 1 and bool(regions) and _are_soft(scene)
-    if soft and units > MAX_WHOLE and scene.tolerance < SOFT_CELLS and not field:
-        raise SceneError(
-            f"tolerance={scene.tolerance:g}: pillars less than {SOFT:g} times as stiff as their matrix are known to "
-            f"{SOFT_CELLS:g} only in arrays of more than {MAX_WHOLE} units: ask for that, or for fewer units."
-        )
-    if soft and units <= MAX_WHOLE:
-        reason = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
-        return tetrahedra(reason, "tetrahedra of the whole array")
+    softest = min((rubber.young_mpa for _, rubber in scene.regions), default=np.inf)
+    if units > 1 and regions and softest < SOFT * scene.material.young_mpa:
+        if units <= MAX_WHOLE:
+            why = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
+            return "tetrahedra", f"tetrahedra of the whole array, {why}"
+        if scene.tolerance < SOFT_CELLS and not field:
+            raise SceneError(
+                f"tolerance={scene.tolerance:g}: pillars less than {SOFT:g} times as stiff as their matrix are known "
+                f"to {SOFT_CELLS:g} only in arrays of more than {MAX_WHOLE} units: ask for that, or for fewer units."
+            )
     seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
     if seen_by_means and has_alike_plates(scene):
-        reason = "plates lie on all units alike: one is condensed, its copies are coupled"
-        return "cells", Decision(name="mesh", choice="one cell", reason=reason)
+        return "cells", "one cell, plates lie on all units alike: one is condensed, its copies are coupled"
     if units > 1 and not scene.stiff_loads and seen_by_means:
-        reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
-        return "cells", Decision(name="mesh", choice="one cell", reason=reason)
+        return "cells", f"one cell, {units} equal units: one is meshed and condensed, its copies are coupled"
     oblique = sum(not prism.is_upright for prism, _ in regions)
     if oblique or (units and regions):
-        what = "pillar" if is_sensor else "inclusion"
-        return tetrahedra(f"{oblique} of {_count(regions, what)} of another material lean")
+        what = _count(regions, "pillar" if is_sensor else "inclusion")
+        return "tetrahedra", f"tetrahedra, {oblique} of {what} of another material lean"
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
-    return "boxes", Decision(name="mesh", choice="hexahedra", reason=boxes + shape)
+    return "boxes", f"hexahedra, {boxes}{shape}"
 
 
-def _are_soft(scene: Scene) -> bool:
-    """True of an array whose pillars are so much softer than the matrix that condensed cells say too little."""
-    rubbers = [material.young_mpa for _, material in scene.regions]
-    return isinstance(scene.body, Sensor) and min(rubbers) < SOFT * scene.material.young_mpa
-
-
-def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mirror, ...], Decision]:
-    """Planes that mirror the body; if `even`, the loads too."""
+def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mirror, ...], str]:
+    """Planes that mirror the body, and what is said of them; if `even`, they mirror the loads, too."""
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
-        return (), Decision(name="symmetry", choice="none", reason="no middle plane mirrors the body")
+        return (), "none, no middle plane mirrors the body"
     if even:
         mirrors = tuple(mirror for mirror in mirrors if mirror.parities == (1,))
     if not mirrors:
-        return (), Decision(name="symmetry", choice="unused", reason="no plane of the body mirrors the loads")
+        return (), "unused, no plane of the body mirrors the loads"
     planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
-    share = {1: "half", 2: "a quarter"}[len(mirrors)]
     count = len(parities(mirrors))
     loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
-    reason = f"the body mirrors in {planes} mm, {loads}"
-    return mirrors, Decision(name="symmetry", choice=f"{share} of the body", reason=reason)
+    share = {1: "half", 2: "a quarter"}[len(mirrors)]
+    return mirrors, f"{share} of the body, the body mirrors in {planes} mm, {loads}"
 
 
 def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:
@@ -176,39 +136,39 @@ def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:
         return None
     plane = Mirror(axis=axis, position_mm=outline.base_mm[axis], parities=(1, -1))
     own = [
-        (np.array([prism.base_mm, prism.top_mm]), np.array(prism.section_mm), material) for prism, material in regions
+        (np.array([prism.base_mm, prism.top_mm]), np.array([*prism.section_mm, rubber.young_mpa, rubber.poisson]))
+        for prism, rubber in regions
     ]
-    for ends, section, material in own:
-        image = flipped_points(ends, (plane,))
-        if not any(
-            _near(image, other, slack) and _near(section, size, slack) and m == material for other, size, m in own
-        ):
-            return None
-    whole = [
-        parity
-        for parity in (1, -1)
-        if all(_loads_mirror(loads, plane, parity, slack) for loads in scene.summed_loads.values())
-    ]
-    return replace(plane, parities=(whole[0],)) if whole else plane
+    if not _are_among([(flipped_points(ends, (plane,)), size) for ends, size in own], own, slack):
+        return None
+    flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+
+    def is_whole(parity: int) -> bool:
+        """True if the mirror image of the loads, times the parity, are the loads: vectors, and moments after them."""
+        signs = parity * np.concatenate([flip, -flip])
+        for loads in scene.summed_loads.values():
+            given = [(np.array(rectangle), load) for rectangle, load in loads.items()]
+            images = [(flipped_rectangles(at, (plane,)), signs[: len(load)] * load) for at, load in given]
+            if not _are_among(images, given, slack):
+                return False
+        return True
+
+    whole = [parity for parity in plane.parities if is_whole(parity)]
+    return replace(plane, parities=tuple(whole[:1])) if whole else plane
 
 
-def _near(one: np.ndarray, other: np.ndarray, slack: float) -> bool:
-    return bool(np.abs(one - other).max() <= slack)
+Placed = list[tuple[FloatArray, FloatArray]]  #: places and values
 
 
-def _loads_mirror(loads: dict[Rectangle, np.ndarray], plane: Mirror, parity: int, slack: float) -> bool:
-    """True if the mirror image of the loads, times the parity, are the loads: vectors, and moments after them."""
-    flip = np.where(np.arange(3) == plane.axis, -1.0, 1.0)
-    for rectangle, traction in loads.items():
-        image = flipped_rectangles(np.array(rectangle), (plane,))
-        wanted = parity * np.concatenate([flip, -flip])[: len(traction)] * traction
-        largest = np.abs(traction).max()
-        if not any(
-            _near(image, np.array(other), slack) and np.abs(wanted - given).max() <= 1e-12 * largest
-            for other, given in loads.items()
-        ):
-            return False
-    return True
+def _are_among(ones: Placed, others: Placed, slack: float) -> bool:
+    """True if each of some values has its equal in the same place, up to a slack, among others."""
+    return all(
+        any(
+            np.abs(at - place).max() <= slack and np.abs(value - given).max() <= SAME * np.abs(value).max()
+            for place, given in others
+        )
+        for at, value in ones
+    )
 
 
 def _count(entries: Sequence[object], what: str) -> str:
@@ -217,9 +177,3 @@ def _count(entries: Sequence[object], what: str) -> str:
 
 def _rubber(material: Material) -> str:
     return f"E = {material.young_mpa:g} MPa, ν = {material.poisson:g}"
-
-
-def _field(scene: Scene, asked: bool) -> Decision:
-    if asked:
-        return Decision(name="field", choice="computed", reason="a picture was asked for")
-    return Decision(name="field", choice="skipped", reason=f"{_count(scene.probes, 'probe')} asked for, no picture")

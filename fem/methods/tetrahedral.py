@@ -11,10 +11,11 @@ import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
 from fem.factor import Factor, checked_solve
+from fem.field import Field
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
+from fem.scene.solution import Solution, Stopwatch, relative_errors
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.indicator import (
     cell_sizes,
@@ -138,12 +139,9 @@ class BisectedTetrahedra:
             unknowns=matrix.shape[0],
             indicators=indicators,
             field=lambda: Field(
-                points_mm=body.basis.doflocs.T.copy(),
-                cells=body.basis.element_dofs.T.astype(np.int64),  # scikit-fem's order of nodes is VTK's
-                cell_type=QUADRATIC_TETRAHEDRON,
+                mesh=Elements.of_basis(body.basis, region.astype(np.int64)),
                 displacement_mm=u.reshape(-1, 3),
-                region=region.astype(np.int64),
-                material=tuple(self.materials),
+                material=self.materials,
             ),
         )
 
@@ -197,7 +195,7 @@ def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
         rows["mean"] = list(sp.csr_matrix(sp.diags_array(1 / areas) @ patch_integrals(basis, rectangles)))
     if len(points):
         elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
-        rows["point"] = list(elements.interpolation(*elements.places(points)))
+        rows["point"] = list(elements.at(points))
     return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
 
 

@@ -1,5 +1,6 @@
 """Pictures of deformed bodies, imported by nothing in `fem`.
 
-`colours.py` (values to colours and scales), `scenery.py` (scale bar, axes and colour bars), `deformation.py` (the
-picture).
+In the order of the data: `arrays.py` (displacement and stress anywhere in an array, and loads to show), `parts.py` (a
+loaded sensor or scene in parts to draw), `scenery.py` (colours, bars, scale bar and axes), `deformation.py` (the
+picture), `contact.py` (a contact from above).
 """

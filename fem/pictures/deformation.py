@@ -2,17 +2,28 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import ceil
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from fem.fields.deformed import Part, Parts
-from fem.pictures.colours import COLOURED_NOT, QUANTITIES, Colour, bar_of, pads_bar
-from fem.pictures.scenery import INK, Camera, draw_legend, draw_scenery, words_at
+from fem.pictures.parts import Parts
+from fem.pictures.scenery import (
+    COLOURED_NOT,
+    INK,
+    QUANTITIES,
+    Bar,
+    Camera,
+    Colour,
+    bar_of,
+    draw_legend,
+    draw_scenery,
+    pads_bar,
+    words_at,
+)
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]
@@ -85,17 +96,18 @@ class DeformedPicture:
         self.bars = (bar_of(self._quantity, shown), *([] if pads is None else [pads]))
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self.warning = warning
-        self._moving: list[tuple[str, str, pv.PolyData, FloatArray]] = []
+        self.moving: list[Moving] = []
         self._is_bare = medium == "page"
         points = {name: filled_points(parts, scale) for name, parts in panels.items()}
         stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
-        self.aspect = min(aspect_of(at, camera) for at in seen.values())  #: width over height of one picture
+        #: width over height of one picture
+        self.aspect = min(look(pv.Camera(), at, camera, 1.0) for at in seen.values())
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
         self.plotter = self._plotter(rows, columns, medium)
-        self._titles: list[tuple[str, vtkTextActor]] = []
+        self._titles: list[tuple[str, pv.Text]] = []
         for number, (name, parts) in enumerate(panels.items()):
             row, column = divmod(number, columns)
             self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
@@ -105,51 +117,47 @@ class DeformedPicture:
             self.plotter.reset_camera_clipping_range()
             if not self._is_bare:
                 self.plotter.subplot(2 * row, column)
-                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "centre", size=24)))
+                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "center", size=24)))
         if not self._is_bare:
             self.plotter.subplot(2 * rows, 0)
             wide, _ = self.plotter.window_size
             draw_legend(self.plotter, self.bars, [note for note in (self.note, warning) if note], wide, LEGEND_PX)
-        self._steps = len(before) + 1
-        for number, smaller in enumerate(before, start=1):
-            for name, part_name, mesh, _ in self._moving:
-                part = smaller[name][part_name]
-                mesh[f"full {number}"] = part.displacement_mm[mesh["point"]]
-                if "of full" in mesh.array_names:
-                    mesh[f"of full {number}"] = self._quantity.of(part)[mesh["point"]]
+        for moving in self.moving:
+            moving.steps[1:1] = [self._values(smaller[moving.panel], moving) for smaller in before]
         self.press(1.0)
 
     def press(self, share: float) -> None:
-        """Show everything under a share of its load."""
-        for _, _, mesh, rest in self._moving:
-            mesh.points = rest + self._scale * self._at(share, mesh, "full")
-            if "of full" in mesh.array_names:
-                mesh["shown"] = self._at(share, mesh, "of full")
-            if "strength of full" in mesh.array_names:
-                mesh["strength"] = share * mesh["strength of full"]
+        """Show everything under a share of its load, linear between the steps that are known."""
+        for moving in self.moving:
+            mesh, steps = moving.mesh, moving.steps
+            step = min(int(share * (len(steps) - 1)), len(steps) - 2)
+            further = share * (len(steps) - 1) - step
+            seen = {name: low + further * (steps[step + 1][name] - low) for name, low in steps[step].items()}
+            mesh.points = moving.rest_mm + self._scale * seen.pop("moved")
+            for name, values in seen.items():
+                mesh[name] = values
             if "Normals" in mesh.array_names:
                 turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
                 mesh["Normals"] = turned["Normals"]
         for name, text in self._titles:
-            text.SetInput(name if share == 1 else f"{share:.0%} of {name}")
-
-    def _at(self, share: float, mesh: pv.PolyData, name: str) -> FloatArray:
-        """Values of a mesh under a share of the load, linear between the steps that are known."""
-        step = min(int(share * self._steps), self._steps - 1)
-        below = mesh[f"{name} {step}"] if step else 0.0 * mesh[name]
-        above = mesh[name] if step == self._steps - 1 else mesh[f"{name} {step + 1}"]
-        return np.asarray(below + (share * self._steps - step) * (above - below))
+            text.input = name if share == 1 else f"{share:.0%} of {name}"
 
     def load(self, panels: Mapping[str, Parts]) -> None:
         """Show the same bodies under other loads, in the colours of the first ones."""
-        for name, part_name, mesh, _ in self._moving:
-            part = panels[name][part_name]
-            mesh["full"] = part.displacement_mm[mesh["point"]]
-            if "of full" in mesh.array_names:
-                mesh["of full"] = self._quantity.of(part)[mesh["point"]]
-            if "strength of full" in mesh.array_names:
-                mesh["strength of full"] = strength_at_points(part)[mesh["point"]]
+        for moving in self.moving:
+            moving.steps[-1] = self._values(panels[moving.panel], moving)
         self.press(1.0)
+
+    def _values(self, parts: Parts, moving: "Moving") -> dict[str, FloatArray]:
+        """What is seen at the points of a mesh."""
+        part = parts[moving.name]
+        values = {"moved": part.displacement_mm}
+        if moving.name not in COLOURED_NOT:
+            values["shown"] = self._quantity.of(part)
+        if part.traction_mpa is not None:
+            values["strength"] = np.zeros(len(part.points_mm))
+            values["strength"][part.cells] = part.strength_mpa[:, None]  # pads share no points between them
+        return {name: found[moving.mesh["point"]] for name, found in values.items()}
 
     def _plotter(self, rows: int, columns: int, medium: Medium) -> pv.Plotter:
         """An empty plotter for rows of pictures, each with its name above, and one legend below all of them."""
@@ -172,57 +180,60 @@ class DeformedPicture:
 
     def _draw(self, panel: str, parts: Parts) -> None:
         for name, part in parts.items():
-            whole = grid_of(part)
-            whole["full"], whole["point"] = part.displacement_mm, np.arange(len(part.points_mm))
+            whole = part.grid
+            whole["point"] = np.arange(len(part.points_mm))
 
             def moved(mesh: pv.PolyData, name: str = name) -> pv.PolyData:
-                self._moving.append((panel, name, mesh, mesh.points.copy()))
+                moving = Moving(panel, name, mesh, mesh.points.copy())
+                full = self._values(parts, moving)
+                moving.steps += [{key: 0 * values for key, values in full.items()}, full]
+                for key, values in full.items():
+                    mesh[key] = values
+                self.moving.append(moving)
                 return mesh
 
             if part.traction_mpa is not None:
-                self._draw_pads(whole, part, moved)
+                if not self._shows_all_pads:
+                    whole = whole.extract_cells(part.strength_mpa >= MIN_STRENGTH * part.strength_mpa.max())
+                outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
+                    boundary_edges=True, feature_edges=False, manifold_edges=False
+                )
+                outlines.points[:, 2] += PAD_LIFT_MM
+                width = {"line_width": 2.5 * self._line, "lighting": False}
+                self.plotter.add_mesh(moved(outlines), **_coloured("strength", self.bars[-1]), **width)
                 continue
-            if name not in COLOURED_NOT:
-                whole["of full"] = self._quantity.of(part)
             skin = whole.extract_surface(algorithm="dataset_surface")
-            if name == "electrodes":
-                middle = part.points_mm[:, 2].mean()
-                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - middle)
             if name == "matrix":
                 skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
                 actor = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
                 # PyVista's own smooth shading would draw a copy, which stays at rest
                 actor.prop.interpolation = "phong"
             elif name == "electrodes":
+                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
                 self.plotter.add_mesh(moved(skin), color="#c98a4b", **SOLID)
             else:
-                skin["shown"] = skin["of full"]
-                bar = self.bars[0]
-                self.plotter.add_mesh(
-                    moved(skin), scalars="shown", clim=(bar.low, bar.high), cmap=bar.colours, n_colors=len(bar.colours),
-                    show_scalar_bar=False, **SOLID,
-                )  # fmt: skip
+                self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **SOLID)
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
                 self.plotter.add_mesh(moved(edges), color="#3d5468", line_width=1.5 * self._line)
 
-    def _draw_pads(self, whole: pv.UnstructuredGrid, part: Part, moved: Callable[[pv.PolyData], pv.PolyData]) -> None:
-        """Outline loaded pads in the strength of their traction."""
-        whole["strength of full"] = strength_at_points(part)
-        strength = part.strength_mpa
-        if not self._shows_all_pads:
-            whole = whole.extract_cells(strength >= MIN_STRENGTH * strength.max())
-        outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
-            boundary_edges=True, feature_edges=False, manifold_edges=False
-        )
-        outlines.points[:, 2] += PAD_LIFT_MM
-        outlines["strength"] = outlines["strength of full"]
-        bar = self.bars[-1]
-        self.plotter.add_mesh(
-            moved(outlines), scalars="strength", cmap=bar.colours, n_colors=len(bar.colours), clim=(bar.low, bar.high),
-            line_width=2.5 * self._line, show_scalar_bar=False, lighting=False,
-        )  # fmt: skip
+
+def _coloured(name: str, bar: Bar) -> dict[str, Any]:
+    """How a mesh shows its values of a name in the colours of a bar."""
+    colours = {"cmap": bar.colours, "n_colors": len(bar.colours), "clim": (bar.low, bar.high)}
+    return {"scalars": name, "show_scalar_bar": False, **colours}
+
+
+@dataclass
+class Moving:
+    """A mesh that loads move, and what is seen on it at equal steps of the load, from rest."""
+
+    panel: str
+    name: str  #: of the part
+    mesh: pv.PolyData
+    rest_mm: FloatArray  #: (n, 3), its points
+    steps: list[dict[str, FloatArray]] = field(default_factory=list)
 
 
 def filled_points(parts: Parts, scale: float) -> FloatArray:
@@ -231,23 +242,10 @@ def filled_points(parts: Parts, scale: float) -> FloatArray:
     return np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])
 
 
-def strength_at_points(part: Part) -> FloatArray:
-    """Size of the traction (n,) [MPa] at the points of pads, which share none between them."""
-    strength = np.zeros(len(part.points_mm))
-    strength[part.cells] = part.strength_mpa[:, None]
-    return strength
-
-
 def draw_off_screen() -> None:
     """Let VTK draw where there is no display; before the first plotter."""
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
-
-
-def aspect_of(points_mm: FloatArray, camera: Camera) -> float:
-    """Width over height of what a camera of a picture sees of points (n, 3)."""
-    trial = pv.Camera()
-    return look(trial, points_mm, camera, 1.0)
 
 
 def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) -> float:
@@ -297,8 +295,3 @@ def place(
         distance = 2 * np.linalg.norm(np.ptp(points_mm, axis=0))
     camera.position = focus + distance * toward
     return float(np.ptp(across) / np.ptp(upward))
-
-
-def grid_of(part: Part) -> pv.UnstructuredGrid:
-    """A part at rest, without what was found on it."""
-    return pv.UnstructuredGrid({pv.CellType(part.cell_type): part.cells}, part.points_mm)

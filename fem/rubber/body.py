@@ -30,6 +30,7 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 CHUNK_VALUES = 1_500_000  #: numbers in the stiffness matrices that are computed at a time: their products stay in cache
+AT_ONCE = 8  #: elements whose insides are eliminated, likewise
 PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))  #: components of a symmetric tensor
 
 
@@ -185,11 +186,11 @@ class RubberBody:
         places = np.arange(self.nodes.size)
         return sp.csr_matrix((np.ones(len(places)), (self.nodes.ravel(), places)), shape=(self.n_nodes, len(places)))
 
-    def chunks(self, values_each: int) -> Iterator[slice]:
-        """Slices of elements of which each has so many numbers, few enough to stay in the processor's cache."""
-        step = max(1, CHUNK_VALUES // values_each)
-        for first in range(0, self.n_elements, step):
-            yield slice(first, min(first + step, self.n_elements))
+    @cached_property
+    def chunks(self) -> list[slice]:
+        """Elements whose stiffness is computed at a time; one by one where their insides are eliminated."""
+        step = 1 if len(self.reference.inside) else max(1, CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
+        return [slice(first, min(first + step, self.n_elements)) for first in range(0, self.n_elements, step)]
 
     def gradient(self, u: FloatArray) -> FloatArray:
         """∂uᵢ/∂X_J at the Gauss points, shape (3, 3, m, n_elements, q), of displacements (m, n_nodes, 3)."""
@@ -292,17 +293,16 @@ class RubberBody:
             del known[kind]
         first = {kind: element for element, kind in enumerate(self._kinds) if kind not in known}
         new = np.array(list(first.values()), dtype=np.int64)
-        step = max(1, 4 * CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
-        for elements in np.array_split(new, 1 + len(new) // step) if len(new) else []:
+        for elements in np.array_split(new, np.arange(AT_ONCE, len(new), AT_ONCE)) if len(new) else []:
             K = self.rest_stiffness(elements)
-            parts = [
-                K[:, rows][:, :, cols].swapaxes(2, 3).reshape(len(K), 3 * len(rows), 3 * len(cols))
-                for rows, cols in ((surface, surface), (inside, surface), (inside, inside))
-            ]
-            inner = np.linalg.solve(parts[2], parts[1])
-            outer = (parts[0] - parts[1].swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
-            for element, own, recovered in zip(elements, outer.swapaxes(2, 3), inner, strict=True):
-                known[self._kinds[element]] = Condensed(np.ascontiguousarray(own), -recovered)
+            inside_rows = (K[:, inside[:, None], own].swapaxes(2, 3) for own in (inside, surface))
+            within, beside = (rows.reshape(len(K), 3 * len(inside), -1) for rows in inside_rows)
+            inner = np.linalg.solve(within, beside)
+            outer = K[:, surface[:, None], surface]
+            taken = (beside.swapaxes(1, 2) @ inner).reshape(len(K), len(surface), 3, len(surface), 3)
+            outer -= taken.swapaxes(2, 3)
+            for element, own, recovered in zip(elements, outer, inner, strict=True):
+                known[self._kinds[element]] = Condensed(own.copy(), -recovered)
         return known
 
     def filled(self, u: FloatArray) -> FloatArray:
@@ -333,10 +333,9 @@ class RubberBody:
 
     def rest_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
         """Chunks of elements and their stiffness at rest between nodes on their surfaces, (e, n, n, 3, 3) [N/mm]."""
-        surface, inner = self.reference.surface, self.reference.inside
-        for some in self.chunks(9 * len(surface) ** 2):
-            if len(inner):
-                yield some, np.stack([self.condensed[kind].stiffness for kind in self._kinds[some]])
+        for some in self.chunks:
+            if len(self.reference.inside):
+                yield some, self.condensed[self._kinds[some.start]].stiffness[None]
             else:
                 yield some, self.rest_stiffness(some)
 
@@ -372,7 +371,7 @@ class Tangent:
         """Chunks of elements and their K, (e, n, n, 3, 3): entry [e, a, b, i, j] couples aᵢ with b_j [N/mm]."""
         body, box = self.body, self.body.reference
         n, k = body.nodes.shape[1], body.n_pressures
-        for some in body.chunks(9 * n * n):
+        for some in body.chunks:
             e = some.stop - some.start
             cof = self._in_box(plus_unit(self._strain.C[:, :, some].copy(), 1.0), 1, some)  # (3, 3, e, q)
             A = self._in_box(self._in_box(self._moduli(some), 1, some), 3, some)

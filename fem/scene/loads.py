@@ -1,18 +1,76 @@
 """Loads of a scene, each on a rectangle of the top face at rest: dead, following and stiff.
 
 Directions are the axes' and do not turn, but for the pressure of a `FollowerLoad`. All grow from 0 in proportion.
+What a scene consists of declares its quantities by `numbers`, and `Checked` refuses all else.
 """
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Self
+import reprlib
+import sys
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
-from fem.scene.checks import LARGEST_MPA, SceneError, is_finite, require_extents, require_vectors, shown
+from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Triple
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
+LENGTHS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
+LARGEST_MPA = 1e12  #: of a traction; energies go with its square
+
+
+class SceneError(TriPillarError, ValueError):
+    """A scene that cannot be built or makes no sense."""
+
+
+def shown(value: Any) -> str:
+    """A value for a message: one line, cut where it is long."""
+    return f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+
+
+def is_finite(value: Any) -> bool:
+    """True of a number that is finite, and no bool."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_number and bool(abs(value) <= sys.float_info.max)  # so that NaN and endless integers are refused
+
+
+def numbers(
+    count: int, meaning: str, default: Any = MISSING, above_0: bool = False, largest: float = LENGTHS_MM[1]
+) -> Any:
+    """A dataclass field of one number, or a vector of `count`, none of them larger than `largest`."""
+    metadata = {"meaning": meaning, "count": count, "above 0": above_0, "largest": largest}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """A part of a scene: its fields of `numbers` become floats or tuples of floats, or are refused by name."""
+
+    def __post_init__(self) -> None:
+        for spec in fields(self):
+            value = getattr(self, spec.name)
+            if "count" in spec.metadata and not (value is None and spec.default is None):
+                object.__setattr__(self, spec.name, _sound(value, spec.name, **spec.metadata))
+
+
+def _sound(value: Any, name: str, **asked: Any) -> float | tuple[float, ...]:
+    count, largest = asked["count"], asked["largest"]
+    listed = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
+    given = [value] if count == 1 else listed
+    said = ""
+    if len(given) != count or not all(map(is_finite, given)):
+        said = "a finite number" if count == 1 else f"{count} finite numbers"
+    elif max(map(abs, given)) > largest:
+        said = f"at most {largest:g} in size"
+    elif asked["above 0"] and not min(given) > 0:
+        said = "above 0 along every axis"
+    elif asked["above 0"] and not min(given) >= LENGTHS_MM[0]:
+        said = f"from {LENGTHS_MM[0]:g} to {largest:g}"
+    if said:
+        raise SceneError(f"{name}={shown(value)} must be {said}; {asked['meaning']}.")
+    return float(value) if count == 1 else tuple(map(float, given))
 
 
 def rectangle_of(center_mm: Pair, size_mm: Pair) -> Rectangle:
@@ -22,20 +80,30 @@ def rectangle_of(center_mm: Pair, size_mm: Pair) -> Rectangle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OnRectangle:
+class _OnRectangle(Checked):
     """A load on a rectangle of the top face."""
 
-    center_mm: Pair = field(metadata={"meaning": "centre of the loaded rectangle: x, y, in mm"})
-    size_mm: Pair = field(metadata={"meaning": "extent of the loaded rectangle along x and y, in mm"})
+    center_mm: Pair = numbers(2, "centre of the loaded rectangle: x, y, in mm")
+    size_mm: Pair = numbers(2, "extent of the loaded rectangle along x and y, in mm", above_0=True)
 
-    def __post_init__(self) -> None:
-        require_vectors(self, {"center_mm": 2, "size_mm": 2})
-        require_extents(self, "size_mm")
+    @property
+    def rectangle(self) -> Rectangle:
+        return rectangle_of(self.center_mm, self.size_mm)
+
+    @property
+    def components(self) -> tuple[float, ...]:
+        """Traction along x, y, z at rest, or force and moment."""
+        raise NotImplementedError
+
+    @property
+    def spread(self) -> tuple["DeadLoad", ...]:
+        """The load as small strain sees it."""
+        x, y, z = self.components
+        return (DeadLoad(center_mm=self.center_mm, size_mm=self.size_mm, traction_mpa=(x, y, z)),)
 
     def times(self, share: float) -> Self:
         """The same load, a share as large."""
-        own = {one.name: getattr(self, one.name) for one in fields(self) if not one.name.endswith("_mm")}
-        return replace(self, **{name: (np.array(value) * share).tolist() for name, value in own.items()})
+        return self.image(np.array(self.rectangle), *np.full((2, 3), share))
 
     def plus(self, other: Self) -> Self:
         """The sum of two loads on one rectangle."""
@@ -52,10 +120,6 @@ class _OnRectangle:
         """By what each quantity is multiplied in an image."""
         return [("traction_mpa", signs)]
 
-    @property
-    def rectangle(self) -> Rectangle:
-        return rectangle_of(self.center_mm, self.size_mm)
-
 
 @dataclass(frozen=True, kw_only=True)
 class DeadLoad(_OnRectangle):
@@ -65,21 +129,11 @@ class DeadLoad(_OnRectangle):
     """
 
     kind = "dead"
-    traction_mpa: Triple = field(metadata={"meaning": "traction along x, y, z, in MPa; z negative pushes down"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"traction_mpa": 3}, LARGEST_MPA)
+    traction_mpa: Triple = numbers(3, "traction along x, y, z, in MPa; z negative pushes down", largest=LARGEST_MPA)
 
     @property
     def components(self) -> tuple[float, ...]:
-        """Traction along x, y, z."""
         return self.traction_mpa
-
-    @property
-    def spread(self) -> tuple["DeadLoad", ...]:
-        """The load as small strain sees it."""
-        return (self,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,29 +145,12 @@ class FollowerLoad(_OnRectangle):
     """
 
     kind = "follower"
-    pressure_mpa: float
-    traction_mpa: Pair = field(default=(0.0, 0.0), metadata={"meaning": "traction along x and y, in MPa at rest"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"traction_mpa": 2}, LARGEST_MPA)
-        if not is_finite(self.pressure_mpa) or abs(self.pressure_mpa) > LARGEST_MPA:
-            raise SceneError(
-                f"pressure_mpa={shown(self.pressure_mpa)} must be a finite number of at most {LARGEST_MPA:g}; above 0 "
-                "it pushes."
-            )
-        object.__setattr__(self, "pressure_mpa", float(self.pressure_mpa))
+    pressure_mpa: float = numbers(1, "pressure, in MPa; above 0 it pushes", largest=LARGEST_MPA)
+    traction_mpa: Pair = numbers(2, "traction along x and y, in MPa at rest", (0.0, 0.0), largest=LARGEST_MPA)
 
     @property
     def components(self) -> tuple[float, ...]:
-        """Traction along x, y, z at rest."""
         return (*self.traction_mpa, -self.pressure_mpa)
-
-    @property
-    def spread(self) -> tuple[DeadLoad, ...]:
-        """The load as small strain sees it."""
-        traction = (*self.traction_mpa, -self.pressure_mpa)
-        return (DeadLoad(center_mm=self.center_mm, size_mm=self.size_mm, traction_mpa=traction),)
 
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("traction_mpa", signs[:2]), ("pressure_mpa", signs[2])]
@@ -124,19 +161,14 @@ class StiffLoad(_OnRectangle):
     """A rigid plate bonded to a rectangle, loaded at the middle of its underside."""
 
     kind = "stiff"
-    force_n: Triple = field(metadata={"meaning": "force along x, y, z, in N; z negative pushes down"})
-    moment_nmm: Triple = field(default=(0.0, 0.0, 0.0), metadata={"meaning": "moment about x, y, z, in N mm"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vectors(self, {"force_n": 3, "moment_nmm": 3}, LARGEST_MPA)
+    force_n: Triple = numbers(3, "force along x, y, z, in N; z negative pushes down", largest=LARGEST_MPA)
+    moment_nmm: Triple = numbers(3, "moment about x, y, z, in N mm", (0.0, 0.0, 0.0), largest=LARGEST_MPA)
 
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("force_n", signs), ("moment_nmm", axial)]
 
     @property
     def components(self) -> tuple[float, ...]:
-        """Force and moment."""
         return self.force_n + self.moment_nmm
 
     @property

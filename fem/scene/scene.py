@@ -13,13 +13,25 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.scene.checks import LENGTHS_MM, SceneError, is_finite, require_extents, require_vectors, shown
-from fem.scene.loads import DeadLoad, Load, Rectangle, StiffLoad, rectangle_of
+from fem.scene.loads import (
+    LENGTHS_MM,
+    Checked,
+    DeadLoad,
+    Load,
+    Rectangle,
+    SceneError,
+    StiffLoad,
+    is_finite,
+    numbers,
+    rectangle_of,
+    shown,
+)
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
 
 ROUNDING = 1e-9  #: of a body's extent: how far rounding may put an edge past the face it lies on
+PROBE_KEYS = {"mean": ("center_mm", "size_mm"), "point": ("position_mm",)}  #: where a probe of each kind looks
 Region = tuple[Prism, Material]  #: a part of the body with a rubber of its own
 
 
@@ -29,14 +41,10 @@ def regions_at(points_mm: FloatArray, regions: Sequence[Region]) -> NDArray[np.i
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class Block(Checked):
     """A box from the origin corner."""
 
-    size_mm: Triple = field(metadata={"meaning": "extent of the block along x, y and z from the origin corner, in mm"})
-
-    def __post_init__(self) -> None:
-        require_vectors(self, {"size_mm": 3})
-        require_extents(self, "size_mm")
+    size_mm: Triple = numbers(3, "extent of the block along x, y and z from the origin corner, in mm", above_0=True)
 
     @property
     def outline(self) -> Prism:
@@ -45,23 +53,41 @@ class Block:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pillar:
-    """A straight free pillar, upright or oblique, of constant horizontal section."""
+class _Straight(Prism, Checked):
+    """A straight prism, upright or oblique, of constant horizontal section."""
 
-    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y, in mm"})
-    base_mm: Triple = field(metadata={"meaning": "centre of the clamped lower end: x, y, 0, in mm"})
-    top_mm: Triple = field(metadata={"meaning": "centre of the upper end: x, y, z, in mm"})
+    base_mm: Triple = numbers(3, "centre of the lower end: x, y, z, in mm")
+    top_mm: Triple = numbers(3, "centre of the upper end: x, y, z, in mm")
+    section_mm: Pair = numbers(2, "extent of the horizontal section along x and y, in mm", above_0=True)
 
     def __post_init__(self) -> None:
-        require_vectors(self, {"section_mm": 2, "base_mm": 3, "top_mm": 3})
-        require_extents(self, "section_mm")
-        _require_upward(self)
+        super().__post_init__()
+        if not self.height_mm >= LENGTHS_MM[0]:
+            raise SceneError(
+                f"top_mm={list(self.top_mm)} must lie above base_mm={list(self.base_mm)}: its height would be "
+                f"{self.height_mm:g} mm; swap or part them."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pillar(_Straight):
+    """A straight free pillar whose lower end is clamped."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.base_mm[2] != 0.0:
             raise SceneError(f"base_mm={list(self.base_mm)} must lie on the clamped base: its third number must be 0.")
 
     @property
     def outline(self) -> Prism:
-        return Prism(base_mm=self.base_mm, top_mm=self.top_mm, section_mm=self.section_mm)
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inclusion(_Straight):
+    """A straight prism of another material inside a block; it may touch the block's faces from inside."""
+
+    material: Material = field(default_factory=Material)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,55 +118,28 @@ Body = Block | Pillar | Sensor
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inclusion(Prism):
-    """A straight prism of another material inside a block; it may touch the block's faces from inside."""
-
-    material: Material = field(default_factory=Material)
-
-    def __post_init__(self) -> None:
-        require_vectors(self, {"base_mm": 3, "top_mm": 3, "section_mm": 2})
-        require_extents(self, "section_mm")
-        _require_upward(self)
-
-
-def _require_upward(prism: Any) -> None:
-    height_mm = prism.top_mm[2] - prism.base_mm[2]
-    if not height_mm >= LENGTHS_MM[0]:
-        raise SceneError(
-            f"top_mm={list(prism.top_mm)} must lie above base_mm={list(prism.base_mm)}: its height would be "
-            f"{height_mm:g} mm; swap or part them."
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Probe:
+class Probe(Checked):
     """A displacement to report: the mean over a rectangle of the top face, or that of a point."""
 
     name: str
     kind: Literal["mean", "point"]
-    center_mm: Pair | None = field(
-        default=None, metadata={"meaning": "centre of the rectangle of a mean probe: x, y, in mm"}
-    )
-    size_mm: Pair | None = field(
-        default=None, metadata={"meaning": "extent of the rectangle of a mean probe along x and y, in mm"}
-    )
-    position_mm: Triple | None = field(default=None, metadata={"meaning": "position of a point probe: x, y, z, in mm"})
+    center_mm: Pair | None = numbers(2, "centre of a mean probe's rectangle: x, y, in mm", None)
+    size_mm: Pair | None = numbers(2, "extent of a mean probe's rectangle along x and y, in mm", None, above_0=True)
+    position_mm: Triple | None = numbers(3, "position of a point probe: x, y, z, in mm", None)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
             raise SceneError(f"name={shown(self.name)} must be a word by which the probe is reported.")
-        needed = {"mean": {"center_mm": 2, "size_mm": 2}, "point": {"position_mm": 3}}
-        if not isinstance(self.kind, str) or self.kind not in needed:
+        if not isinstance(self.kind, str) or self.kind not in PROBE_KEYS:
             raise SceneError(f"kind={shown(self.kind)} must be 'mean' or 'point'.")
-        for name in ("center_mm", "size_mm", "position_mm"):
-            if (getattr(self, name) is not None) != (name in needed[self.kind]):
+        needed = PROBE_KEYS[self.kind]
+        for key in sum(PROBE_KEYS.values(), ()):
+            if (getattr(self, key) is not None) != (key in needed):
                 raise SceneError(
-                    f"a probe of kind '{self.kind}' takes {' and '.join(needed[self.kind])}: "
-                    f"{name} is {'missing' if name in needed[self.kind] else 'not one of them'}."
+                    f"a probe of kind '{self.kind}' takes {' and '.join(needed)}: "
+                    f"{key} is {'missing' if key in needed else 'not one of them'}."
                 )
-        require_vectors(self, needed[self.kind])
-        if self.kind == "mean":
-            require_extents(self, "size_mm")
+        super().__post_init__()
 
     @property
     def rectangle(self) -> Rectangle:
@@ -219,13 +218,12 @@ class Scene:
 
     def _check_plates(self) -> None:
         for (one, first), (two, second) in combinations(enumerate(self.loads, start=1), 2):
-            if isinstance(first, StiffLoad) or isinstance(second, StiffLoad):
-                both = isinstance(first, StiffLoad) and isinstance(second, StiffLoad)
-                a, b = np.array(first.rectangle), np.array(second.rectangle)
-                overlap = (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])).min()
-                if overlap > (-self.rounding_mm if both else self.rounding_mm):
-                    allowed = "part them; touching plates would be a hinge" if both else "part them; they may touch"
-                    raise SceneError(f"loads {one} and {two} share a stiff plate's rectangle: {allowed}.")
+            n_plates = isinstance(first, StiffLoad) + isinstance(second, StiffLoad)
+            a, b = np.array(first.rectangle), np.array(second.rectangle)
+            overlap = (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])).min()
+            if n_plates and overlap > {1: self.rounding_mm, 2: -self.rounding_mm}[n_plates]:
+                allowed = "they may touch" if n_plates == 1 else "touching plates would be a hinge"
+                raise SceneError(f"loads {one} and {two} share a stiff plate's rectangle: part them; {allowed}.")
 
     def _require_on_top(self, name: str, rectangle: Rectangle) -> None:
         x0, y0, x1, y1 = self.top_mm
@@ -269,19 +267,15 @@ class Scene:
 
     def at_small_strain(self, tolerance: float) -> "Scene":
         """The same scene with linear rubbers and a tolerance of its own."""
+
+        def linear(one: Any, *rubbers: str) -> Any:
+            return replace(one, **{name: replace(getattr(one, name), model="linear") for name in rubbers})
+
         body = self.body
         if isinstance(body, Sensor):
-            pillars, matrix = (
-                replace(rubber, model="linear") for rubber in (body.design.pillar_material, body.design.matrix_material)
-            )
-            body = replace(body, design=replace(body.design, pillar_material=pillars, matrix_material=matrix))
-        return replace(
-            self,
-            body=body,
-            material=replace(self.material, model="linear"),
-            inclusions=tuple(replace(one, material=replace(one.material, model="linear")) for one in self.inclusions),
-            tolerance=tolerance,
-        )
+            body = replace(body, design=linear(body.design, "pillar_material", "matrix_material"))
+        inclusions = tuple(linear(one, "material") for one in self.inclusions)
+        return replace(linear(self, "material"), body=body, inclusions=inclusions, tolerance=tolerance)
 
     def under(self, share: float) -> "Scene":
         """The same scene under a share of its loads."""
@@ -329,25 +323,26 @@ class Scene:
     @property
     def summed_loads(self) -> dict[str, dict[Rectangle, FloatArray]]:
         """By kind, tractions of every loaded rectangle along x, y, z (pressures along −z), or force and moment."""
-        sums: dict[str, dict[Rectangle, FloatArray]] = {}
-        for load in self.loads:
-            own = sums.setdefault(load.kind, {})
-            own[load.rectangle] = own.get(load.rectangle, 0.0) + np.array(load.components)
-        return sums
+        return _summed(self.loads)
 
     @property
     def is_unloaded(self) -> bool:
         """True if no load remains once those on equal rectangles are added up."""
-        sums: dict[Rectangle, FloatArray] = {}
-        for load in self.dead_loads:
-            sums[load.rectangle] = sums.get(load.rectangle, 0.0) + np.array(load.traction_mpa)
-        return not any(traction.any() for traction in sums.values())
+        return not any(sums.any() for loads in _summed(self.dead_loads).values() for sums in loads.values())
 
     def _on_top(self, rectangles: list[Rectangle]) -> FloatArray:
         """Rectangles without what rounding puts past the top face."""
         x0, y0, x1, y1 = self.top_mm
         limits = np.array([[x0, y0, x0, y0], [x1, y1, x1, y1]])
         return np.clip(np.array(rectangles, dtype=np.float64).reshape(-1, 4), *limits)
+
+
+def _summed(loads: Sequence[Load]) -> dict[str, dict[Rectangle, FloatArray]]:
+    sums: dict[str, dict[Rectangle, FloatArray]] = {}
+    for load in loads:
+        own = sums.setdefault(load.kind, {})
+        own[load.rectangle] = own.get(load.rectangle, 0.0) + np.array(load.components)
+    return sums
 
 
 def _row(numbers: Any) -> str:

@@ -5,33 +5,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geometry.design import Material
 from geometry.layout import FloatArray
 from geometry.storage.files import vtk_content, write_bytes
 
+if TYPE_CHECKING:
+    from fem.field import Field
+
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
 
-QUADRILATERAL, TETRAHEDRON, HEXAHEDRON = 9, 10, 12  #: VTK's numbers of linear cells
-QUADRATIC_TETRAHEDRON, TRIQUADRATIC_HEXAHEDRON = 24, 29
-
 Probes = dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Field:
-    """Displacement of the whole body, for pictures."""
-
-    points_mm: FloatArray  #: shape (n, 3)
-    cells: NDArray[np.int64]  #: shape (m, k), in VTK's order of points
-    cell_type: int  #: VTK's number
-    displacement_mm: FloatArray  #: shape (n, 3)
-    region: NDArray[np.int64]  #: shape (m,): 0 for the body, above for what is in it
-    material: tuple[Material, ...]  #: of each region
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +31,7 @@ class Solution:
     error_estimate: float  #: largest relative error over the probes, as estimated
     seconds: dict[str, float]  #: by step: mesh, assemble, factor, solve
     steps: tuple[str, ...] = ()  #: what was done and measured on the way, one line each
-    field: Field | None = field(default=None, repr=False)  #: only when asked for
+    field: "Field | None" = field(default=None, repr=False)  #: of the whole body, only when asked for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,36 +89,23 @@ class Stopwatch:
 
 def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str, Any]:
     """A solution as the object that `tripillar solve --json` prints; what nobody could tell is null."""
-
-    def known(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
-    finite = {}
-    if isinstance(solution, FiniteSolution):
-        finite = {
-            "work_mj": known(solution.work_mj),
-            "energy_imbalance": known(solution.energy_imbalance),
-            "least_j": solution.least_j,
-            "iterations": solution.iterations,
-            "load_steps": solution.load_steps,
-        }
+    finite = ("work_mj", "energy_imbalance", "least_j", "iterations", "load_steps")
+    names = ("energy_mj", "residual", "unknowns", "error_estimate", *finite)
+    numbers = {name: getattr(solution, name) for name in names if hasattr(solution, name)}
+    known = {name: np.asarray(number).item() if math.isfinite(number) else None for name, number in numbers.items()}
     return {
-        "probes": {name: [float(u) for u in displacement] for name, displacement in solution.probes.items()},
-        "energy_mj": float(solution.energy_mj),
-        "residual": float(solution.residual),
-        "dofs": int(solution.unknowns),
-        "error_estimate": known(solution.error_estimate),
-        **finite,
-        "seconds": {step: float(seconds) for step, seconds in solution.seconds.items()},
+        "probes": {name: u.tolist() for name, u in solution.probes.items()},
+        **{"dofs" if name == "unknowns" else name: number for name, number in known.items()},
+        "seconds": dict(solution.seconds),
         "plan": [*plan_lines, *solution.steps],
     }
 
 
-def write_field(field: Field, path: Path) -> None:
+def write_field(field: "Field", path: Path) -> None:
     """Write the displacement of the whole body as VTU, whole or not at all."""
     import pyvista as pv
 
-    grid = pv.UnstructuredGrid({pv.CellType(field.cell_type): field.cells}, field.points_mm)
+    grid = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
     grid.point_data["displacement_mm"] = field.displacement_mm
-    grid.cell_data["region"] = field.region
+    grid.cell_data["region"] = field.mesh.region
     write_bytes(path, vtk_content(grid))

@@ -1,4 +1,4 @@
-"""Straight-sided elements of one kind: where points lie in them, and what their shape functions are there."""
+"""Straight-sided tetrahedra: where points lie in them, and what their shape functions are there."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,10 +7,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from skfem import Basis, Element, ElementHex1, ElementTetP1
+from skfem import Basis, Element
 
-from fem.boxes.boxes import Boxes
-from fem.boxes.lattice import ELEMENT, SKFEM_NODES
 from geometry.layout import FloatArray
 
 NEAREST = 16  #: elements by distance of their centres, tried before all of them are
@@ -19,49 +17,36 @@ ON_ELEMENT = 1e-9  #: by which rounding may put a point outside, as a share of t
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Tetrahedra or boxes, possibly sheared, with m elements of k nodes; corners come first, in scikit-fem's order."""
+    """m tetrahedra of k nodes; corners come first, in scikit-fem's order."""
 
     element: Element  #: scikit-fem's, of one displacement component
     points_mm: FloatArray  #: (n, 3), positions of the nodes
     nodes: NDArray[np.int64]  #: (m, k), numbers of the nodes
     region: NDArray[np.int64]  #: (m,)
+    cell_type = 24  #: VTK's number of quadratic tetrahedra
 
     @classmethod
     def of_basis(cls, basis: Basis, region: NDArray[np.int64]) -> "Elements":
         """The elements of a scikit-fem basis; `region` (m,)."""
         return cls(basis.elem, basis.doflocs.T.copy(), basis.element_dofs.T.astype(np.int64), region)
 
-    @classmethod
-    def of_boxes(cls, boxes: Boxes) -> "Elements":
-        """Quadratic boxes."""
-        return cls(ELEMENT, boxes.points_mm, boxes.nodes[:, SKFEM_NODES], boxes.region)
-
-    @property
-    def is_box(self) -> bool:
-        return len(self.element.doflocs) == 27
-
-    @property
-    def corner_element(self) -> Element:
-        return ElementHex1() if self.is_box else ElementTetP1()
-
     @property
     def corners(self) -> NDArray[np.int64]:
-        """Numbers of the corner nodes, shape (m, 4 or 8)."""
-        return self.nodes[:, : 8 if self.is_box else 4]
+        """Numbers of the corner nodes, shape (m, 4)."""
+        return self.nodes[:, :4]
 
     @cached_property
     def inverse_jacobian(self) -> FloatArray:
         """∂ξ/∂x of every element, shape (m, 3, 3): [k, i]; constant because sides are straight."""
-        middle = np.full((3, 1), 0.5 if self.is_box else 0.25)
-        slopes = shape_gradients(self.corner_element, middle)[0]  # (a, k)
-        return np.linalg.inv(np.einsum("eai,ak->eik", self.points_mm[self.corners], slopes))
+        corners = self.points_mm[self.corners]
+        return np.asarray(np.linalg.inv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2)), np.float64)
 
     @cached_property
     def volumes_mm3(self) -> FloatArray:
         """Shape (m,)."""
-        return 1 / np.abs(np.linalg.det(self.inverse_jacobian)) / (1 if self.is_box else 6)
+        return 1 / np.abs(np.linalg.det(self.inverse_jacobian)) / 6
 
-    def places(self, points_mm: FloatArray, region: int | None = None) -> tuple[NDArray[np.int64], FloatArray]:
+    def located(self, points_mm: FloatArray, region: int | None = None) -> tuple[NDArray[np.int64], FloatArray]:
         """The element that holds each of the points (k, 3), shape (k,), and where in it, shape (k, 3) in 0..1.
 
         A point in none, or in none of `region` if that is given, goes to the element that it misses by least, and may
@@ -81,25 +66,48 @@ class Elements:
         self, points_mm: FloatArray, candidates: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
         """The candidate (k, c) that each point is deepest in, its place there, and its depth (< 0: outside)."""
-        origin = self.points_mm[self._origin[candidates]]
+        origin = self.points_mm[self.nodes[candidates, 0]]
         local = np.einsum("pcki,pci->pck", self.inverse_jacobian[candidates], points_mm[:, None] - origin)
-        far_side = 1 - local.max(axis=2) if self.is_box else 1 - local.sum(axis=2)
-        inside = np.minimum(local.min(axis=2), far_side)
+        inside = np.minimum(local.min(axis=2), 1 - local.sum(axis=2))
         best = inside.argmax(axis=1)
         each = np.arange(len(points_mm))
         return candidates[each, best], local[each, best], inside[each, best]
 
-    @cached_property
-    def _origin(self) -> NDArray[np.int64]:
-        """Number of each element's node at ξ = 0, shape (m,)."""
-        return self.nodes[:, int(np.flatnonzero((self.element.doflocs == 0).all(axis=1))[0])]
+    def at(self, points_mm: FloatArray, region: int | None = None) -> sp.csr_matrix:
+        """Rows that take nodal values to those at points (k, 3), found as by `located`, shape (k, n)."""
+        found, local = self.located(points_mm, region)
+        return self._rows(found, shape_values(self.element, local.T))
 
-    def interpolation(self, places: NDArray[np.int64], local: FloatArray) -> sp.csr_matrix:
-        """Rows of shape functions at places of `places`, shape (k, n_nodes)."""
-        values = shape_values(self.element, local.T)
-        rows = np.repeat(np.arange(len(places)), values.shape[1])
-        shape = (len(places), len(self.points_mm))
-        return sp.csr_matrix((values.ravel(), (rows, self.nodes[places].ravel())), shape=shape)
+    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
+        found, local = self.located(points_mm)
+        slopes = shape_gradients(self.element, local.T) @ self.inverse_jacobian[found]
+        return sp.vstack([self._rows(found, slopes[..., axis]) for axis in range(3)], format="csr")
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """Nodes as VTK orders them, which is scikit-fem's order, (m, k)."""
+        return self.nodes
+
+    @property
+    def cell_places(self) -> FloatArray:
+        """Where they lie in an element, (k, 3) in 0..1."""
+        return np.asarray(self.element.doflocs, np.float64)
+
+    def linear(self, local: FloatArray) -> FloatArray:
+        """Linear functions of the corners at places (k, 3) in 0..1, shape (k, 4)."""
+        return np.column_stack([1 - local.sum(axis=1), local])
+
+    def corner_slopes(self) -> list[sp.csr_matrix]:
+        """Derivatives along x, y and z at elements' corners, from nodal values, (4 m, n)."""
+        m = len(self.nodes)
+        slopes = shape_gradients(self.element, self.element.doflocs[:4].T) @ self.inverse_jacobian[:, None]
+        return [self._rows(np.repeat(np.arange(m), 4), slopes[..., axis].reshape(4 * m, -1)) for axis in range(3)]
+
+    def _rows(self, found: NDArray[np.int64], values: FloatArray) -> sp.csr_matrix:
+        rows = np.repeat(np.arange(len(found)), values.shape[1])
+        shape = (len(found), len(self.points_mm))
+        return sp.csr_matrix((values.ravel(), (rows, self.nodes[found].ravel())), shape=shape)
 
 
 def shape_values(element: Element, local: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
 from dataset.simulation import DatasetSettings, displacements, simulate
 from fem.array.response import ArrayResponse
-from fem.fields.array_field import uniform_pressure
+from fem.pictures.arrays import uniform_pressure
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
 from tripillar.pipeline.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA

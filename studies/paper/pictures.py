@@ -9,9 +9,9 @@ from PIL import Image
 
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.response import ArrayResponse
-from fem.fields.array_field import solve_array_field
-from fem.fields.deformed import sensor_parts
+from fem.pictures.arrays import solve_array_field
 from fem.pictures.deformation import DeformedPicture
+from fem.pictures.parts import sensor_parts
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, finish, new_figure, save, save_small

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fem.fields.array_field import indenter_tractions, solve_array_field
-from fem.fields.deformed import Parts, sensor_parts
+from fem.pictures.arrays import indenter_tractions, solve_array_field
 from fem.pictures.deformation import DeformedPicture
+from fem.pictures.parts import Parts, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing

@@ -7,7 +7,7 @@ import pytest
 from skfem import MeshTet
 
 from fem.array.coupled_cells import CoupledArray
-from fem.fields.array_field import ArrayField, solve_array_field
+from fem.pictures.arrays import ArrayField, solve_array_field
 from geometry.design import Array, SensorDesign
 from tests.fem.boxes import box_mesh
 

@@ -8,7 +8,7 @@ import pytest
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import MESH_DEGREE, condensed_cell, functionals
 from fem.array.solving import solve_response
-from fem.fields.array_field import solve_array_field
+from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import upper_electrodes
@@ -56,13 +56,10 @@ def test_cells_move_as_one_body(field, state):
 
 
 def test_stress_under_the_pads_is_the_traction_on_them(field, state):
-    """Traction is natural: finite elements meet it in the mean, here within 2 % of the load, 1.2 % being measured.
-
-    At the pad's edge corners take the mean of loaded and of bare rubber, so that a strip of 5 % is left out.
-    """
-    points, weights = square((0.0, 0.0), 0.9 * DESIGN.pad.size_mm, DESIGN.unit.height_mm)
+    """Traction is natural: finite elements meet it in the mean, here within 1 % of the load, 0.4 % being measured."""
+    points, weights = square((0.0, 0.0), DESIGN.pad.size_mm, DESIGN.unit.height_mm)
     stress = weights @ field.observe(points).stress_mpa(state)
-    assert np.abs(stress[:, [4, 3, 2]] - TRACTION).max() < 0.02 * np.abs(TRACTION).max()
+    assert np.abs(stress[:, [4, 3, 2]] - TRACTION).max() < 0.01 * np.abs(TRACTION).max()
 
 
 def test_every_section_carries_the_whole_load(field, state):

@@ -6,7 +6,6 @@ from itertools import product
 import numpy as np
 import pytest
 
-from fem.boxes.lagrange import lobatto_points
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor
 from fem.methods.box_refinement import ORDER, first_mesh, marked
@@ -161,7 +160,7 @@ def test_the_field_of_the_whole_body_agrees_with_its_probes(traction):
     at = np.flatnonzero(near < 1e-6)
     assert len(at) > 0
     assert np.allclose(field.displacement_mm[at], solution.probes["p"], atol=1e-6)
-    corner, opposite = field.points_mm[field.cells[:, 0]], field.points_mm[field.cells[:, 6]]
+    corner, opposite = field.points_mm[field.mesh.cells[:, 0]], field.points_mm[field.mesh.cells[:, 6]]
     assert np.abs((opposite - corner).prod(axis=1)).sum() == pytest.approx(9000.0, rel=1e-12)
 
 
@@ -213,19 +212,13 @@ def test_split_boxes_fill_the_body_and_their_faces_do_not_cross(seed):
 def test_hanging_nodes_hold_polynomials_of_the_elements_order(seed):
     """A polynomial of degree 4 along each axis is in the space: all its nodes follow from the independent ones."""
     mesh = random_mesh(seed)
-    nodes = mesh.nodes(ORDER)
-    low, high = mesh.corners
-    lattice = np.array(list(product((lobatto_points(ORDER) + 1) / 2, repeat=3)))
-    on_surface = ((lattice == 0) | (lattice == 1)).any(axis=1)
-    at = low[:, None] + lattice[on_surface] * (high - low)[:, None]
-    places = np.empty((len(nodes.independent), 3))
-    places[nodes.of_elements] = at
-    x, y, z = places.T / 3
+    boxes = mesh.filled(ORDER, (0.0, 0.0), np.zeros(len(mesh.boxes), dtype=np.int64))
+    x, y, z = boxes.points_mm.T / 3
     values = (1 + x - 2 * x**4) * (0.5 - y**3 + y**4) * (2 + z - z**2 * 3 + z**4)
-    assert not nodes.independent.all()
-    found = nodes.constraint @ np.where(nodes.independent, values, 0.0)
+    assert not boxes.is_independent.all()
+    found = boxes.constraint @ np.where(boxes.is_independent, values, 0.0)
     np.testing.assert_allclose(found, values, atol=1e-12)
-    np.testing.assert_allclose(nodes.constraint.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(boxes.constraint.sum(axis=1), 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("order", [2, 3, 4])

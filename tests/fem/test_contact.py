@@ -21,7 +21,7 @@ from fem.contact import (
     surface_compliance,
 )
 from fem.contact.indentation import OPEN, STICK
-from fem.contact.patch import Patch, PatchCompliance
+from fem.contact.surface import Patch, PatchCompliance
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import pad_squares

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fem.fields.deformed import electrode_surface, pillar_surface, sensor_parts
+from fem.pictures.parts import electrode_surface, pillar_surface, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 

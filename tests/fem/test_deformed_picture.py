@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fem.fields.array_field import bell_pressure, uniform_pressure
-from fem.fields.deformed import Part, sensor_parts
-from fem.pictures.colours import QUANTITIES, bar_of, pads_bar
+from fem.pictures.arrays import bell_pressure, uniform_pressure
 from fem.pictures.deformation import VIEWS, DeformedPicture, filled_points, look
-from fem.scene.solution import QUADRILATERAL
+from fem.pictures.parts import QUADRILATERAL, Part, sensor_parts
+from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
 from geometry.design import Array, SensorDesign
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
@@ -146,21 +145,18 @@ def test_no_two_faces_of_a_picture_coincide(parts):
 def test_pressing_moves_the_drawn_bodies(parts):
     """At rest, half way and all the way: what is drawn sinks with the share of the load, times the scale."""
     picture = DeformedPicture({"all": parts}, scale=2.0)
-    drawn = [actor.mapper.dataset for actor in picture.plotter.renderers[1].actors.values() if hasattr(actor, "mapper")]
-    bodies = [mesh for mesh in drawn if mesh is not None and "full" in mesh.array_names]
-    at_rest = []
+    names = []
     for share in (0.0, 0.5, 1.0):
         picture.press(share)
-        at_rest = at_rest or [mesh.points.copy() for mesh in bodies]
-        still = 0
-        for mesh, rest in zip(bodies, at_rest, strict=True):
-            moved = mesh.points - rest
-            still += not moved.any()
-            if "shown" in mesh.array_names:
-                assert np.allclose(mesh["shown"], share * mesh["of full"])
-            assert not moved.any() or np.allclose(moved, 2.0 * share * mesh["full"], atol=1e-5)  # points are float32
-        assert still == (1 if share else len(bodies))  # the outline at rest
-    assert len(bodies) == 6  # pillars, matrix, its edges twice, electrodes, pads
+        names = [moving.name for moving in picture.moving]
+        for moving in picture.moving:
+            point = moving.mesh["point"]
+            expected = 2.0 * share * parts[moving.name].displacement_mm[point]
+            assert np.allclose(moving.mesh.points - moving.rest_mm, expected, atol=1e-5)  # points are float32
+            if "shown" in moving.mesh.array_names:
+                full = np.linalg.norm(parts[moving.name].displacement_mm[point], axis=1)
+                assert np.allclose(moving.mesh["shown"], share * full)
+    assert names == ["pillars", "matrix", "matrix", "electrodes", "pads"]  # of the matrix its edges, too
     picture.plotter.close()
 
 

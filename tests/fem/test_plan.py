@@ -6,8 +6,7 @@ import pytest
 
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad
+from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import Material, SensorDesign
@@ -37,7 +36,7 @@ UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2
 def test_every_scene_gets_its_method(text, method, regions):
     plan = make_plan(scene_from_toml(text))
     assert (plan.method, len(plan.regions)) == (method, regions)
-    assert all(decision.reason and "\n" not in line for decision, line in zip(plan.decisions, plan.lines, strict=True))
+    assert all(line.count(": ") and line.count(", ") and "\n" not in line for line in plan.lines)
 
 
 @pytest.mark.parametrize(

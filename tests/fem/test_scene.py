@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad, FollowerLoad, StiffLoad
+from fem.scene.loads import DeadLoad, FollowerLoad, SceneError, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Prism, Sensor
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material
@@ -115,7 +114,7 @@ SWAPS = [
     ("center_mm = [15.0, 15.0]\nsize_mm = [8", "center_mm = [15.0, -15.0]\nsize_mm = [8", "probe 'patch' covers"),
     ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0, 10.1]", "probe 'point' at [15, 15, 10.1] mm is in"),
     ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0]", "position_mm=[15.0, 15.0] must be 3 finite"),
-    ("position_mm = [15.0, 15.0, 5.0]", "center_mm = [1.0, 1.0]", "unknown key 'center_mm' in [[probe]] 2 of kind"),
+    ("position_mm = [15.0, 15.0, 5.0]", "center_mm = [1.0, 1.0]", "[[probe]] 2: a probe of kind 'point' takes"),
     ('name = "point"', 'name = "patch"', "two probes have the name 'patch'"),
     ('name = "point"', "", "the key 'name' is missing in [[probe]] 2"),
     ('name = "point"', "name = 7", "name=7 must be a word"),

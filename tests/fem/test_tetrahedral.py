@@ -166,12 +166,11 @@ def test_the_field_holds_the_probes():
     solution = solved(scene, field=True)
     field = solution.field
     assert field is not None
-    assert field.cells.max() + 1 == len(field.points_mm) == len(field.displacement_mm)
-    assert (cell_volumes(field.points_mm, field.cells[:, :4]) > 0).all()
-    middles = (field.points_mm[field.cells[:, 0]] + field.points_mm[field.cells[:, 1]]) / 2
-    assert np.allclose(field.points_mm[field.cells[:, 4]], middles)  # VTK's fifth node: the middle of the first edge
-    middles = (field.points_mm[field.cells[:, 1]] + field.points_mm[field.cells[:, 3]]) / 2
-    assert np.allclose(field.points_mm[field.cells[:, 8]], middles)
+    points, cells = field.points_mm, field.mesh.cells
+    assert cells.max() + 1 == len(points) == len(field.displacement_mm)
+    assert (cell_volumes(points, cells[:, :4]) > 0).all()
+    for middle, ends in ((4, (0, 1)), (8, (1, 3))):  # VTK's nodes: the middles of the first edge and of another
+        assert np.allclose(points[cells[:, middle]], points[cells[:, ends]].mean(axis=1))
     assert not field.displacement_mm[field.points_mm[:, 2] == 0.0].any()
 
 
@@ -280,7 +279,7 @@ def test_a_point_sees_a_quadratic_field_exactly(disordered_cube, position):
     elements = Elements.of_basis(basis, np.zeros(disordered_cube.nelements, dtype=int))
     x, y, z = basis.doflocs
     a, b, c = position
-    row = elements.interpolation(*elements.places(np.array([position])))
+    row = elements.at(np.array([position]))
     assert np.isclose((row @ (x * y - z**2 + 1))[0], a * b - c**2 + 1, rtol=1e-12)
 
 

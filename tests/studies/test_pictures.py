@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from fem.array.closed_forms import layer_response
-from fem.fields.array_field import uniform_pressure
+from fem.pictures.arrays import uniform_pressure
 from geometry.design import Array, SensorDesign
 from geometry.layout import pillar_ends, pillar_sections, pillar_volumes
 from studies.charts import STEP, save_small

@@ -14,12 +14,12 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
-from fem.fields.array_field import solve_array_field
-from fem.fields.deformed import sensor_parts, solve_scene_parts
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.pictures.colours import pads_bar
-from fem.scene.checks import SceneError
+from fem.pictures.arrays import solve_array_field
+from fem.pictures.parts import sensor_parts, solve_scene_parts
+from fem.pictures.scenery import pads_bar
+from fem.scene.loads import SceneError
 from fem.scene.scene import Probe
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit

@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pyvista as pv
 
-from fem.fields.deformed import Part, Parts
-from fem.fields.stress import pressure, von_mises
-from fem.pictures.colours import Bar
-from fem.pictures.deformation import DeformedPicture, Medium, grid_of
+from fem.field import pressure, von_mises
+from fem.pictures.deformation import DeformedPicture, Medium
+from fem.pictures.parts import Part, Parts
+from fem.pictures.scenery import Bar
 from geometry.errors import NotWrittenError
 from geometry.storage.files import replacing, scratch, vtk_content, write_bytes, write_text
 
@@ -145,7 +145,7 @@ def save_blocks(panels: Mapping[str, Parts], path: Path) -> None:
 
 def _with_fields(part: Part) -> pv.UnstructuredGrid:
     """A part at rest with its fields."""
-    grid = grid_of(part)
+    grid = part.grid
     grid.point_data["displacement_mm"] = part.displacement_mm
     if part.stress_mpa is not None:
         grid.point_data["stress_mpa"] = part.stress_mpa

@@ -12,7 +12,7 @@ from geometry.errors import DesignError, FileFormatError
 from geometry.storage.files import require_file
 
 if TYPE_CHECKING:
-    from fem.fields.deformed import Parts
+    from fem.pictures.parts import Parts
     from fem.scene.scene import Scene
     from tripillar.terminal.progress import Bars
 
@@ -70,8 +70,8 @@ def show_deformed(
         If there is no display for a window, or the file cannot be of this kind.
     """
     require_shown(save)
-    from fem.pictures.colours import QUANTITIES
     from fem.pictures.deformation import DeformedPicture
+    from fem.pictures.scenery import QUANTITIES
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
     from tripillar.viewer.sights import is_linear, linear_note, panels_of, suited_scale
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fem.fields.array_field import PAD_LOADS, WHERE, solve_array_field
-from fem.fields.deformed import Parts, sensor_parts, solve_scene_parts
-from fem.fields.finite_pictures import pressed_sensor
+from fem.pictures.arrays import PAD_LOADS, WHERE, pressed_sensor, solve_array_field
+from fem.pictures.parts import Parts, sensor_parts, solve_scene_parts
 from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign

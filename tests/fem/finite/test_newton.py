@@ -12,8 +12,7 @@ from fem.finite.solving import finite_boxes, solve_finite, unfolded
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
-from fem.scene.checks import SceneError
-from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.scene.loads import DeadLoad, FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene
 from fem.scene.solution import Solution, largest_error
 from fem.system import System

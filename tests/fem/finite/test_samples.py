@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.fields.finite_pictures import sampled_array_field
 from fem.finite.newton import find_equilibrium
 from fem.finite.samples import EXTRAPOLATED, FINE, SampleSolver
+from fem.pictures.arrays import sampled_array_field
 from fem.scene.loads import StiffLoad
 from fem.system import System
 from geometry.design import Array, Material, SensorDesign
@@ -52,8 +52,8 @@ def test_pictures_move_their_electrodes_as_the_answer_says(solver, found):
     """The grid of pictures is coarse: alone it is 5 to 10 % too stiff."""
     for forces, answer in zip(FORCES_N, found.displacement_mm, strict=True):
         places = (unit_centres(PAIR)[:, None] + upper_electrodes(PAIR.unit)[:, :2]).reshape(-1, 2)
-        field = sampled_array_field(solver, forces, answer)
-        drawn = field.boxes.at(np.insert(places, 2, PAIR.unit.height_mm, axis=1)) @ field.displacement_mm
+        pressed = sampled_array_field(solver, forces, answer)
+        drawn = pressed.field.displacement_at(np.insert(places, 2, PAIR.unit.height_mm, axis=1))
         assert np.linalg.norm(drawn - answer.reshape(-1, 3)) < 0.01 * np.linalg.norm(answer)
 
 

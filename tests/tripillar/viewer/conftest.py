@@ -5,7 +5,7 @@ import os
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
-from fem.fields.array_field import solve_array_field
+from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.scene import Superposition

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset.protocols import FRICTION
-from fem.fields.array_field import bell_pressure, indenter_tractions
+from fem.pictures.arrays import bell_pressure, indenter_tractions
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page.controls import sliders_of, traction_of

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from fem.fields.array_field import solve_array_field
+from fem.pictures.arrays import solve_array_field
 from fem.scene.scene_file import scene_from_toml
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import unit_centres

@@ -9,8 +9,8 @@ import pytest
 import pyvista as pv
 from PIL import Image
 
-from fem.fields.array_field import solve_array_field
-from fem.fields.deformed import APART_MM, pillar_surface
+from fem.pictures.arrays import solve_array_field
+from fem.pictures.parts import APART_MM, pillar_surface
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 from tripillar.viewer.page.pictures import MAX_PIXELS, MAX_ZOOM, MIN_PIXELS, Grade, Pictures

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
-from fem.pictures.colours import QUANTITIES
+from fem.pictures.scenery import QUANTITIES
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.array.response import ArrayResponse
-from fem.fields.finite_pictures import FiniteArrayField, sampled_array_field
 from fem.finite.samples import SampleSolver
+from fem.pictures.arrays import FiniteArrayField, sampled_array_field
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray

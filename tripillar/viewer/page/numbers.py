@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fem.pictures.colours import Bar
+from fem.pictures.scenery import Bar
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.layout import AXES, PILLARS, FloatArray, unit_centres

@@ -76,7 +76,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
         raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
     from dataset.finite_strain import require_finite
     from decoupler.model.model_file import read_model
-    from fem.fields.array_field import solve_array_field
+    from fem.pictures.arrays import solve_array_field
     from geometry.design import SensorDesign, with_model
     from tripillar.pipeline.run import respond
     from tripillar.terminal.console import say

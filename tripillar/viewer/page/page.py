@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dataset.protocols import FRICTION
-from fem.fields.array_field import indenter_tractions
+from fem.pictures.arrays import indenter_tractions
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray

@@ -13,13 +13,20 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from fem.fields.array_field import ArrayField, FieldState
-from fem.fields.deformed import APART_MM, Part, pillar_surface
-from fem.fields.finite_pictures import FiniteArrayField
-from fem.pictures.colours import PAD_TITLES, QUANTITIES, SHADES, Bar, Colour, bar_of, mixed, shades
+from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField
 from fem.pictures.deformation import draw_off_screen, place
-from fem.pictures.scenery import draw_scenery, unit_names
-from fem.scene.solution import QUADRILATERAL
+from fem.pictures.parts import APART_MM, QUADRILATERAL, Part, pillar_surface
+from fem.pictures.scenery import (
+    PAD_TITLES,
+    QUANTITIES,
+    SIGNED,
+    Bar,
+    Colour,
+    bar_of,
+    draw_scenery,
+    shades,
+    unit_names,
+)
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, unit_centres
 
@@ -37,7 +44,7 @@ MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#323b45"}  #: by whether it is dark; not so dark that dark pillars are lost
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
-PAD_COLOURS = mixed(("#93a1ad", "#d64541"), SHADES)  #: of the pads' outlines, grey where unloaded
+PAD_COLOURS = shades(("#93a1ad", "#d64541"))  #: of the pads' outlines, grey where unloaded
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 STEEPEST_DEG = 89.0  #: of the camera: straight from above there is no upright
 NEAREST, FARTHEST = 0.1, 5.0  #: of the distance from which all is seen
@@ -146,7 +153,7 @@ class ArrayScene:
         if colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
             most = max(float(np.abs(values).max()), MIN_CHANGE)
-            bar = Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=shades(None, -most, most))
+            bar = Bar(title=TITLES[RESISTANCE], low=-most, high=most, colours=shades(SIGNED, -most, most))
         else:
             quantity = QUANTITIES[colour]
             k = len(self._owner)

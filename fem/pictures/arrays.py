@@ -1,23 +1,31 @@
-"""Displacement and stress anywhere in a loaded array, by superposition on one unit cell: for pictures.
+"""Displacement and stress anywhere in a loaded array: by superposition on one unit cell, or at finite strain.
 
-The array is never meshed. One cell is solved for every port mode and every pad force, the copies are coupled as for the
-response, and what is observed at points of the cell follows for all units by one matrix product.
+Of linear rubber the array is never meshed. One cell is solved for every port mode and every pad force, the copies are
+coupled as for the response, and what is observed at points of the cell follows for all units by one matrix product. At
+finite strain nothing is superposed: every load is solved for itself, on the coarsest grid that is right to 2 % as
+estimated.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache, cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
-from fem.fields.stress import CornerStress, corner_stress, projected_pressure
+from fem.field import Field
+from fem.finite.samples import SampleSolver
+from fem.finite.solving import solve_finite
+from fem.methods.plan import make_plan
+from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
 
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
+TOLERANCE = 2e-2  #: of a picture at finite strain, where the scene asks for a finer one
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,13 +58,6 @@ class ArrayField:
     interior: CellInterior = field(repr=False)
     coupled: CoupledArray = field(repr=False)
     has_plates: bool = False  #: whether those are rigid plates
-
-    @cached_property
-    def stress(self) -> CornerStress:
-        """Stress at the corners of the cell per unit amplitude, worked out when first asked for."""
-        inside = self.interior
-        of_mesh = inside.elements, inside.material, inside.moved_mm
-        return corner_stress(*of_mesh, None if inside.elements.is_box else projected_pressure(*of_mesh))
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
         """Load the pads.
@@ -111,22 +112,17 @@ class ArrayField:
                 f"points reach outside the cell along {', '.join(np.array(AXES)[outside])}: |x| and |y| must be at "
                 f"most half the pitch, {pitch / 2:g} mm, and z from 0 to {height:g} mm."
             )
-        elements, u = self.interior.elements, self.interior.moved_mm
 
-        @cache
-        def per_amplitude(of_stress: bool) -> FloatArray:
-            """What is seen per unit amplitude, (n_amplitudes, k·3 or k·6); worked out when first asked for."""
-            places = elements.places(points, None if self.design.is_homogeneous else region)
-            if of_stress:
-                found = self.stress.at(elements, *places)
-            else:
-                found = elements.interpolation(*places) @ u.reshape(len(u), -1)
-            return np.ascontiguousarray(found.reshape(-1, u.shape[2]).T)
+        def seen(find: Callable[[FloatArray, int | None], FloatArray]) -> Callable[[FieldState], FloatArray]:
+            @cache
+            def per_amplitude() -> FloatArray:
+                """What is seen per unit amplitude, (n_amplitudes, k·3 or k·6); worked out when first asked for."""
+                found = find(points, region)
+                return np.ascontiguousarray(found.reshape(-1, found.shape[-1]).T)
 
-        def seen(state: FieldState, of_stress: bool) -> FloatArray:
-            return (state.amplitudes @ per_amplitude(of_stress)).reshape(len(state.force_n), len(points), -1)
+            return lambda state: (state.amplitudes @ per_amplitude()).reshape(len(state.force_n), len(points), -1)
 
-        return Observer(partial(seen, of_stress=False), partial(seen, of_stress=True))
+        return Observer(seen(self.interior.field.displacement_at), seen(self.interior.field.stress_at))
 
 
 def solve_array_field(
@@ -163,6 +159,79 @@ def solve_array_field(
     return ArrayField(
         design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=plate is not None
     )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FiniteArrayField:
+    """An array under one load at finite strain, seen as an `ArrayField` is."""
+
+    design: SensorDesign
+    rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
+    force_n: FloatArray  #: (n_units, k·3)
+    has_plates: bool  #: whether those are rigid plates
+    field: Field = field(repr=False)  #: of the whole slab
+
+    @property
+    def state(self) -> FieldState:
+        """The array's only state."""
+        return FieldState(force_n=self.force_n, port_mm=np.zeros((len(self.force_n), 0)))
+
+    def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
+        """Choose points of the cell to look at; the region makes no difference to displacement."""
+        places = np.pad(unit_centres(self.design), ((0, 0), (0, 1)))[:, None] + np.atleast_2d(points_mm)
+
+        def refused(state: FieldState) -> FloatArray:
+            raise no_stress()
+
+        return Observer(lambda state: self.field.displacement_at(places.reshape(-1, 3)).reshape(places.shape), refused)
+
+
+def no_stress() -> SceneError:
+    """The refusal of pictures of stress at finite strain."""
+    return SceneError(
+        "stress at finite strain is not drawn yet: show displacement or vertical, and save .png, .html or .mp4."
+    )
+
+
+def finite_field(scene: Scene) -> Field:
+    """Displacement of a neo-Hookean scene's whole body, for pictures; errors as of `solve_finite`."""
+    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
+    found = solve_finite(coarse, None, make_plan(coarse).mirrors, with_field=True).field
+    assert found is not None  # it was asked for
+    return found
+
+
+def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_mm: FloatArray) -> FiniteArrayField:
+    """An array under forces (n_units, 3) [N] on its stiff pads, on the solver's coarse grid.
+
+    Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
+    """
+    boxes, u = solver.on_coarse_grid(force_n, displacement_mm)
+    design = solver.design
+    seen = Field(mesh=boxes, displacement_mm=u, material=[design.matrix_material])
+    rectangles = pad_squares(lone_unit(design))
+    return FiniteArrayField(design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=True, field=seen)
+
+
+def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scene:
+    """A neo-Hookean design with a load of `PAD_LOADS` on its pads: by plates, or as a pressure that follows the rubber.
+
+    On soft pads the pressure follows, since from about half of E a dead traction has no equilibrium.
+    """
+    tractions, side = PAD_LOADS[load](design, pressure_mpa), design.pad.size_mm
+    centres = unit_centres(design) + np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
+    loads: list[Load] = []
+    for center, (tx, ty, tz) in zip(centres.tolist(), tractions.tolist(), strict=True):
+        if design.pad.kind == "stiff":
+            force = tx * side**2, ty * side**2, tz * side**2
+            loads.append(StiffLoad(center_mm=center, size_mm=(side, side), force_n=force))
+        elif any((tx, ty, tz)):
+            follower = FollowerLoad(center_mm=center, size_mm=(side, side), pressure_mpa=-tz, traction_mpa=(tx, ty))
+            loads.append(follower)
+    most = centres[np.abs(tractions[:, 2]).argmax()].tolist()
+    probe = Probe(name="pad", kind="mean", center_mm=most, size_mm=(side, side))
+    body = Sensor(design=design)
+    return Scene(body=body, material=design.matrix_material, loads=tuple(loads), probes=(probe,), tolerance=TOLERANCE)
 
 
 def indenter_tractions(

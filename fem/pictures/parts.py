@@ -1,0 +1,278 @@
+"""Parts of a loaded sensor or scene: points and cells with displacement and stress, from which pictures are drawn."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from fem.array.meshed import cell_lines, lone_unit
+from fem.boxes.boxes import Boxes
+from fem.field import Field, same_places
+from fem.methods.box_field import picture_field
+from fem.methods.cell_scene import design_of_cells, forces_on_cells
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow
+from fem.pictures.arrays import (
+    ArrayField,
+    FieldState,
+    FiniteArrayField,
+    finite_field,
+    no_stress,
+    solve_array_field,
+)
+from fem.scene.loads import Rectangle
+from fem.scene.scene import Scene, Sensor
+from geometry.design import Unit
+from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
+from geometry.prism import Prism, unit_prisms
+
+SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
+ACROSS = 12  #: squares along a pad's side
+INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at its edge
+APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
+FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
+TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
+QUADRILATERAL, HEXAHEDRON = 9, 12  #: VTK's numbers of cells
+VTK_CORNERS = [0, 4, 6, 2, 1, 5, 7, 3]  #: of a box's, z fastest
+
+Cells = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and cells (m, k) between them
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Part:
+    """Points, cells between them, and what was found at the points."""
+
+    points_mm: FloatArray  #: (n, 3), at rest
+    cells: NDArray[np.int64]  #: (m, k), in VTK's order of points
+    cell_type: int  #: VTK's number
+    displacement_mm: FloatArray  #: (n, 3)
+    stress_mpa: FloatArray | None = None  #: (n, 6) where asked for: xx, yy, zz, yz, xz, xy; tension positive
+    traction_mpa: FloatArray | None = None  #: (m, 3), on the cells of a part that is loaded
+
+    @property
+    def stress(self) -> FloatArray:
+        """Stress at the points, (n, 6) [MPa]; ValueError where it was not asked for."""
+        if self.stress_mpa is None:
+            raise ValueError("this part has no stress: ask for it where parts are made.")
+        return self.stress_mpa
+
+    @property
+    def strength_mpa(self) -> FloatArray:
+        """Size of the traction on the cells, (m,); ValueError where there is none."""
+        if self.traction_mpa is None:
+            raise ValueError("this part has no traction: only pads have.")
+        return np.linalg.norm(self.traction_mpa, axis=1)
+
+    @property
+    def grid(self) -> pv.UnstructuredGrid:
+        """The part at rest, without what was found on it."""
+        return pv.UnstructuredGrid({pv.CellType(self.cell_type): self.cells}, self.points_mm)
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Weight of the points, (n,): sum of the volumes or areas of the cells that meet there."""
+        found = self.grid.compute_cell_sizes(length=False)
+        size = np.repeat(np.asarray(found["Area"] + found["Volume"]), self.cells.shape[1])
+        return np.asarray(np.bincount(self.cells.ravel(), size, len(self.points_mm)), np.float64)
+
+    def times(self, share: float) -> "Part":
+        """The same under a share of the load: everything is linear."""
+        seen = {name: getattr(self, name) for name in ("displacement_mm", "stress_mpa", "traction_mpa")}
+        return replace(self, **{name: share * values for name, values in seen.items() if values is not None})
+
+
+Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads (plates where they are stiff)
+
+
+def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
+    """Pillars, matrix, electrodes and pads of a loaded array; stiff pads are named plates.
+
+    Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
+    pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
+    0.06 mm all around, which nobody sees.
+    """
+    unit, slab = array.design.unit, Boxes.between(cell_lines(array.design, FINENESS), order=1)
+    boxes = slab.points_mm, slab.nodes[:, VTK_CORNERS]
+    return {
+        "pillars": _on_units(array, state, pillar_surface(unit, apart_mm=APART_MM), stress, region=1),
+        "matrix": _joined([_on_units(array, state, boxes, stress, region=0, cell_type=HEXAHEDRON)], shared=True),
+        "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
+        "plates" if array.has_plates else "pads": _pads(array, state, stress),
+    }
+
+
+def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Cells:
+    """The pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
+
+    The first is smaller by `apart_mm` all around, the second by twice as much: no two of their faces coincide.
+    """
+    prisms = enumerate(unit_prisms(unit), start=1)
+    return joined([column_surface(prism, slices, around, number * apart_mm) for number, prism in prisms])
+
+
+def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Cells:
+    """A straight column between equal rectangles at its two ends, smaller by so much all around."""
+    axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
+    a, b = np.diag([*prism.section_mm, 0.0])[:2] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
+    foot = (np.array(prism.base_mm) + prism.top_mm - axis - a - b) / 2
+    sides = (foot, a), (foot + b, a), (foot, b), (foot + a, b)
+    walls = [sheet(corner, side, axis, around, slices) for corner, side in sides]
+    return joined([*walls, *(sheet(corner, a, b, around, around) for corner in (foot, foot + axis))])
+
+
+def electrode_surface(unit: Unit) -> Cells:
+    """The electrodes of a unit in its own frame, the upper ones first."""
+    a, b = np.eye(3)[:2] * unit.electrode_mm
+    return joined([sheet(at - (a + b) / 2, a, b, AROUND, AROUND) for at in electrode_centres(unit)])
+
+
+def sheet(corner: FloatArray, a: FloatArray, b: FloatArray, n_a: int, n_b: int) -> Cells:
+    """A parallelogram from a corner along two sides, cut into n_a × n_b quadrilaterals."""
+    points = corner + np.linspace(0.0, a, n_a + 1)[:, None] + np.linspace(0.0, b, n_b + 1)
+    number = np.arange((n_a + 1) * (n_b + 1)).reshape(n_a + 1, n_b + 1)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+    return points.reshape(-1, 3), quads.reshape(-1, 4)
+
+
+def joined(surfaces: list[Cells]) -> Cells:
+    """Several surfaces as one; points are not shared between them."""
+    first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
+    cells = [cells + start for (_, cells), start in zip(surfaces, first[:-1], strict=True)]
+    return np.vstack([points for points, _ in surfaces]), np.vstack(cells)
+
+
+def _on_units(
+    array: ArrayField | FiniteArrayField,
+    state: FieldState,
+    seen: Cells,
+    stress: bool,
+    region: int | None = None,
+    units: slice | NDArray[np.int64] = slice(None),
+    cell_type: int = QUADRILATERAL,
+) -> Part:
+    """Cells of the unit on all units, or some."""
+    points, cells = seen
+    observer = array.observe(points, region)
+    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))[units]
+    copies = np.arange(len(centres))[:, None, None] * len(points)
+    return Part(
+        points_mm=(centres[:, None] + points).reshape(-1, 3),
+        cells=(copies + cells).reshape(-1, cells.shape[1]),
+        cell_type=cell_type,
+        displacement_mm=observer.displacement_mm(state)[units].reshape(-1, 3),
+        stress_mpa=observer.stress_mpa(state)[units].reshape(-1, 6) if stress else None,
+    )
+
+
+def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
+    """The rectangles that are loaded, each with its traction; all if none is."""
+    parts = []
+    forces = state.force_n.reshape(array.design.n_units, -1, 3)
+    for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
+        units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
+        a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
+        corner = np.array([x0, y0, array.design.unit.height_mm]) + INSIDE / 2 * (a + b)
+        surface = sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, ACROSS, ACROSS)
+        traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
+        part = _on_units(array, state, surface, stress, units=units)
+        parts.append(replace(part, traction_mpa=np.repeat(traction, ACROSS**2, axis=0)))
+    return _joined(parts)
+
+
+def _joined(parts: list[Part], shared: bool = False) -> Part:
+    """Parts of one kind as one; with `shared` points in one place, as of neighbouring units, are one."""
+    points, cells = joined([(part.points_mm, part.cells) for part in parts])
+    given = [name for name in ("displacement_mm", "stress_mpa", "traction_mpa") if getattr(parts[0], name) is not None]
+    values = {name: np.vstack([getattr(part, name) for part in parts]) for name in given}
+    if shared:
+        first, number = same_places(points)
+        points, cells = points[first], number[cells]
+        values = {name: found[first] for name, found in values.items()}
+    return Part(points_mm=points, cells=cells, cell_type=parts[0].cell_type, **values)
+
+
+def solve_scene_parts(
+    scene: Scene, stress: bool, progress: Callable[[str], None] = lambda step: None
+) -> dict[str, Part]:
+    """Solve a scene and cut what is seen of it into parts.
+
+    A unit or an array has pillars, matrix, electrodes and pads, these being the loaded rectangles. A block has
+    inclusions in a matrix, and is a body without any.
+
+    Raises
+    ------
+    SceneError, GeometryError, SolverError
+        If it cannot be solved.
+    """
+    if stress and not scene.is_linear:
+        raise no_stress()
+    if isinstance(scene.body, Sensor):
+        return sensor_parts(*_loaded_array(scene, scene.body, progress), stress)
+    progress("solve")
+    if not scene.is_linear:
+        return _at_finite_strain(scene)
+    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
+    plan = make_plan(coarse, field=True)
+    field = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
+    assert field is not None  # it was asked for
+    progress("stress" if stress else "parts")
+    inside = field.mesh.region > 0
+    if not inside.any():
+        return {"body": _part(field, ~inside, stress)}
+    return {"inclusions": _part(field, inside, stress), "matrix": _part(field, ~inside, stress)}
+
+
+def _loaded_array(
+    scene: Scene, body: Sensor, progress: Callable[[str], None]
+) -> tuple[ArrayField | FiniteArrayField, FieldState]:
+    """A scene's unit or array: by superposition on one cell, or at finite strain."""
+    local: dict[Rectangle, int] = {}
+    newtons = forces_on_cells(scene, body, local)
+    force_n, rectangles = newtons.reshape(len(newtons), -1), np.array(list(local)) if local else None
+    if not scene.is_linear:
+        progress("solve")
+        pads = pad_squares(lone_unit(body.design)) if rectangles is None else rectangles
+        pressed = FiniteArrayField(
+            design=body.design,
+            rectangles_mm=pads,
+            force_n=force_n,
+            has_plates=bool(scene.stiff_loads),
+            field=finite_field(scene),
+        )
+        return pressed, pressed.state
+    if rectangles is None:  # unloaded: its pads are shown instead
+        array = solve_array_field(body.design, progress)
+        return array, array.under(np.zeros((body.design.n_units, 3)))
+    array = solve_array_field(design_of_cells(scene, body), progress, None if scene.stiff_loads else rectangles)
+    return array, array.under(force_n)
+
+
+def _at_finite_strain(scene: Scene) -> dict[str, Part]:
+    """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
+    field = finite_field(scene)
+    body = _part(field, np.ones(len(field.mesh.cells), dtype=bool), stress=False)
+    if not scene.inclusions:
+        return {"body": body}
+    points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
+    moved = field.displacement_at(points)
+    inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
+    return {"inclusions": inside, "matrix": body}
+
+
+def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
+    """Some elements of a field; those of several regions share no points, since stress may jump between them."""
+    keys = field.mesh.cells[own] * len(field.material) + field.mesh.region[own, None]
+    used, cells = np.unique(keys, return_inverse=True)
+    nodes, found = used // len(field.material), None
+    if stress:
+        found = np.empty((len(used), 6))
+        found[cells.reshape(keys.shape)] = field.nodal_stress(own)
+    return Part(
+        points_mm=field.points_mm[nodes],
+        cells=cells.reshape(keys.shape),
+        cell_type=field.mesh.cell_type,
+        displacement_mm=field.displacement_mm[nodes],
+        stress_mpa=found,
+    )
