@@ -63,7 +63,7 @@ GRID_STAGES = {
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for meshes, whose levels divide the usual edges
-MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
+MESH_STAGES = ((0.8, 1.0, 5), (1.0, 1.4, 6), (1.4, 2.0, 7))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
 RATE = {"grid": 2.5, "mesh": 2.0}  #: convergence as level^(−rate) that is reckoned with; meshes are not extrapolated
