@@ -19,8 +19,16 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL
-from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
+from fem.array.meshed import (
+    GRID_DEGREE,
+    GRID_LEVEL,
+    MESH_DEGREE,
+    MESH_LEVEL,
+    TetCell,
+    condensed_cell,
+    elastic_body,
+    lone_unit,
+)
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
