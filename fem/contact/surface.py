@@ -19,8 +19,7 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL
-from fem.array.meshed import DesignCell, TetCell, lone_unit
+from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError

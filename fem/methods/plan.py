@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fem.methods.cell_scene import has_alike_plates
-from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
+from fem.mirrors import Mirror, flipped_points, flipped_rectangles
 from fem.scene.loads import SceneError
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
@@ -17,8 +17,8 @@ Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
 
 #: by method, its elements and why they are used; cells of two rubbers are of tetrahedra
 ELEMENTS = {
-    "boxes": "split hexahedra of order 3 or 4, fine only where the probes need it, factored: whatever contrast, ν, "
-    "shear and slenderness",
+    "boxes": "split hexahedra of order 4, fine only where the probes need it, factored: whatever contrast, ν, shear "
+    "and slenderness",
     "cells": "quadratic hexahedra, they crowd at the edges of plates, two levels extrapolated",
     "finite": "mixed quadratic hexahedra, the pressure linear in each and found there: rubber does not lock",
     "tetrahedra": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
@@ -36,7 +36,7 @@ class Plan:
 
     method: Method
     regions: tuple[Region, ...]  #: prisms inside the body that need a region of their own
-    mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
+    mirrors: tuple[Mirror, ...]  #: planes that mirror the body, at most one per axis; those of finite strain, the loads
     lines: tuple[str, ...]  #: for people: name, choice and reason of every decision
 
 
@@ -114,19 +114,16 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, s
 
 
 def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mirror, ...], str]:
-    """Planes that mirror the body, and what is said of them; if `even`, they mirror the loads, too."""
+    """Planes that mirror the body, if `even` the loads, too; and what is said of those where loads are even, or odd."""
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), "none, no middle plane mirrors the body"
-    if even:
-        mirrors = tuple(mirror for mirror in mirrors if mirror.parities == (1,))
-    if not mirrors:
-        return (), "unused, no plane of the body mirrors the loads"
-    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
-    count = len(parities(mirrors))
-    loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
-    share = {1: "half", 2: "a quarter"}[len(mirrors)]
-    return mirrors, f"{share} of the body, the body mirrors in {planes} mm, {loads}"
+    used = tuple(mirror for mirror in mirrors if mirror.parities == (1,) or (len(mirror.parities) == 1 and not even))
+    if not used:
+        return (() if even else mirrors), "unused, no plane of the body mirrors the loads"
+    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in used)
+    share = {1: "half", 2: "a quarter"}[len(used)]
+    return (used if even else mirrors), f"{share} of the body, the body mirrors in {planes} mm, the loads as well"
 
 
 def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:

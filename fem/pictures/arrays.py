@@ -13,8 +13,7 @@ from functools import cache
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import CellInterior, design_interior
-from fem.array.meshed import lone_unit, pad_plate
+from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.field import Field
 from fem.finite.samples import SampleSolver
 from fem.finite.solving import solve_finite

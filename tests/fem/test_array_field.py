@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import MESH_DEGREE
-from fem.array.meshed import DesignCell, functionals
+from fem.array.meshed import MESH_DEGREE, DesignCell, functionals
 from fem.array.solving import solve_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
@@ -104,7 +103,7 @@ def test_answers_add_up(field, state):
 
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
-    monkeypatch.setattr("fem.array.interior.MESH_LEVEL", 0)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))

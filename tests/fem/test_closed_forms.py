@@ -191,19 +191,6 @@ def test_rectangles_obey_reciprocity_and_energy_is_positive(mean):
     assert np.abs(skew[..., 0, 2]).max() > 0.01 * np.abs(skew).max()  # it is really there
 
 
-def test_scales_and_symmetries():
-    """Twice as large is half as compliant, so is twice as stiff; x and y are alike; a patch far away is a point."""
-    here = mean_compliance(TARGETS, LOAD, RUBBER)
-    assert np.allclose(mean_compliance(2 * TARGETS, 2 * LOAD, RUBBER), here / 2, rtol=1e-11, atol=1e-16)
-    assert np.allclose(mean_compliance(TARGETS, LOAD, replace(RUBBER, young_mpa=12.2)), here / 2, rtol=1e-12)
-    swap, mirror = [1, 0, 2], [1, 0, 3, 2]
-    swapped = mean_compliance(TARGETS[:, mirror], LOAD[mirror], RUBBER)[:, swap][:, :, swap]
-    assert np.allclose(swapped, here, rtol=0, atol=1e-15)
-    far = np.array([80.0, -60.0, 0.0])
-    distant = mean_compliance(np.array([-1.0, -1.0, 1.0, 1.0]) + far[[0, 1, 0, 1]], [-2.0, -2.0, 2.0, 2.0], RUBBER)
-    assert np.allclose(distant, point_compliance(far, RUBBER), rtol=0, atol=1e-3 * np.abs(distant).max())  # (2/100)²
-
-
 def pushed_block(core, outer, layers, squares):
     """Means of three squares, the first loaded, on a block with lines 2 mm apart within `core` mm: (3, 3, 3)."""
     across = np.concatenate([-np.array(outer)[::-1], np.arange(-core, core + 1.0, 2.0), outer])
@@ -212,22 +199,6 @@ def pushed_block(core, outer, layers, squares):
     means = sp.kron(patch_integrals(body.basis, squares), sp.eye_array(3), format="csr")  # times area
     solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
     return (means @ body.displacements(solution)).reshape(3, 3, 3) / np.array([64.0, 16.0, 16.0])[:, None, None]
-
-
-def test_finite_elements_tend_to_the_half_space():
-    """A clamped block, ever larger, sinks under a pad relative to two squares beside it as a half-space does.
-
-    The differences drop what the far base takes away. 3 % are the mesh's: four edges of 2 mm across the load.
-    """
-    misfits = []
-    squares = np.array([[-4.0, -4.0, 4.0, 4.0], [6.0, -2.0, 10.0, 2.0], [-10.0, -10.0, -6.0, -6.0]])
-    closed = mean_compliance(squares, squares[0], USUAL)
-    for block in (([10.0], [0, 8, 12, 14, 16]), ([10.0, 20.0, 40.0], [0, 24, 36, 40, 42])):
-        elements = pushed_block(6.0, *block, squares)
-        error = (elements[0] - elements[1:]) - (closed[0] - closed[1:])
-        misfits.append(np.linalg.norm(error) / np.linalg.norm(closed[0] - closed[1:]))
-    assert misfits[0] > 0.3
-    assert misfits[1] < 0.03
 
 
 def test_the_response_holds_every_pair_of_electrode_and_pad(tmp_path):
