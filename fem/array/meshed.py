@@ -57,7 +57,7 @@ MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
 PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
 #: convergence that is reckoned with: of boxes as level^(−rate); of tetrahedra as unknowns^(−rate), 0.9 to 1.6 being
 #: measured
-BOX_RATE, MESH_RATE = 2.5, 0.8
+BOX_RATE, MESH_RATE = 2.5, 0.9
 
 
 @dataclass(frozen=True, eq=False)
