@@ -234,6 +234,37 @@ class System:
             size=float(np.linalg.norm(on_unknowns)),
         )
 
+    def potential_mj(self, state: State, share: float) -> float:
+        """Stored energy less the work of loads that have a potential, at a share of the full load."""
+        work = float((self.dead * state.u).sum() + (self.force_n * state.shift).sum())
+        return self.body.energy_mj(state.u) - share * work
+
+    def around(self, some: NDArray[np.bool_]) -> tuple["System", IntArray, IntArray]:
+        """Some elements (n_elements,) and their neighbours alone; their nodes that others share are held where they are.
+
+        Also the numbers of the elements and of the nodes.
+        """
+        body, nodes = self.body, self.body.nodes
+        near = np.zeros(self.body.n_nodes, dtype=bool)
+        near[nodes[some]] = True
+        elements = np.flatnonzero(near[nodes].any(axis=1))
+        number, own = np.unique(nodes[elements], return_inverse=True)
+        boxes = body.boxes
+        boxes = replace(
+            boxes,
+            low=boxes.low[elements],
+            high=boxes.high[elements],
+            nodes=own.reshape(len(elements), -1),
+            region=boxes.region[elements],
+        )
+        part = System(RubberBody(boxes, body.law.part(elements)))
+        inside = np.zeros(body.n_nodes, dtype=bool)
+        inside[self.free[self.moves[: len(self.free)].all(axis=1)]] = True
+        inside[np.delete(nodes, elements, axis=0)] = False
+        part.free, part.dead = np.flatnonzero(inside[number]), self.dead[number]
+        part.moves = part.moves_of(part.parity)
+        return part, elements, number
+
     @cached_property
     def assembly(self) -> Assembly:
         """Where element stiffness goes in the matrix of the unknowns."""
@@ -262,15 +293,19 @@ class System:
         )
 
     def tangent(
-        self, state: State, share: float, reactions: FloatArray, definite: NDArray[np.bool_] | None = None
+        self,
+        state: State,
+        share: float,
+        reactions: FloatArray,
+        stiffened: tuple[NDArray[np.bool_], float] | None = None,
     ) -> tuple[FloatArray, Tangent]:
         """Blocks of the tangent in `assembly` at a share of the load, and the elements'; `reactions` are of `Misfit`.
 
-        Elements that are `definite` take no part in any loss of stability: see `Tangent.make_definite`.
+        Of `stiffened` elements (n_elements,) a share of what takes stability is left out: see `Tangent.make_definite`.
         """
         parts = self.body.tangent(state.u, state.p)
-        if definite is not None:
-            parts.make_definite(definite)
+        if stiffened is not None:
+            parts.make_definite(*stiffened)
         data = self.assembly.sum(parts.blocks(), self.plates.spins(state.rotation))
         if self.plates.count:
             if self.body.boxes.constraint is not None:

@@ -3,18 +3,17 @@
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
 tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
 many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100. A state whose
-tangent has an eigenvalue below 0 is unstable, and is not taken; but modes within the few elements that a singular edge
-squeezes below a fifth of their volume are taken for the mesh's own, and are let be. That is argued, not proven: there
-the discrete rubber is far from the continuous one, and a fold of the true surface at the edge would be let be as well.
+tangent has an eigenvalue below 0 is unstable, and is not taken.
 
 No change takes more than a part of an element's volume: J → 0 at the edges of plates, where W grows like −ln J, and
-Newton's method on a logarithm converges from the steep side only.
+Newton's method on a logarithm converges from the steep side only. The few elements that such an edge squeezes come to
+rest by themselves before each step, or the whole body would wait for them.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.mirrors import parities
@@ -28,11 +27,13 @@ MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 32  #: of the load, before it is refused
 KEPT_VOLUME = 0.2  #: of every Gauss point's volume, at least, that a change leaves
 DAMPING, DAMPINGS = 0.6, 12  #: factor of a change that leaves less, and how often
-SQUEEZED = 0.2  #: least J below which an element's own modes do not count; a choice, and `is_stable` is then None
+SQUEEZED = 0.2  #: least J below which elements come to rest by themselves before each iteration
+RESTS, RESTED = 25, 1e-6  #: iterations of these, and the unbalanced forces they leave, of the loads
+STIFFENINGS = (0.05, 0.2, 0.8, 1.0)  #: shares of the negative eigenvalues of their moduli that are left out, if need be
 
 
 class UnreachableLoadError(SolverError):
-    """A load at which no equilibrium was found, or an unstable one only."""
+    """A load at which no equilibrium was found, or an unstable one only: of the body, not of an edge's elements."""
 
     def __init__(self, message: str, is_unstable: bool) -> None:
         super().__init__(message)
@@ -50,10 +51,8 @@ class Equilibrium:
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
-    #: True if the last tangent is definite; None where nothing counts its eigenvalues (pressures, moments, no PARDISO),
-    #: or where modes of squeezed elements were left out of the judgement: `stability` says which
+    #: True if its tangent is definite; None where nothing counts eigenvalues: pressures, moments, no PARDISO
     is_stable: bool | None = None
-    stability: str = ""  #: what is to be said where `is_stable` is None
 
     @property
     def energy_imbalance(self) -> float:
@@ -126,7 +125,7 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
         steps=steps,
         stored_mj=system.body.energy_mj(state.u),
         work_mj=path.work() if system.symmetric else np.nan,
-        **_judgement(system, factor, misfit),
+        is_stable=None if factor.n_negative is None else True,
     )
 
 
@@ -142,59 +141,97 @@ def _equilibrium_at(system: System, factor: Factor, state: State, share: float, 
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS + 1):
+        squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
+        if squeezed.any() and not len(system.faces.nodes):
+            state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
+            misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
             return _Tried(state, misfit, iteration, not iteration or _is_stable(system, factor, state, share, misfit))
-        if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
-            return _Tried(state, misfit, iteration, False)
+        if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
+            break
         try:
-            blocks, parts = system.tangent(state, share, misfit.reactions)
-            factor.factor(system.matrix(blocks))
+            stepped = _stepped(system, factor, state, share, misfit, squeezed)
         except FactorMemoryError:
             raise
         except SolverError:
-            return _Tried(state, misfit, iteration, False)
-        change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
+            break
         if not path.slope:
             path.slope.append(_slope(system, factor, state))
-        nodal = system.nodal_change(state.rotation, change)
-        pressures = misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
-        least = KEPT_VOLUME * system.body.strain(state.u[None]).J
-        for damping in DAMPING ** np.arange(DAMPINGS):
-            trial = system.moved(state, change * damping, pressures * damping)
-            if (least <= system.body.strain(trial.u[None]).J).all():
-                break
-        state, misfit = trial, system.misfit(trial, share)
-    converged = misfit.residual <= RESIDUAL and _is_stable(system, factor, state, share, misfit)
-    return _Tried(state, misfit, MAX_ITERATIONS, converged)
+        if stepped is None:
+            break
+        state, misfit = stepped, system.misfit(stepped, share)
+    return _Tried(state, misfit, iteration, False)
+
+
+def _stepped(
+    system: System, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+) -> State | None:
+    """The state after one step of Newton's method, no longer than volumes allow.
+
+    Where the tangent is indefinite, squeezed elements are stiffened until it is definite, and the potential energy must
+    fall: Newton's method would go to a saddle. None if that does not help.
+    """
+    for stiffening in (0.0, *STIFFENINGS):
+        blocks, parts = system.tangent(state, share, misfit.reactions, (squeezed, stiffening))
+        factor.factor(system.matrix(blocks))
+        if not factor.n_negative or not squeezed.any():
+            break
+    else:
+        return None
+    change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
+    nodal = system.nodal_change(state.rotation, change)
+    pressures = misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
+    least = KEPT_VOLUME * system.body.strain(state.u[None]).J
+    most_mj = system.potential_mj(state, share) if stiffening else np.inf
+    for damping in DAMPING ** np.arange(DAMPINGS):
+        trial = system.moved(state, change * damping, pressures * damping)
+        kept = (least <= system.body.strain(trial.u[None]).J).all()
+        if kept and (not stiffening or system.potential_mj(trial, share) <= most_mj):
+            break
+    return trial
+
+
+def _with_rested(system: System, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
+    """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
+
+    They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
+    Comput. 33 (2011) 746).
+    """
+    part, elements, nodes = system.around(squeezed)
+    own = replace(part.rest(), u=state.u[nodes], p=state.p[elements])
+    factor, every = part.new_factor(), np.ones(len(elements), dtype=bool)
+    sizes = []
+    for _ in range(RESTS + 1):
+        misfit = part.misfit(own, share)
+        sizes.append(float(np.linalg.norm(misfit.unbalanced)))
+        if sizes[-1] <= unbalanced_n or len(sizes) > RESTS:
+            break
+        stepped = _stepped(part, factor, own, share, misfit, every)
+        if stepped is None:
+            break
+        own = stepped
+    if not sizes[-1] < sizes[0]:
+        return state
+    u, p = state.u.copy(), state.p.copy()
+    u[nodes], p[elements] = own.u, own.p
+    return replace(state, u=u, p=p)
 
 
 def _is_stable(system: System, factor: Factor, state: State, share: float, misfit: Misfit) -> bool:
-    """Whether no mode beyond squeezed elements is unstable; True if the solver does not count, as of pressures.
+    """Whether no mode is unstable; True if the solver does not count, as of pressures.
 
     Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
     """
     if factor.n_negative is None:
         return True
-    squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
     every = parities(tuple(replace(mirror, parities=(1, -1)) for mirror in system.mirrors))
-    blocks, judge = None, system.new_factor()
-    for parity in every if factor.n_negative else every[1:]:
-        blocks = system.tangent(state, share, misfit.reactions, squeezed)[0] if blocks is None else blocks
+    blocks, judge = system.tangent(state, share, misfit.reactions)[0], system.new_factor()
+    for parity in every:
         judge.factor(system.matrix(blocks, parity))
         if judge.n_negative:
             return False
     return True
-
-
-def _judgement(system: System, factor: Factor, misfit: Misfit) -> dict[str, Any]:
-    """`is_stable` and `stability` of a state that was taken."""
-    if factor.n_negative is None:
-        return {"is_stable": None, "stability": "stability not checked"}
-    # other parities are judged without the modes of squeezed elements, so what these are there is not known
-    if factor.n_negative or (system.mirrors and misfit.least_j < SQUEEZED):
-        return {"is_stable": None, "stability": f"stable but for modes within elements of J < {SQUEEZED:g}, not judged"}
-    return {"is_stable": True}
 
 
 def _own_displacement(system: System, state: State) -> float:
@@ -217,13 +254,13 @@ def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadEr
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
     what = "equilibrium"
-    is_unstable = worst.misfit.residual <= RESIDUAL
-    if is_unstable:
+    is_equilibrium = worst.misfit.residual <= RESIDUAL
+    if is_equilibrium:
         what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
     return UnreachableLoadError(
         f"no {what} above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
         f"gives way (smallest J {least:.2g}): {mend}.",
-        is_unstable,
+        is_unstable=is_equilibrium and least >= SQUEEZED,
     )
 
 

@@ -30,7 +30,7 @@ from geometry.layout import FloatArray
 RATES = (1.5, 2.5)
 LEVELS = (1, 2, 3, 4)  #: of refinement
 MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 GB
-ALWAYS, MAX_WORK = 2, 300_000  #: level from which on a finer grid's unknowns times the last iterations are limited
+ALWAYS, MAX_WORK = 2, 250_000  #: level from which on a finer grid's unknowns times the last iterations are limited
 EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of lines: loads' edges and the body's faces
 
 
@@ -110,7 +110,7 @@ def solve_finite(
         steps.append(
             f"level {level}: {system.n_unknowns} unknowns, {equilibrium.iterations} iterations in {equilibrium.steps} "
             f"steps, smallest J {equilibrium.least_j:.3g}; estimated error {estimate:.1e}"
-            + (f"; {equilibrium.stability}" if equilibrium.stability else "")
+            + ("; stability not checked" if equilibrium.is_stable is None else "")
         )
         if estimate <= scene.tolerance:
             break
