@@ -240,7 +240,7 @@ class System:
         return self.body.energy_mj(state.u) - share * work
 
     def around(self, some: NDArray[np.bool_]) -> tuple["System", IntArray, IntArray]:
-        """Some elements (n_elements,) and their neighbours alone; their nodes that others share are held where they are.
+        """Some elements (n_elements,) and their neighbours alone; nodes shared with others stay where they are.
 
         Also the numbers of the elements and of the nodes.
         """

@@ -235,8 +235,8 @@ def test_plates_that_squeeze_corners_to_a_fortieth_find_equilibrium():
         pillar_material=rubber,
     )
     forces = np.array(
-        [[71.466, 70.922, -538.688], [42.59, -16.036, -318.503], [-30.758, -22.458, -261.285], [-57.076, 7.266, -492.937]]
-    )  # fmt: skip
+        [[71.47, 70.92, -538.69], [42.59, -16.04, -318.5], [-30.76, -22.46, -261.28], [-57.08, 7.27, -492.94]]
+    )
     loads = [
         StiffLoad(center_mm=(float(x), float(y)), size_mm=(10.8, 10.8), force_n=tuple(force.tolist()))
         for (x, y), force in zip(unit_centres(design), forces, strict=True)
