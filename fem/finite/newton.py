@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.factor import Factor, FactorMemoryError, SolverError
-from fem.mirrors import parities
-from fem.scene.loads import FollowerLoad
+from fem.scene.loads import FollowerLoad, StiffLoad
+from fem.finite.tetrahedra import TetrahedralSystem
 from fem.system import Misfit, State, System
 from geometry.layout import FloatArray
 
@@ -30,6 +30,8 @@ DAMPING, DAMPINGS = 0.6, 12  #: factor of a change that leaves less, and how oft
 SQUEEZED = 0.2  #: least J below which elements come to rest by themselves before each iteration
 RESTS, RESTED = 25, 1e-6  #: iterations of these, and the unbalanced forces they leave, of the loads
 STIFFENINGS = (0.05, 0.2, 0.8, 1.0)  #: shares of the negative eigenvalues of their moduli that are left out, if need be
+
+Equations = System | TetrahedralSystem
 
 
 class UnreachableLoadError(SolverError):
@@ -76,12 +78,12 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(system: System, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
+def find_equilibrium(system: Equations, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
     ----------
-    system : System
+    system : System or TetrahedralSystem
     factor : Factor, optional
         Of the system's tangents, to use again; it is left with the last tangent.
     first_step : float
@@ -96,8 +98,7 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
-    worst: _Tried | None = None
-    misfit = system.misfit(state, 0.0)
+    tried: _Tried | None = None
     if system.misfit(state, 1.0).size == 0.0:
         return Equilibrium(
             state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, is_stable=True
@@ -107,25 +108,25 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
         tried = _equilibrium_at(system, factor, state, share + step, path)
         iterations += tried.iterations
         if not tried.converged:
-            worst = tried
             step /= 2
             if step < MIN_STEP:
-                raise _refusal(system, share, worst)
+                raise _refusal(system, share, tried)
             continue
-        share, state, misfit = share + step, tried.state, tried.misfit
+        share, state = share + step, tried.state
         path.share.append(share)
-        path.value.append(_own_displacement(system, state))
+        path.value.append(system.own_displacement(state))
         path.slope.append(_slope(system, factor, state))
         steps, step = steps + 1, 2 * step
+    assert tried is not None  # the load is not 0
     return Equilibrium(
         state=state,
-        residual=misfit.residual,
-        least_j=misfit.least_j,
+        residual=tried.misfit.residual,
+        least_j=tried.misfit.least_j,
         iterations=iterations,
         steps=steps,
-        stored_mj=system.body.energy_mj(state.u),
+        stored_mj=system.stored_mj(state),
         work_mj=path.work() if system.symmetric else np.nan,
-        is_stable=None if factor.n_negative is None else True,
+        is_stable=tried.is_stable,
     )
 
 
@@ -134,20 +135,24 @@ class _Tried:
     state: State
     misfit: Misfit
     iterations: int
-    converged: bool
+    is_stable: bool | None  #: of an equilibrium
+
+    @property
+    def converged(self) -> bool:
+        return self.misfit.residual <= RESIDUAL and self.is_stable is not False
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
+def _equilibrium_at(system: Equations, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
     for iteration in range(MAX_ITERATIONS + 1):
-        squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
-        if squeezed.any() and not len(system.faces.nodes):
+        squeezed = system.volume_ratios(state).min(axis=1) < SQUEEZED
+        if isinstance(system, System) and system.is_separable and squeezed.any():
             state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
             misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, not iteration or _is_stable(system, factor, state, share, misfit))
+            return _Tried(state, misfit, iteration, system.is_stable(state, share, misfit))
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
         try:
@@ -161,11 +166,11 @@ def _equilibrium_at(system: System, factor: Factor, state: State, share: float, 
         if stepped is None:
             break
         state, misfit = stepped, system.misfit(stepped, share)
-    return _Tried(state, misfit, iteration, False)
+    return _Tried(state, misfit, iteration, None)
 
 
 def _stepped(
-    system: System, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+    system: Equations, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
 ) -> State | None:
     """The state after one step of Newton's method, no longer than volumes allow.
 
@@ -173,26 +178,27 @@ def _stepped(
     fall: Newton's method would go to a saddle. None if that does not help.
     """
     for stiffening in (0.0, *STIFFENINGS):
-        blocks, parts = system.tangent(state, share, misfit.reactions, (squeezed, stiffening))
-        factor.factor(system.matrix(blocks))
-        if not factor.n_negative or not squeezed.any():
+        parts = system.linearise(factor, state, share, misfit, (squeezed, stiffening))
+        if not system.unstable_modes(factor) or not squeezed.any():
             break
     else:
         return None
-    change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
-    nodal = system.nodal_change(state.rotation, change)
-    pressures = misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
-    least = KEPT_VOLUME * system.body.strain(state.u[None]).J
-    most_mj = system.potential_mj(state, share) if stiffening else np.inf
+    change, pressures = system.newton_change(factor, parts, state, misfit)
+    least = KEPT_VOLUME * system.volume_ratios(state)
     for damping in DAMPING ** np.arange(DAMPINGS):
         trial = system.moved(state, change * damping, pressures * damping)
-        kept = (least <= system.body.strain(trial.u[None]).J).all()
-        if kept and (not stiffening or system.potential_mj(trial, share) <= most_mj):
+        kept = (least <= system.volume_ratios(trial)).all()
+        if kept and (not stiffening or _potential_mj(system, trial, share) <= _potential_mj(system, state, share)):
             break
     return trial
 
 
-def _with_rested(system: System, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
+def _potential_mj(system: Equations, state: State, share: float) -> float:
+    """Stored energy less the work of the loads."""
+    return system.stored_mj(state) - share * system.own_displacement(state)
+
+
+def _with_rested(system: Equations, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
     """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
 
     They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
@@ -218,38 +224,18 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     return replace(state, u=u, p=p)
 
 
-def _is_stable(system: System, factor: Factor, state: State, share: float, misfit: Misfit) -> bool:
-    """Whether no mode is unstable; True if the solver does not count, as of pressures.
-
-    Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
-    """
-    if factor.n_negative is None:
-        return True
-    every = parities(tuple(replace(mirror, parities=(1, -1)) for mirror in system.mirrors))
-    blocks, judge = system.tangent(state, share, misfit.reactions)[0], system.new_factor()
-    for parity in every:
-        judge.factor(system.matrix(blocks, parity))
-        if judge.n_negative:
-            return False
-    return True
-
-
-def _own_displacement(system: System, state: State) -> float:
-    """f · u of the full loads that have a potential [mJ]."""
-    return float((system.dead * state.u).sum() + (system.force_n * state.shift).sum())
-
-
-def _slope(system: System, factor: Factor, state: State) -> float:
+def _slope(system: Equations, factor: Factor, state: State) -> float:
     """d(f · u) / d(share) by the last tangent."""
     loads = system.loads_on(state, 1.0).reshape(-1, 1)
     return float((loads * factor.solve(loads)).sum())
 
 
-def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadError:
-    least, element = system.body.least_j(worst.state.u)
+def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadError:
+    j = system.volume_ratios(worst.state).min(axis=1)
+    least, element = float(j.min()), int(j.argmin())
     x, y, z = system.body.centres_mm[element]
     mend = "bond a stiff plate to the patch, or take a smaller load"
-    if system.plates.count and not system.dead.any() and not len(system.faces.nodes):
+    if all(isinstance(load, StiffLoad) for load in system.loads):
         mend = "take a smaller load or a stiffer rubber"
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
@@ -264,7 +250,7 @@ def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadEr
     )
 
 
-def solve_rest(system: System, factor: Factor) -> FloatArray:
+def solve_rest(system: Equations, factor: Factor) -> FloatArray:
     """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
     state = system.rest()
     factor.factor(system.matrix(system.rest_tangent()))
