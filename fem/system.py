@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,7 +17,16 @@ from numpy.typing import NDArray
 from fem.assembly import Assembly
 from fem.factor import Factor
 from fem.following import FollowingFaces
-from fem.mirrors import Mirror, Parity, flipped_rectangles, folded_loads, folded_point, held_components, images, parities
+from fem.mirrors import (
+    Mirror,
+    Parity,
+    flipped_rectangles,
+    folded_loads,
+    folded_point,
+    held_components,
+    images,
+    parities,
+)
 from fem.plates import Plates, skew, turns
 from fem.rubber.body import RubberBody, Tangent
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
@@ -103,7 +113,9 @@ class System:
             low = np.array([load.rectangle[mirror.axis] for load in stiff])
             middles[low == mirror.position_mm, mirror.axis] = mirror.position_mm
         self.plates = Plates.of(body.boxes, [load.rectangle for load in stiff], middles)
-        self.faces = FollowingFaces.on_boxes(body.boxes, [load for load in self.loads if isinstance(load, FollowerLoad)])
+        self.faces = FollowingFaces.on_boxes(
+            body.boxes, [load for load in self.loads if isinstance(load, FollowerLoad)]
+        )
         self.symmetric = is_linear or not (len(self.faces.nodes) or any(any(load.moment_nmm) for load in stiff))
         boxes = body.boxes
         free = (boxes.points_mm[:, 2] > 0.0) & boxes.is_independent
@@ -345,9 +357,7 @@ class System:
         factor.factor(self.matrix(data))
         return parts
 
-    def newton_change(
-        self, factor: Factor, parts: Tangent, state: State, misfit: Misfit
-    ) -> tuple[FloatArray, FloatArray]:
+    def newton_change(self, factor: Factor, parts: Any, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
         """Changes of the unknowns and of the pressures that balance the forces, by a factor from `linearise`."""
         change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
         nodal = self.nodal_change(state.rotation, change)

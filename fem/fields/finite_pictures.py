@@ -59,7 +59,7 @@ def no_stress() -> SceneError:
 def finite_field(scene: Scene) -> Field:
     """Displacement of a neo-Hookean scene's whole body, for pictures; errors as of `solve_finite`."""
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
-    found = solve_finite(coarse, None, make_plan(coarse).mirrors, with_field=True).field
+    found = solve_finite(coarse, make_plan(coarse).mirrors, with_field=True).field
     assert found is not None  # it was asked for
     return found
 

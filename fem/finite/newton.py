@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.factor import Factor, FactorMemoryError, SolverError
-from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.finite.tetrahedra import TetrahedralSystem
+from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import Misfit, State, System
 from geometry.layout import FloatArray
 
@@ -198,7 +198,7 @@ def _potential_mj(system: Equations, state: State, share: float) -> float:
     return system.stored_mj(state) - share * system.own_displacement(state)
 
 
-def _with_rested(system: Equations, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
+def _with_rested(system: System, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
     """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
 
     They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
@@ -250,7 +250,7 @@ def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadE
     )
 
 
-def solve_rest(system: Equations, factor: Factor) -> FloatArray:
+def solve_rest(system: System, factor: Factor) -> FloatArray:
     """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
     state = system.rest()
     factor.factor(system.matrix(system.rest_tangent()))

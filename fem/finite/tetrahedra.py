@@ -5,7 +5,7 @@ and the pressures. A state is stable where its tangent has as many negative eige
 """
 
 from collections.abc import Sequence
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -150,8 +150,8 @@ class TetrahedralSystem:
             turning = (turning + turning.swapaxes(1, 2)) / 2
         T = self._motions(state.rotation)
         if self._pattern is None:  # sums drop what is 0, and a factor wants the same entries in every state
-            ones = [sp.csr_matrix((np.ones_like(part.data), part.indices, part.indptr), part.shape) for part in (K, T)]
-            self._pattern = self._summed(*ones, np.ones_like(pushed), np.ones_like(turning)).tocsr()
+            of_k, of_t = (sp.csr_matrix((np.ones_like(A.data), A.indices, A.indptr), A.shape) for A in (K, T))
+            self._pattern = self._summed(of_k, of_t, np.ones_like(pushed), np.ones_like(turning)).tocsr()
             self._pattern.sort_indices()
         n, found, pattern = self._pattern.shape[0], self._summed(K, T, pushed, turning), self._pattern
         keys = np.repeat(np.arange(n), np.diff(pattern.indptr)) * n + pattern.indices
@@ -173,9 +173,7 @@ class TetrahedralSystem:
         K = T.T @ K @ T + sp.csr_matrix((turning.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
         return sp.triu(K, format="coo") if self.symmetric else K.tocoo()
 
-    def newton_change(
-        self, factor: Factor, parts: None, state: State, misfit: Misfit
-    ) -> tuple[FloatArray, FloatArray]:
+    def newton_change(self, factor: Factor, parts: Any, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
         """Changes of the other unknowns and of the pressures, by a factor from `linearise`."""
         change = factor.solve(np.concatenate([misfit.unbalanced, misfit.pressures])[:, None])[:, 0]
         return change[: self.n_moving], change[self.n_moving :]
@@ -192,7 +190,7 @@ class TetrahedralSystem:
         return State(u=u, p=state.p + pressure_change, shift=shift, turn=turn)
 
     def unstable_modes(self, factor: Factor) -> int | None:
-        """Negative eigenvalues of the tangent in a factor beyond the pressures' own; None where they are not counted."""
+        """Negative eigenvalues of the tangent in a factor beyond the pressures' own; None if not counted."""
         return None if factor.n_negative is None else factor.n_negative - self.body.n_pressure
 
     def is_stable(self, state: State, share: float, misfit: Misfit) -> bool | None:

@@ -14,7 +14,7 @@ from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES
 
-Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
+Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite", "finite on tetrahedra"]
 
 BOXES = "split hexahedra of order 3 or 4"
 HEXAHEDRA = "quadratic hexahedra"
@@ -92,7 +92,7 @@ def _element(method: Method, regions: Sequence[Region]) -> str:
     """The key of `ELEMENTS` of a method."""
     if method == "cells":
         return TETRAHEDRA if regions else HEXAHEDRA
-    return {"boxes": BOXES, "finite": MIXED, "tetrahedra": TETRAHEDRA}[method]
+    return {"boxes": BOXES, "finite": MIXED}.get(method, TETRAHEDRA)
 
 
 def _regions(scene: Scene) -> tuple[list[Region], list[Decision]]:
@@ -114,12 +114,17 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, D
     def tetrahedra(reason: str, choice: str = "tetrahedra") -> tuple[Method, Decision]:
         return "tetrahedra", Decision(name="mesh", choice=choice, reason=reason)
 
+    is_sensor = isinstance(scene.body, Sensor)
+    what = "pillar" if is_sensor else "inclusion"
+    oblique = sum(not prism.is_upright for prism, _ in regions)
     if scene.is_unloaded and not field:
         return "nothing", Decision(name="mesh", choice="none", reason="nothing loads the body, so nothing moves")
     if not scene.is_linear:
-        loads = ", ".join(sorted({load.kind for load in scene.loads}))
-        return "finite", Decision(name="mesh", choice="graded hexahedra", reason=f"finite strain under {loads} loads")
-    is_sensor = isinstance(scene.body, Sensor)
+        reason = f"finite strain under {', '.join(sorted({load.kind for load in scene.loads}))} loads"
+        if oblique or (is_sensor and regions):
+            reason += f", {oblique} of {_count(regions, what)} of another material lean"
+            return "finite on tetrahedra", Decision(name="mesh", choice="tetrahedra", reason=reason)
+        return "finite", Decision(name="mesh", choice="graded hexahedra", reason=reason)
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
     soft = units > 1 and bool(regions) and _are_soft(scene)
     if soft and units > MAX_WHOLE and scene.tolerance < SOFT_CELLS and not field:
@@ -137,9 +142,7 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, D
     if units > 1 and not scene.stiff_loads and seen_by_means:
         reason = f"{units} equal units: one is meshed and condensed, its copies are coupled"
         return "cells", Decision(name="mesh", choice="one cell", reason=reason)
-    oblique = sum(not prism.is_upright for prism, _ in regions)
     if oblique or (units and regions):
-        what = "pillar" if is_sensor else "inclusion"
         return tetrahedra(f"{oblique} of {_count(regions, what)} of another material lean")
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"

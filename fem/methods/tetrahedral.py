@@ -5,16 +5,19 @@ mesh only and the answers of successive meshes differ by their errors alone.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
 
 from fem.factor import Factor, checked_solve
+from fem.finite.newton import find_equilibrium
+from fem.finite.tetrahedra import TetrahedralSystem
 from fem.methods.adaptive import MeshAnswer, solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, Solution, Stopwatch, relative_errors
+from fem.scene.solution import QUADRATIC_TETRAHEDRON, Field, FiniteSolution, Solution, Stopwatch, relative_errors
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.indicator import (
     cell_sizes,
@@ -91,7 +94,7 @@ class BisectedTetrahedra:
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, mesh = self.scene, self.mesh
         region = self._material_of[prism_of_cells(mesh, self.prisms)]
-        body = taylor_hood(mesh, self.materials, region)
+        self.body = body = taylor_hood(mesh, self.materials, region)
         no_loads = sp.csr_matrix((0, body.basis.N))
         loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
         forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
@@ -148,6 +151,28 @@ class BisectedTetrahedra:
         )
 
 
+class FiniteTetrahedra(BisectedTetrahedra):
+    """A scene at finite strain on Taylor-Hood tetrahedra, refined where its answer at small strain errs.
+
+    The sum of the indicators at small strain is what the errors at finite strain are taken to be proportional to.
+    """
+
+    def solve(self, watch: Stopwatch) -> MeshAnswer:
+        linear = super().solve(watch)
+        self.equilibrium = found = find_equilibrium(TetrahedralSystem(self.body, self.scene.loads))
+        watch.spent("solve")
+        u = found.state.u
+        probes = np.asarray(probe_rows(self.scene, self.body.basis) @ u)
+        self.history[-1] = (self.history[-1][0], probes)
+        return replace(
+            linear,
+            probes=probes,
+            energy_mj=found.stored_mj,
+            residual=found.residual,
+            field=lambda: replace(linear.field(), displacement_mm=u),
+        )
+
+
 def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
     """Solve a scene on tetrahedra, refined until the estimated error of every probe is within the tolerance.
 
@@ -165,7 +190,13 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
     narrow = np.vstack([scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm])
     mesh = with_edges_across(mesh, narrow)
     watch.spent("mesh")
-    return solve_adaptively(scene, BisectedTetrahedra(scene, plan, mesh), watch, steps, with_field)
+    if scene.is_linear:
+        return solve_adaptively(scene, BisectedTetrahedra(scene, plan, mesh), watch, steps, with_field)
+    meshes = FiniteTetrahedra(scene, plan, mesh)
+    found, last = solve_adaptively(scene, meshes, watch, steps, with_field), meshes.equilibrium
+    told = {name: getattr(last, name) for name in ("work_mj", "least_j", "iterations")}
+    unchecked = () if last.is_stable else ("stability not checked",)
+    return FiniteSolution(**vars(found) | told | {"load_steps": last.steps, "steps": found.steps + unchecked})
 
 
 def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:

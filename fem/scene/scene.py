@@ -267,22 +267,6 @@ class Scene:
         """True if the rubber is linear elastic: small strain."""
         return self.material.model == "linear"
 
-    def at_small_strain(self, tolerance: float) -> "Scene":
-        """The same scene with linear rubbers and a tolerance of its own."""
-        body = self.body
-        if isinstance(body, Sensor):
-            pillars, matrix = (
-                replace(rubber, model="linear") for rubber in (body.design.pillar_material, body.design.matrix_material)
-            )
-            body = replace(body, design=replace(body.design, pillar_material=pillars, matrix_material=matrix))
-        return replace(
-            self,
-            body=body,
-            material=replace(self.material, model="linear"),
-            inclusions=tuple(replace(one, material=replace(one.material, model="linear")) for one in self.inclusions),
-            tolerance=tolerance,
-        )
-
     def under(self, share: float) -> "Scene":
         """The same scene under a share of its loads."""
         return self if share == 1.0 else replace(self, loads=tuple(load.times(share) for load in self.loads))
