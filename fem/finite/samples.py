@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.conduction.reduced import REDUCED_ERROR
-from fem.finite.conducted import PillarReader
-from fem.finite.gradients import PointGradients
+from fem.finite.conducted import PillarReader, PointGradients
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
 from geometry.design import SensorDesign
