@@ -14,11 +14,12 @@ from skfem.refdom import RefTri
 
 from fem.boxes.boxes import Boxes, IntArray
 from fem.boxes.lagrange import gauss_points, shape_functions
-from fem.plates import ON_LINE, skew, top_nodes
-from fem.scene.checks import SceneError
+from fem.plates import skew, top_nodes
 from fem.scene.loads import FollowerLoad
 from fem.tetrahedra.patch import top_triangles
 from geometry.layout import FloatArray
+
+CUT_ORDER = 8  #: of integration on triangles, which loads' edges may cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class FollowingFaces:
     n_nodes: int  #: of the body
     values: FloatArray  #: of the functions at the points, (q, k)
     slopes: FloatArray  #: by ξ and by η, (2, q, k)
-    weights: FloatArray  #: (q,)
+    weights: FloatArray  #: (q,), or (f, q)
 
     @classmethod
     def on_boxes(cls, boxes: Boxes, loads: Sequence[FollowerLoad]) -> "FollowingFaces":
@@ -53,23 +54,33 @@ class FollowingFaces:
 
     @classmethod
     def on_tetrahedra(cls, basis: Basis, loads: Sequence[FollowerLoad]) -> "FollowingFaces":
-        """On quadratic tetrahedra whose faces follow the edges of the loads."""
+        """On quadratic tetrahedra; of a face that a load's edge cuts, the points of integration within count.
+
+        These are scaled to the load's area, so that the force at rest is whole.
+        """
         corners, faces = top_triangles(basis)
         turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
         faces[turned] = faces[turned][:, [0, 2, 1, 5, 4, 3]]
-        face, pressure = _under(corners.mean(axis=1), loads)
+        corners[turned] = corners[turned][:, [0, 2, 1]]
+        points, rule = get_quadrature(RefTri, CUT_ORDER)
+        shares = np.stack([1 - points.sum(axis=0), *points], axis=1)
+        places, twice_mm2 = shares @ corners, np.linalg.det(corners[:, 1:] - corners[:, :1])
+        face, weights, pressure = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(rule)))], [np.zeros(0)]
         for load in loads:
-            covered, _ = _under(corners.mean(axis=1), [load])
-            area_mm2 = np.abs(np.linalg.det(corners[covered, 1:] - corners[covered, :1])).sum() / 2
-            if abs(area_mm2 - np.prod(load.size_mm)) > ON_LINE * np.prod(load.size_mm):
-                raise SceneError("tetrahedra do not follow the edges of a following load.")
-        points, weights = get_quadrature(RefTri, 4)  # normals and functions are quadratic
+            x0, y0, x1, y1 = load.rectangle
+            own = rule * ((places > (x0, y0)) & (places < (x1, y1))).all(axis=2)
+            own *= np.prod(load.size_mm) / (twice_mm2 @ own.sum(axis=1))
+            face.append(np.flatnonzero(own.any(axis=1)))
+            weights.append(own[face[-1]])
+            pressure.append(np.full(len(face[-1]), load.pressure_mpa))
         (x, y), one = points, np.ones(points.shape[1])
         z = one - x - y
         at = np.stack([z * (2 * z - 1), x * (2 * x - 1), y * (2 * y - 1), 4 * z * x, 4 * x * y, 4 * z * y], axis=1)
         by_x = np.stack([1 - 4 * z, 4 * x - 1, 0 * one, 4 * (z - x), 4 * y, -4 * y], axis=1)
         by_y = np.stack([1 - 4 * z, 0 * one, 4 * y - 1, -4 * x, 4 * x, 4 * (z - y)], axis=1)
-        return cls(faces[face], pressure, int(basis.N), at, np.stack([by_x, by_y]), weights)
+        under = faces[np.concatenate(face)]
+        slopes = np.stack([by_x, by_y])
+        return cls(under, np.concatenate(pressure), int(basis.N), at, slopes, np.concatenate(weights))
 
     def forces(self, x: FloatArray) -> FloatArray:
         """Nodal forces (n_nodes, 3) at full load on deformed positions (n_nodes, 3) [N]."""

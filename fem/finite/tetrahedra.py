@@ -28,7 +28,7 @@ class TetrahedralSystem:
     Parameters
     ----------
     body : TaylorHood
-        Its faces follow the outlines of stiff and following loads.
+        Its faces follow the outlines of stiff loads.
     loads : sequence of loads
     """
 
