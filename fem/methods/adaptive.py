@@ -6,6 +6,7 @@ import numpy as np
 import psutil
 
 from fem.factor import FactorMemoryError, SolverError
+from fem.finite.newton import UnreachableLoadError
 from fem.scene.scene import Scene
 from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from geometry.layout import FloatArray
@@ -48,8 +49,8 @@ def solve_adaptively(
     while True:
         try:
             answer = mesh.solve(watch)
-        except FactorMemoryError as error:
-            if answer is None:
+        except (FactorMemoryError, UnreachableLoadError) as error:
+            if answer is None or getattr(error, "is_unstable", False):  # a finer mesh is right about what buckles
                 raise
             steps.append(f"stopped: {error}")
             break

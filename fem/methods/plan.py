@@ -13,7 +13,7 @@ from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES, FloatArray
 
-Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
+Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite", "finite on tetrahedra"]
 
 #: by method, its elements and why they are used; cells of two rubbers are of tetrahedra
 ELEMENTS = {
@@ -62,7 +62,8 @@ def make_plan(scene: Scene, *, field: bool = False) -> Plan:
         mirrors, symmetry = _symmetry(scene, regions, even=method == "finite")
         lines.append(f"symmetry: {symmetry}")
     if method != "nothing":
-        lines.append(f"element: {ELEMENTS['tetrahedra' if method == 'cells' and regions else method]}")
+        of_tetrahedra = method == "finite on tetrahedra" or (method == "cells" and regions)
+        lines.append(f"element: {ELEMENTS['tetrahedra' if of_tetrahedra else method]}")
     skipped = f"skipped, {_count(scene.probes, 'probe')} asked for, no picture"
     lines.append(f"field: {'computed, a picture was asked for' if field else skipped}")
     return Plan(method=method, regions=tuple(regions), mirrors=mirrors, lines=tuple(lines))
@@ -82,12 +83,16 @@ def _one_material(scene: Scene, own: list[Region]) -> list[str]:
 
 def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, str]:
     """The method, and what is said of its mesh."""
+    is_sensor = isinstance(scene.body, Sensor)
+    oblique = sum(not prism.is_upright for prism, _ in regions)
+    leaning = f"{oblique} of {_count(regions, 'pillar' if is_sensor else 'inclusion')} of another material lean"
     if scene.is_unloaded and not field:
         return "nothing", "none, nothing loads the body, so nothing moves"
     if not scene.is_linear:
-        loads = ", ".join(sorted({load.kind for load in scene.loads}))
-        return "finite", f"graded hexahedra, finite strain under {loads} loads"
-    is_sensor = isinstance(scene.body, Sensor)
+        loads = f"finite strain under {', '.join(sorted({load.kind for load in scene.loads}))} loads"
+        if oblique or (is_sensor and regions):
+            return "finite on tetrahedra", f"tetrahedra, {loads}, {leaning}"
+        return "finite", f"graded hexahedra, {loads}"
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
     softest = min((rubber.young_mpa for _, rubber in scene.regions), default=np.inf)
     if units > 1 and regions and softest < SOFT * scene.material.young_mpa:
@@ -104,10 +109,8 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, s
         return "cells", "one cell, plates lie on all units alike: one is condensed, its copies are coupled"
     if units > 1 and not scene.stiff_loads and seen_by_means:
         return "cells", f"one cell, {units} equal units: one is meshed and condensed, its copies are coupled"
-    oblique = sum(not prism.is_upright for prism, _ in regions)
     if oblique or (units and regions):
-        what = _count(regions, "pillar" if is_sensor else "inclusion")
-        return "tetrahedra", f"tetrahedra, {oblique} of {what} of another material lean"
+        return "tetrahedra", f"tetrahedra, {leaning}"
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
     return "boxes", f"hexahedra, {boxes}{shape}"

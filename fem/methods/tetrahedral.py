@@ -1,10 +1,38 @@
 """Scenes on tetrahedra, bisected until the probes are right to the tolerance."""
 
+from dataclasses import replace
+
+import numpy as np
+
+from fem.finite.newton import find_equilibrium
+from fem.finite.tetrahedra import TetrahedralSystem
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import Solution, Stopwatch
-from fem.tetrahedra.adapted import AdaptedTetrahedra
+from fem.scene.solution import FiniteSolution, MeshAnswer, Solution, Stopwatch
+from fem.tetrahedra.adapted import AdaptedTetrahedra, probe_rows
+
+
+class FiniteTetrahedra(AdaptedTetrahedra):
+    """A scene at finite strain on Taylor-Hood tetrahedra, refined where its answer at small strain errs.
+
+    The sum of the indicators at small strain is what the errors at finite strain are taken to be proportional to.
+    """
+
+    def solve(self, watch: Stopwatch) -> MeshAnswer:
+        linear = super().solve(watch)
+        self.equilibrium = found = find_equilibrium(TetrahedralSystem(self.body, self.scene.loads))
+        watch.spent("solve")
+        u = found.state.u
+        probes = np.asarray(probe_rows(self.scene, self.body.basis) @ u)
+        self.history[-1] = (self.history[-1][0], probes)
+        return replace(
+            linear,
+            probes=probes,
+            energy_mj=found.stored_mj,
+            residual=found.residual,
+            field=lambda: replace(linear.field(), displacement_mm=u),
+        )
 
 
 def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
@@ -19,7 +47,13 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
         Also return the displacement of the whole body.
     """
     watch = Stopwatch()
-    mesh = AdaptedTetrahedra(scene, plan.regions)
+    mesh = (AdaptedTetrahedra if scene.is_linear else FiniteTetrahedra)(scene, plan.regions)
     steps = [f"{mesh} {'from the cache' if mesh.is_kept else 'by the mesher'}"]
     watch.spent("mesh")
-    return solve_adaptively(scene, mesh, watch, steps, with_field)
+    found = solve_adaptively(scene, mesh, watch, steps, with_field)
+    if not isinstance(mesh, FiniteTetrahedra):
+        return found
+    last = mesh.equilibrium
+    told = {name: getattr(last, name) for name in ("work_mj", "least_j", "iterations")}
+    unchecked = () if last.is_stable else ("stability not checked",)
+    return FiniteSolution(**vars(found) | told | {"load_steps": last.steps, "steps": found.steps + unchecked})

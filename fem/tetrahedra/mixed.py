@@ -60,6 +60,11 @@ class TaylorHood:
         return self.basis.doflocs.T
 
     @property
+    def centres_mm(self) -> FloatArray:
+        """Middles of the elements at rest, (m, 3)."""
+        return self.mesh.p.T[self.mesh.t.T].mean(axis=1)
+
+    @property
     def n_nodes(self) -> int:
         return int(self.basis.N)
 

@@ -2,11 +2,19 @@
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 
 ON_PLATE = 1e-9  #: of the plate's side: how far rounding may take a node off it
+
+
+def nodes_under(points_mm: FloatArray, rectangle: FloatArray) -> NDArray[np.bool_]:
+    """Which of the nodes (n, 3) a plate on a rectangle (4,) of the top face binds, shape (n,)."""
+    (x0, y0, x1, y1), (x, y, z) = rectangle, points_mm.T
+    slack = ON_PLATE * (x1 - x0)
+    return (x > x0 - slack) & (x < x1 + slack) & (y > y0 - slack) & (y < y1 + slack) & (z > z.max() - slack)
 
 
 def bonded(n_unknowns: int, free: IntArray, points_mm: FloatArray, rectangles: FloatArray) -> sp.csr_matrix:
@@ -30,11 +38,9 @@ def bonded(n_unknowns: int, free: IntArray, points_mm: FloatArray, rectangles: F
     """
     loose, parts = np.ones(n_unknowns, dtype=bool), []
     for x0, y0, x1, y1 in rectangles:
-        slack, (x, y, z) = ON_PLATE * (x1 - x0), points_mm.T
-        under = (x > x0 - slack) & (x < x1 + slack) & (y > y0 - slack) & (y < y1 + slack) & (z > z.max() - slack)
-        places = np.flatnonzero(under[free // 3])
+        places = np.flatnonzero(nodes_under(points_mm, np.array([x0, y0, x1, y1]))[free // 3])
         node, axis = np.divmod(free[places], 3)
-        arm_mm = points_mm[node] - ((x0 + x1) / 2, (y0 + y1) / 2, z.max())
+        arm_mm = points_mm[node] - ((x0 + x1) / 2, (y0 + y1) / 2, points_mm[:, 2].max())
         turned = np.cross(np.eye(3), arm_mm[:, None])[np.arange(len(node)), :, axis]
         motions = np.hstack([np.eye(3)[axis], turned])
         loose[places] = False
