@@ -5,7 +5,7 @@ last is |a₃ − a₂| / ((l₃/l₂)^p − 1). The rate is taken between bound
 is the lower one. The estimate is that error times `SAFETY`.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,35 +106,3 @@ class Convergence:
         if len(self.answers) < 2:
             return np.inf
         return SAFETY * self.factor * self.change(self.answers[-2], self.answers[-1], self.answers[-1])
-
-
-def to_tolerance(
-    answer_at: Callable[[float], Answer | None],
-    levels: Iterable[float],
-    tolerance: float,
-    rates: tuple[float, float],
-    is_extrapolated: bool = False,
-) -> Convergence:
-    """Refine until the estimated error is within a tolerance, the levels end, or `answer_at` gives None.
-
-    Parameters
-    ----------
-    answer_at : function
-        A level to its answer; None where a finer level would be too dear.
-    levels : iterable of float
-        Rising; element sizes fall as their inverse.
-    tolerance : float
-    rates : two floats
-        Least and greatest rate of convergence that is believed.
-    is_extrapolated : bool
-        Whether the answer is the limit that the last two levels tend to.
-    """
-    found = Convergence(rates, is_extrapolated)
-    for level in levels:
-        answer = answer_at(level)
-        if answer is None:
-            break
-        found.add(level, answer)
-        if found.estimate <= tolerance:
-            break
-    return found

@@ -4,7 +4,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import pillars_per_mm
 from fem.conduction.reduced import ACROSS, ALONG, reduced_conduction
@@ -13,20 +12,6 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
-
-
-class PointGradients:
-    """Deformation gradients at fixed points (n, 3) of boxes; those outside are taken for the nearest ones inside."""
-
-    def __init__(self, boxes: Boxes, points_mm: FloatArray) -> None:
-        self.n_points, self._slopes = len(points_mm), boxes.slopes(points_mm)
-
-    def of(self, displacement_mm: FloatArray) -> FloatArray:
-        """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm]; add 1 for F = ∂x/∂X."""
-        m = len(displacement_mm)
-        columns = displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
-        found = (self._slopes @ columns).reshape(3, self.n_points, m, 3)
-        return np.ascontiguousarray(found.transpose(2, 1, 3, 0))
 
 
 class PillarReader:

@@ -19,7 +19,6 @@ from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.finite.tetrahedra import TetrahedralSystem
 from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import Misfit, State, System
-from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
@@ -248,10 +247,3 @@ def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadE
         f"gives way (smallest J {least:.2g}): {mend}.",
         is_unstable=is_equilibrium and least >= SQUEEZED,
     )
-
-
-def solve_rest(system: System, factor: Factor) -> FloatArray:
-    """The linear answer: change of the unknowns (n_blocks, 3) by the full loads; leaves the factor of the rest."""
-    state = system.rest()
-    factor.factor(system.matrix(system.rest_tangent()))
-    return factor.solve(system.loads_on(state).reshape(-1, 1)).reshape(-1, 3)
