@@ -16,7 +16,7 @@ from dataset.finite_strain import GROUP, GroupSolver
 from dataset.resistance import pillar_strains
 from fem.array.solving import array_response
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
-from fem.finite.preloads import Lines, PreloadedArray
+from fem.finite.preloads import PreloadedArray
 from fem.scene.loads import Load, StiffLoad
 from fem.system import System
 from geometry.design import Array, Pad, SensorDesign
@@ -24,7 +24,7 @@ from geometry.layout import FloatArray, unit_centres
 
 PROTOCOLS = ("contact", "three-axis")
 #: 5 times as many elements as the finer grid of the samples; with its own linear correction, as these have
-REFERENCE = Lines(pad=(0.06, 0.25, 0.75, 0.94, 1.0), height=(0.1, 0.3, 0.7, 0.9, 1.0))
+REFERENCE = (0.06, 0.25, 0.75, 0.94, 1.0), (0.1, 0.3, 0.7, 0.9, 1.0)
 
 
 def reference(array: PreloadedArray, influence: FloatArray, force_n: FloatArray) -> FloatArray:
@@ -48,7 +48,7 @@ def main() -> None:
     design = replace(SensorDesign(), array=Array(rows=asked.rows, cols=asked.rows), pad=Pad(kind="stiff"))
     response, _, _ = array_response(design)
     influence = response.influence_mm_per_n.reshape(6 * design.n_units, -1)
-    fine = PreloadedArray(design, REFERENCE)
+    fine = PreloadedArray(design, *REFERENCE)
     rows = []
     for protocol in PROTOCOLS:
         settings = DatasetSettings(protocol=protocol, samples=asked.samples, seed=17)

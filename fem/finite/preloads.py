@@ -1,4 +1,10 @@
-"""An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents."""
+"""An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents.
+
+Samples come to equilibrium by the one tangent of a base state, in a modified Newton iteration that is accelerated: an
+iteration costs one evaluation of the forces and one solve with a factor that is there. Alone such iterations diverge at
+large loads; Anderson's acceleration takes of the last ones the combination whose change is least (Walker & Ni, SIAM J.
+Numer. Anal. 49 (2011) 1715). Pressures are iterates of their own, as in `newton.py`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,11 +15,10 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor
-from fem.finite.relaxation import Relaxation, Relaxed
-from fem.finite.series import BaseState, load_series
+from fem.finite.series import BaseState, load_series, quaternion_rotations
 from fem.rubber.body import RubberBody
 from fem.scene.loads import Load, StiffLoad
-from fem.system import System
+from fem.system import State, System
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
@@ -21,29 +26,33 @@ MAX_ITERATIONS = 16  #: with one tangent
 RENEWALS = 2  #: of the tangent, of samples that have not settled then
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
+DEPTH = 6  #: earlier iterates that are combined
+MAX_GROWTH = 2.0  #: of the change that is asked for, before a step is halved
+PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where changes are measured
+
+IntArray = NDArray[np.int64]
 #: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
 Unwanted = Callable[[FloatArray], NDArray[np.bool_]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lines:
-    """Lines of a grid within a unit, as shares of the gap beside the pad, of the pad, and of the height."""
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """Samples after their last iteration."""
 
-    gap: tuple[float, ...] = (1.0,)
-    pad: tuple[float, ...]
-    height: tuple[float, ...]
+    state: State
+    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where the last step was halved
+    iterations: IntArray  #: (m,)
 
-    def boxes(self, design: SensorDesign) -> Boxes:
-        """The whole slab, with lines along the pads' edges and between units."""
-        pitch, size, height = design.array.pitch_mm, design.pad.size_mm, design.unit.height_mm
-        lines = []
-        for count, offset in ((design.array.cols, design.pad.offset_x_mm), (design.array.rows, design.pad.offset_y_mm)):
-            low, high = pitch / 2 + offset - size / 2, pitch / 2 + offset + size / 2
-            own = [low * share for share in self.gap] + [low + size * share for share in self.pad]
-            own += [high + (pitch - high) * share for share in self.gap]
-            unit = np.unique(np.round(own, 9))
-            lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
-        return Boxes.between([*lines, height * np.array([0.0, *self.height])])
+
+def array_boxes(design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> Boxes:
+    """The whole slab, with lines along the pads' edges, between units, and at shares of each pad and of the height."""
+    pitch, size = design.array.pitch_mm, design.pad.size_mm
+    lines = [design.unit.height_mm * np.array([0.0, *height])]
+    for count, offset in ((design.array.rows, design.pad.offset_y_mm), (design.array.cols, design.pad.offset_x_mm)):
+        low = pitch / 2 + offset - size / 2
+        unit = np.unique(np.round([low, *(low + size * share for share in pad), pitch], 9))
+        lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
+    return Boxes.between(lines[::-1])
 
 
 class PreloadedArray:
@@ -53,16 +62,17 @@ class PreloadedArray:
     ----------
     design : SensorDesign
         Of one rubber.
-    lines : Lines
+    pad, height : tuple of float
+        Lines of the grid, see `array_boxes`.
     """
 
-    def __init__(self, design: SensorDesign, lines: Lines) -> None:
+    def __init__(self, design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> None:
         self.design = design
-        self.body = RubberBody.of(lines.boxes(design), [replace(design.matrix_material, model="neo-hookean")])
+        rubber = replace(design.matrix_material, model="neo-hookean")
+        self.body = RubberBody.of(array_boxes(design, pad, height), [rubber])
         offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
-        self.arm = (
-            upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
-        )  #: of the electrodes on their plates, (n_upper, 3)
+        #: of the electrodes on their plates, (n_upper, 3)
+        self.arm = upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
         self._bases: dict[float, BaseState] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
@@ -113,46 +123,27 @@ class PreloadedArray:
         loads[0, -2 * self.design.n_units : -self.design.n_units] = force_n.reshape(-1, 3)
         return np.asarray(rest.system.nodal_change(rest.state.rotation, rest.solve(loads)[0]))
 
-    def solve(
-        self,
-        preload_mpa: float,
-        force_n: FloatArray,
-        tolerance: float,
-        unwanted: Unwanted,
-    ) -> Relaxed:
+    def solve(self, preload_mpa: float, force_n: FloatArray, tolerance: float, unwanted: Unwanted) -> Relaxed:
         """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
 
         Samples that are not wanted keep the change they had.
         """
-        found = self._relaxed(self.base(preload_mpa), force_n, tolerance, unwanted)
+        base = self.base(preload_mpa)
+        found = _Relaxation(self, base, force_n).relax(tolerance, unwanted)
+        state = found.state
         for number in np.flatnonzero((found.change > tolerance) & np.isfinite(found.change)):
-            own, sample = found.state.part(int(number)), slice(number, number + 1)
+            own = slice(number, number + 1)
             for _ in range(RENEWALS):
-                if unwanted(self.electrodes(found.state.shift[sample], found.state.rotation[sample]))[0]:
+                moved = self.electrodes(state.shift[own], state.rotation[own])
+                if found.change[number] <= tolerance or unwanted(moved):
                     break
-                about = BaseState.about(self.base(preload_mpa).system, own, self._factor)
-                last = self._relaxed(about, force_n[sample], tolerance, unwanted)
-                for name in ("u", "p", "shift", "turn"):
-                    getattr(found.state, name)[number] = getattr(last.state, name)[0]
-                found.change[number] = last.change[0]
-                found.iterations[number] += last.iterations[0]
-                if last.change[0] <= tolerance:
-                    break
-                own = last.state.part(0)
+                about = BaseState.about(base.system, state.part(int(number)), self._factor)
+                last = _Relaxation(self, about, force_n[own]).relax(tolerance, unwanted)
+                for name, values in vars(last.state).items():
+                    getattr(state, name)[own] = values
+                found.change[own] = last.change
+                found.iterations[own] += last.iterations
         return found
-
-    def _relaxed(
-        self,
-        base: BaseState,
-        force_n: FloatArray,
-        tolerance: float,
-        unwanted: Unwanted,
-    ) -> Relaxed:
-        def hopeless(shift: FloatArray, rotation: FloatArray, change: FloatArray) -> NDArray[np.bool_]:
-            return (change < NEARLY) & unwanted(self.electrodes(shift, rotation))
-
-        relaxation = Relaxation(base, _over(base, force_n))
-        return relaxation.relax(relaxation.start(), MAX_ITERATIONS, tolerance, hopeless)
 
     def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> tuple[FloatArray, FloatArray]:
         """Series of the electrodes and of the nodes under forces (m, k, 3) [N], see `series.py`.
@@ -165,7 +156,9 @@ class PreloadedArray:
         changes of q₀, which are of the order of |v|³.
         """
         base = self.base(preload_mpa)
-        found = load_series(base, _over(base, force_n), orders)
+        loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
+        loads[:, 0] = force_n - base.system.force_n
+        found = load_series(base, loads, orders)
         v, at_rest = found.half_spin[:, :, :, None], self.electrodes(base.state.shift[None], base.state.rotation[None])
         arm = np.einsum("kij,ej->kei", base.state.rotation, self.arm)
         terms = [np.broadcast_to(at_rest, (len(force_n), *at_rest.shape[1:]))]
@@ -181,8 +174,105 @@ class PreloadedArray:
         return next(iter(self._bases.values())).system.new_factor()
 
 
-def _over(base: BaseState, force_n: FloatArray) -> FloatArray:
-    """Loads (m, 2, k, 3) of forces (m, k, 3) beyond those of a base state; no moments [N]."""
-    loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
-    loads[:, 0] = force_n - base.system.force_n
-    return loads
+class _Relaxation:
+    """Iterates of m samples as vectors: free displacements, shifts and half spins times size of plates, pressures."""
+
+    def __init__(self, array: PreloadedArray, base: BaseState, force_n: FloatArray) -> None:
+        self.array, self.base, self.system, self.body = array, base, base.system, base.system.body
+        self.force_n, self.k, self.n = force_n, self.system.plates.count, len(self.system.free)
+        self.n_motions = 3 * self.system.n_blocks
+
+    @property
+    def rest(self) -> FloatArray:
+        """The vector (n,) of the base state."""
+        base = self.base.state
+        spin = np.zeros_like(base.shift)
+        return np.concatenate([part.ravel() for part in (base.u[self.system.free], base.shift, spin, base.p)])
+
+    def state(self, x: FloatArray) -> State:
+        """The deformed bodies of vectors (m, n)."""
+        blocks = x[:, : self.n_motions].reshape(len(x), -1, 3)
+        shift, rotation = self.plates(x)
+        turn = rotation - np.eye(3)
+        u = np.zeros((len(x), self.body.n_nodes, 3))
+        u[:, self.system.free] = blocks[:, : self.n]
+        u[:, self.system.plates.node] = self.system.plates.displacements(shift, turn)
+        p = x[:, self.n_motions :].reshape(len(x), -1, self.body.n_pressures)
+        return State(u=u, p=p, shift=shift, turn=turn)
+
+    def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
+        """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
+        state, parts = self.state(x), self.base.parts
+        strain = self.body.strain(state.u)
+        missing = self.body.pressures(strain.theta) - state.p
+        with np.errstate(divide="ignore", invalid="ignore"):
+            forces = self.body.divergence(self.body.stress(strain, state.p)) + parts.pressed(missing)
+        unbalanced = -self.system.gathered(forces, state.rotation)
+        unbalanced[:, self.n : self.n + self.k] += self.force_n[samples]
+        z = self.base.solve(unbalanced)
+        nodal = self.system.nodal_change(self.base.state.rotation[None], z)
+        pressures = missing + parts.pressure_changes(nodal)
+        return np.hstack([z.reshape(len(x), -1), pressures.reshape(len(x), -1)])
+
+    def plates(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Shifts (m, k, 3) and rotations (m, k, 3, 3) of the plates of vectors (m, n)."""
+        blocks = x[:, 3 * self.n : self.n_motions].reshape(len(x), 2, self.k, 3)
+        half_spin = blocks[:, 1] / (2 * self.system.plates.half_mm[:, None])
+        return blocks[:, 0], quaternion_rotations(half_spin) @ self.base.state.rotation
+
+    def relax(self, tolerance: float, unwanted: Unwanted) -> Relaxed:
+        """Iterate from the base's tangent at once until the plates' motion changes by less than a tolerance, relative.
+
+        A sample that has settled, or is not wanted, stays as it is, whatever the others need. A step that lets the
+        forces grow, or turns an element inside out, is halved. A sample that does not settle ends with a change above
+        the tolerance.
+        """
+        m = len(self.force_n)
+        x = np.tile(self.rest, (m, 1))
+        x += self.change(x, np.arange(m))
+        weight = np.ones(x.shape[1])
+        weight[self.n_motions :] = PRESSURE_MM_PER_MPA
+        plates = slice(3 * self.n, self.n_motions)
+        change, count = np.full(m, np.inf), np.zeros(m, dtype=np.int64)
+        places: list[list[FloatArray]] = [[] for _ in range(m)]
+        changes: list[list[FloatArray]] = [[] for _ in range(m)]
+        last_size = np.full(m, np.inf)
+        going = np.arange(m)
+        for _ in range(MAX_ITERATIONS):
+            asked = self.change(x[going], going)
+            for sample, g in zip(going, asked, strict=True):
+                count[sample] += 1
+                size = float(np.linalg.norm(g * weight))
+                if not np.isfinite(size) or size > MAX_GROWTH * last_size[sample]:
+                    x[sample] = (x[sample] + (places[sample][-1] if places[sample] else self.rest)) / 2
+                    change[sample] = np.inf
+                    continue
+                last_size[sample] = size
+                places[sample] = [*places[sample][-DEPTH:], x[sample].copy()]
+                changes[sample] = [*changes[sample][-DEPTH:], g]
+                step = g - _accelerated(places[sample], changes[sample], weight)
+                x[sample] += step
+                length = float(np.linalg.norm(x[sample, plates]))
+                # both the step and what the tangent asks for: where one stagnates, the other does not
+                change[sample] = max(float(np.linalg.norm(part[plates])) for part in (step, g)) / (length or 1.0)
+            going = going[change[going] > tolerance]
+            if len(going):
+                beyond = unwanted(self.array.electrodes(*self.plates(x[going])))
+                going = going[~(beyond & (change[going] < NEARLY))]
+            if not len(going):
+                break
+        for sample in going:
+            if places[sample]:  # where it came closest
+                sizes = [float(np.linalg.norm(g * weight)) for g in changes[sample]]
+                x[sample] = places[sample][int(np.argmin(sizes))]
+        return Relaxed(state=self.state(x), change=change, iterations=count)
+
+
+def _accelerated(places: list[FloatArray], changes: list[FloatArray], weight: FloatArray) -> FloatArray:
+    """Step back from the last iterate plus its change to the combination whose change is least."""
+    if len(places) < 2:
+        return np.zeros_like(places[-1])
+    differences = np.stack([changes[-1] - earlier for earlier in changes[:-1]])
+    share = np.linalg.lstsq((differences * weight).T, weight * changes[-1], rcond=1e-6)[0]
+    steps = np.stack([places[-1] - earlier for earlier in places[:-1]])
+    return np.asarray(share @ (differences + steps))

@@ -16,24 +16,26 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.conduction.reduced import REDUCED_ERROR
-from fem.finite.conducted import PillarReader, gradients
-from fem.finite.preloads import Lines, PreloadedArray, Unwanted
-from fem.finite.relaxation import Relaxed
+from fem.conduction.conductivity import Piezoresistivity
+from fem.conduction.potentials import pillars_per_mm
+from fem.conduction.reduced import ACROSS, ALONG, REDUCED_ERROR, reduced_conduction
+from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
 TOLERANCE = 5e-4  #: relative change of the pads' motion by an iteration at which a sample ends
 ORDERS = 3  #: of the series by which the finer grid corrects
 AT_ONCE = 4  #: samples solved together, which bounds the memory
-COARSE = Lines(pad=(0.5, 1.0), height=(0.5, 1.0))
-FINE = Lines(pad=(0.2, 0.8, 1.0), height=(0.2, 0.8, 1.0))
+#: lines of the grids, as shares of the pad and of the height
+COARSE = (0.5, 1.0), (0.5, 1.0)
+FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
 #: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of ten
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
 EXTRAPOLATED, LEFT = 0.28, 0.4
 TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
+MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
 
 IntArray = NDArray[np.int64]
 
@@ -43,14 +45,17 @@ class FiniteSamples:
     """Answers to m samples of loads on an array of k units."""
 
     displacement_mm: FloatArray  #: of the electrodes, (m, k, n_upper, 3)
-    settled: NDArray[np.bool_]  #: where it is an answer, (m,)
     change: FloatArray  #: of the pads' motion by the last iteration, relative, (m,); infinite where none converged
     iterations: IntArray  #: (m,)
     error_estimate: FloatArray  #: of the displacements, relative, (m,)
-    resistance_ratio: (
-        FloatArray  #: resistances by conduction over those of eq. 1, (m, k, n_pillars); 1 where eq. 1 is asked for
-    )
+    #: resistances by conduction over those of eq. 1, (m, k, n_pillars); 1 where eq. 1 is asked for
+    resistance_ratio: FloatArray
     ratio_error: FloatArray  #: largest estimated error of these, (m,)
+
+    @property
+    def settled(self) -> NDArray[np.bool_]:
+        """Where it is an answer, (m,)."""
+        return self.change <= TOLERANCE
 
 
 class SampleSolver:
@@ -90,7 +95,7 @@ class SampleSolver:
                 "model = 'neo-hookean'."
             )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
-        self.coarse, self.fine = PreloadedArray(design, COARSE), PreloadedArray(design, FINE)
+        self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
         self._reader = PillarReader(design) if design.electrics.is_conduction else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
@@ -113,26 +118,13 @@ class SampleSolver:
             If a uniform preload near a sample has no equilibrium.
         """
         preload = self._nearest_preloads(force_n)
-        m, k = force_n.shape[:2]
-        layout = self.design.unit.layout
-        moved, estimate, change = np.empty((m, k, len(layout.upper), 3)), np.empty(m), np.zeros(m)
-        iterations = np.zeros(m, dtype=np.int64)
-        ratio, ratio_error = np.ones((m, k, len(layout.pillars))), np.zeros(m)
+        together: list[IntArray] = []
         for level in PRELOADS_MPA:
-            mine = np.flatnonzero(preload == level)
-            for first in range(0, len(mine), AT_ONCE):
-                own = mine[first : first + AT_ONCE]
-                answer = self._together(level, force_n[own])
-                moved[own], estimate[own], change[own], iterations[own], ratio[own], ratio_error[own] = answer
-        return FiniteSamples(
-            displacement_mm=moved,
-            settled=change <= TOLERANCE,
-            change=change,
-            iterations=iterations,
-            error_estimate=np.hypot(estimate, change),
-            resistance_ratio=ratio,
-            ratio_error=ratio_error,
-        )
+            own = np.flatnonzero(preload == level)
+            together += [own[first : first + AT_ONCE] for first in range(0, len(own), AT_ONCE)]
+        parts = [self._together(float(preload[own[0]]), force_n[own]) for own in together]
+        back, names = np.argsort(np.concatenate(together)), vars(parts[0])
+        return FiniteSamples(**{name: np.concatenate([vars(part)[name] for part in parts])[back] for name in names})
 
     def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
         """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
@@ -141,7 +133,7 @@ class SampleSolver:
         can.
         """
         preload = float(self._nearest_preloads(force_n[None])[0])
-        found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._unwanted_on(self.coarse))
+        found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._is_unwanted)
         missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
         more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
         return self.coarse.body.boxes, found.state.u[0] + more
@@ -152,51 +144,46 @@ class SampleSolver:
         levels = np.array(PRELOADS_MPA)
         return np.asarray(levels[np.abs(middle[:, None] - levels).argmin(axis=1)])
 
-    def _together(
-        self, preload: float, force_n: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-        """Displacements (m, k, n_upper, 3), the grids' error that is left, last changes and iterations of some samples.
-
-        Also ratios of resistances (m, k, n_pillars) and their largest error (m,).
-
-        The series cost nothing where a sample has not settled.
-        """
-        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._unwanted_on(self.coarse))
-        moved = self._answers(self.coarse, coarse)
-        change = coarse.change
-        left = np.full(len(force_n), np.inf)
+    def _together(self, preload: float, force_n: FloatArray) -> FiniteSamples:
+        """Answers to some samples about one preload; the series cost nothing where a sample has not settled."""
+        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._is_unwanted)
+        alone = self.coarse.electrodes(coarse.state.shift, coarse.state.rotation)
+        moved, change, left = self._corrected(self.coarse, alone), coarse.change, np.full(len(force_n), np.inf)
         ratio = np.ones((*force_n.shape[:2], len(self.design.unit.layout.pillars)))
         ratio_error = np.zeros(len(force_n))
-        on = np.flatnonzero(coarse.change <= TOLERANCE)
-        if not len(on):
-            return moved, left, change, coarse.iterations, ratio, ratio_error
-        of_grids = [array.series(preload, force_n[on], ORDERS) for array in (self.coarse, self.fine)]
-        more = of_grids[1][0] - of_grids[0][0]
-        uncorrected = self.coarse.electrodes(coarse.state.shift[on], coarse.state.rotation[on]) + more.sum(axis=0)
-        answers = self._corrected(self.fine, uncorrected)
-        difference = answers - moved[on]
-        moved[on] = answers + EXTRAPOLATED * difference
-        size = np.maximum(_norms(moved[on]), 1e-300)
-        left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
-        if self._reader is not None:
+        on = np.flatnonzero(change <= TOLERANCE)
+        if len(on):
+            of_grids = [array.series(preload, force_n[on], ORDERS) for array in (self.coarse, self.fine)]
+            more = of_grids[1][0] - of_grids[0][0]
+            uncorrected = alone[on] + more.sum(axis=0)
+            answers = self._corrected(self.fine, uncorrected)
+            difference = answers - moved[on]
+            moved[on] = answers + EXTRAPOLATED * difference
+            size = np.maximum(_norms(moved[on]), 1e-300)
+            left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
+        if len(on) and self._reader is not None:
             on_coarse, on_fine = self._slopes
             gradient = gradients(on_coarse, coarse.state.u[on])
             finer = gradient + gradients(on_fine, of_grids[1][1]) - gradients(on_coarse, of_grids[0][1])
-            electrodes = uncorrected - more.sum(axis=0)
-            rough, sound = self._reader.ratios(gradient, electrodes)
+            rough, sound = self._reader.ratios(gradient, alone[on])
             smooth, both = self._reader.ratios(finer, uncorrected)
             ratio[on] = smooth + EXTRAPOLATED * (smooth - rough)
             ratio_error[on] = np.hypot(LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
             change[on[~(sound & both)]] = np.inf
-        return moved, left, change, coarse.iterations, ratio, ratio_error
+        return FiniteSamples(
+            displacement_mm=moved,
+            change=change,
+            iterations=coarse.iterations,
+            error_estimate=np.hypot(left, change),
+            resistance_ratio=ratio,
+            ratio_error=ratio_error,
+        )
 
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         assert self._reader is not None
-        return self._reader.slopes_on(self.coarse), self._reader.slopes_on(self.fine)
-
-    def _answers(self, array: PreloadedArray, found: Relaxed) -> FloatArray:
-        return self._corrected(array, array.electrodes(found.state.shift, found.state.rotation))
+        points = self._reader.points_mm
+        return self.coarse.body.boxes.slopes(points), self.fine.body.boxes.slopes(points)
 
     def _corrected(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
         """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
@@ -213,15 +200,73 @@ class SampleSolver:
         coarse, fine = ((A - array.influence) @ array.forces_of for array in (self.coarse, self.fine))
         return coarse, fine
 
-    def _unwanted_on(self, array: PreloadedArray) -> Unwanted:
-        def unwanted(moved: FloatArray) -> NDArray[np.bool_]:
-            if self._unwanted is None:
-                return np.zeros(len(moved), dtype=bool)
-            return self._unwanted(self._corrected(array, moved))
-
-        return unwanted
+    def _is_unwanted(self, moved: FloatArray) -> NDArray[np.bool_]:
+        """Samples (m,) by displacements (m, k, n_upper, 3) of the coarse grid."""
+        if self._unwanted is None:
+            return np.zeros(len(moved), dtype=bool)
+        return self._unwanted(self._corrected(self.coarse, moved))
 
 
 def _norms(moved: FloatArray) -> FloatArray:
     """Of each sample, (m,)."""
     return np.linalg.norm(moved.reshape(len(moved), -1), axis=1)
+
+
+class PillarReader:
+    """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
+
+    def __init__(self, design: SensorDesign) -> None:
+        self.unit, electrics = design.unit, design.electrics
+        self._piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+        self._reduced = reduced_conduction(design.unit)
+        centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
+        #: places in the pillars where gradients are wanted, (k·n, 3)
+        self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
+        self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
+
+    def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Resistances over eq. 1's.
+
+        Parameters
+        ----------
+        gradient : array, shape (m, k·n, 3, 3)
+            ∂u/∂X of m states at this reader's points, see `gradients`.
+        electrode_mm : array, shape (m, k, n_upper, 3)
+            Displacements of the same states, for eq. 1.
+
+        Returns
+        -------
+        array, shape (m, k, n_pillars)
+            1 in states that are no answers.
+        array, shape (m,)
+            Which states are: on every level of a pillar some point has kept its volume.
+
+        Notes
+        -----
+        Points under the edge of a plate, where coarse grids tear the rubber, take the mean of those on their level.
+        """
+        F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
+        bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
+        along = (top - bottom) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
+        ratios = np.ones((*electrode_mm.shape[:2], len(self.unit.layout.pillars)))
+        per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
+        ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
+        return ratios, good
+
+
+def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
+    """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm] by `Boxes.slopes` (3 n, n_nodes)."""
+    m = len(displacement_mm)
+    found = slopes @ displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
+    return np.ascontiguousarray(found.reshape(3, -1, m, 3).transpose(2, 1, 3, 0))
+
+
+def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
+    by_level = F.reshape(*F.shape[:2], F.shape[2] // (ACROSS**2 * ALONG), ACROSS**2, ALONG, 3, 3)
+    kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
+    count = kept.sum(axis=3, keepdims=True)
+    mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)
+    whole = np.where(kept, by_level, mean)
+    good = (count > 0).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
+    return whole.reshape(F.shape), np.asarray(good)

@@ -16,7 +16,7 @@ from dataset.resistance import pillar_lengths
 from fem.boxes.boxes import Boxes
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
-from fem.finite.conducted import gradients
+from fem.finite.samples import gradients
 from fem.finite.solving import solve_finite
 from fem.scene.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor

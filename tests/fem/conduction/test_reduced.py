@@ -8,7 +8,7 @@ import pytest
 from fem.boxes.boxes import Boxes
 from fem.conduction.potentials import pillars_per_mm, unit_conductances, unit_conductors
 from fem.conduction.reduced import REDUCED_ERROR, reduced_conduction
-from fem.finite.conducted import gradients
+from fem.finite.samples import gradients
 from geometry.design import Unit
 
 

@@ -292,6 +292,6 @@ def test_plates_that_squeeze_corners_to_a_fortieth_find_equilibrium():
     assert found.iterations <= 15
     sampled = SampleSolver(replace(design, matrix_material=Material(), pillar_material=Material()))
     answer = sampled.displacements(forces[None])
-    of_plates = PreloadedArray(design, FINE).electrodes(found.state.shift[None], found.state.rotation[None])
+    of_plates = PreloadedArray(design, *FINE).electrodes(found.state.shift[None], found.state.rotation[None])
     off = np.linalg.norm(of_plates - answer.displacement_mm) / np.linalg.norm(of_plates)
     assert off < 0.068  # the error that `solve` estimates on this grid
