@@ -15,7 +15,7 @@ from skfem.refdom import RefTri
 from fem.boxes.boxes import Boxes, IntArray
 from fem.boxes.lagrange import gauss_points, shape_functions
 from fem.plates import skew, top_nodes
-from fem.scene.loads import FollowerLoad
+from fem.scene.loads import FollowerLoad, Load
 from fem.tetrahedra.patch import top_triangles
 from geometry.layout import FloatArray
 
@@ -34,15 +34,16 @@ class FollowingFaces:
     weights: FloatArray  #: (q,), or (f, q)
 
     @classmethod
-    def on_boxes(cls, boxes: Boxes, loads: Sequence[FollowerLoad]) -> "FollowingFaces":
-        """On boxes with sides along the edges of the loads."""
+    def on_boxes(cls, boxes: Boxes, loads: Sequence[Load]) -> "FollowingFaces":
+        """On boxes with sides along the edges of the following ones of loads."""
+        following = [load for load in loads if isinstance(load, FollowerLoad)]
         order = boxes.order
         top = np.flatnonzero(boxes.high[:, 2] == boxes.height_mm)
         faces = boxes.nodes[top].reshape(len(top), order + 1, order + 1, order + 1)[..., -1].reshape(len(top), -1)
         middle = ((boxes.low + boxes.high) / 2)[top, :2] + np.array(boxes.lean) * boxes.height_mm
-        for load in loads:
+        for load in following:
             top_nodes(boxes, load.rectangle)  # refuses a rectangle without lines
-        face, pressure = _under(middle, loads)
+        face, pressure = _under(middle, following)
         x, w = gauss_points(order + 1)
         values, slopes = shape_functions(order, x)
         at, by_x, by_y = (
@@ -53,7 +54,7 @@ class FollowingFaces:
         return cls(faces[face], pressure, boxes.n_nodes, at, np.stack([by_x, by_y]), weights)
 
     @classmethod
-    def on_tetrahedra(cls, basis: Basis, loads: Sequence[FollowerLoad]) -> "FollowingFaces":
+    def on_tetrahedra(cls, basis: Basis, loads: Sequence[Load]) -> "FollowingFaces":
         """On quadratic tetrahedra; of a face that a load's edge cuts, the points of integration within count.
 
         These are scaled to the load's area, so that the force at rest is whole.
@@ -67,6 +68,8 @@ class FollowingFaces:
         places, twice_mm2 = shares @ corners, np.linalg.det(corners[:, 1:] - corners[:, :1])
         face, weights, pressure = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(rule)))], [np.zeros(0)]
         for load in loads:
+            if not isinstance(load, FollowerLoad):
+                continue
             x0, y0, x1, y1 = load.rectangle
             own = rule * ((places > (x0, y0)) & (places < (x1, y1))).all(axis=2)
             own *= np.prod(load.size_mm) / (twice_mm2 @ own.sum(axis=1))

@@ -42,7 +42,7 @@ def sign(component: int, axis: int, parity: Parity) -> int:
     return -parity[axis] if component == axis else parity[axis]
 
 
-def held_components(axis: int, parity: Parity) -> NDArray[np.bool_]:
+def vanishing_components(axis: int, parity: Parity) -> NDArray[np.bool_]:
     """Which components vanish on a plane, shape (3,): the normal one of even displacements, the others of odd ones."""
     return np.array([sign(component, axis, parity) == -1 for component in range(3)])
 

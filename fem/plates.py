@@ -29,22 +29,23 @@ class Plates:
     half_mm: FloatArray  #: half the larger side of each plate, (k,): the arm that makes a spin a length
 
     @classmethod
-    def of(cls, boxes: Boxes, rectangles: Sequence[Rectangle], middles_mm: FloatArray) -> "Plates":
-        """Plates on rectangles of the top face; they turn about `middles_mm` (k, 2).
+    def on(
+        cls, points_mm: FloatArray, nodes: Sequence[IntArray], rectangles: Sequence[Rectangle], middles_mm: FloatArray
+    ) -> "Plates":
+        """Plates on rectangles of the top face that bind these nodes of a body; they turn about `middles_mm` (k, 2).
 
         Raises
         ------
         SceneError
             If two plates share a node: together they would be a hinge, which is not modelled.
         """
-        nodes = [top_nodes(boxes, rectangle) for rectangle in rectangles]
-        node = np.concatenate(nodes) if nodes else np.zeros(0, dtype=np.int64)
+        node = np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
         if len(np.unique(node)) < len(node):
             raise SceneError("two stiff loads touch or overlap: part them by at least one element.")
         plate = np.repeat(np.arange(len(nodes)), np.array([len(own) for own in nodes], dtype=np.int64))
-        centre = np.column_stack([middles_mm, np.full(len(middles_mm), boxes.height_mm)])
+        centre = np.column_stack([middles_mm, np.full(len(middles_mm), points_mm[:, 2].max())])
         half = np.array([max(x1 - x0, y1 - y0) / 2 for x0, y0, x1, y1 in rectangles])
-        return cls(node=node, plate=plate, arm_mm=boxes.points_mm[node] - centre[plate], half_mm=half)
+        return cls(node=node, plate=plate, arm_mm=points_mm[node] - centre[plate], half_mm=half)
 
     @property
     def count(self) -> int:

@@ -15,10 +15,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.equations import Misfit, State
 from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.finite.tetrahedra import TetrahedralSystem
 from fem.scene.loads import FollowerLoad, StiffLoad
-from fem.system import Misfit, State, System
+from fem.system import System
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
@@ -114,7 +115,7 @@ def find_equilibrium(system: Equations, factor: Factor | None = None, first_step
         share, state = share + step, tried.state
         path.share.append(share)
         path.value.append(system.own_displacement(state))
-        path.slope.append(_slope(system, factor, state))
+        path.slope.append(system.slope(factor, state))
         steps, step = steps + 1, 2 * step
     assert tried is not None  # the load is not 0
     return Equilibrium(
@@ -147,7 +148,7 @@ def _equilibrium_at(system: Equations, factor: Factor, state: State, share: floa
     start = misfit.residual
     for iteration in range(MAX_ITERATIONS + 1):
         squeezed = system.volume_ratios(state).min(axis=1) < SQUEEZED
-        if isinstance(system, System) and system.is_separable and squeezed.any():
+        if isinstance(system, System) and not len(system.faces.nodes) and squeezed.any():
             state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
             misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
@@ -161,7 +162,7 @@ def _equilibrium_at(system: Equations, factor: Factor, state: State, share: floa
         except SolverError:
             break
         if not path.slope:
-            path.slope.append(_slope(system, factor, state))
+            path.slope.append(system.slope(factor, state))
         if stepped is None:
             break
         state, misfit = stepped, system.misfit(stepped, share)
@@ -221,12 +222,6 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     u, p = state.u.copy(), state.p.copy()
     u[nodes], p[elements] = own.u, own.p
     return replace(state, u=u, p=p)
-
-
-def _slope(system: Equations, factor: Factor, state: State) -> float:
-    """d(f · u) / d(share) by the last tangent."""
-    loads = system.loads_on(state, 1.0).reshape(-1, 1)
-    return float((loads * factor.solve(loads)).sum())
 
 
 def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadError:

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fem.equations import State
 from fem.factor import Factor
 from fem.finite.newton import find_equilibrium
 from fem.plates import skew
 from fem.rubber.body import Tangent
 from fem.rubber.law import Strain, bilinear_cofactors, cofactors
-from fem.system import State, System
+from fem.system import System
 from geometry.layout import FloatArray
 
 Terms = list[FloatArray]  #: coefficients of s⁰, s¹, …
@@ -140,9 +141,9 @@ class _Expansion:
                 unbalanced[:, n:] = loads.reshape(self.m, -1, 3)
                 terms = self._no_terms()
             else:
-                held = np.zeros((self.m, body.n_nodes, 3))
-                held[:, system.plates.node] = known_arm
-                terms = self._known_terms(order, held)
+                known_u = np.zeros((self.m, body.n_nodes, 3))
+                known_u[:, system.plates.node] = known_arm
+                terms = self._known_terms(order, known_u)
                 unbalanced -= system.gathered(body.divergence(terms[-1].copy()), rotation)
                 unbalanced[:, n + self.k :] -= self._known_moments(order, known_arm)
             z = base.solve(unbalanced)
@@ -190,10 +191,10 @@ class _Expansion:
         H, scalar = np.zeros((3, 3, *at_points)), np.zeros(at_points)
         return H, H.copy(), scalar, scalar.copy(), scalar.copy(), H.copy()
 
-    def _known_terms(self, order: int, held: FloatArray) -> tuple[FloatArray, ...]:
+    def _known_terms(self, order: int, known_u: FloatArray) -> tuple[FloatArray, ...]:
         """This order's F, cof F, J, 1/J, s and stress by lower orders and displacements (m, n_nodes, 3)."""
         F, cof, J = self.F, self.cof, self.J
-        H = self.body.gradient(held)
+        H = self.body.gradient(known_u)
         C = bilinear_cofactors(F[0], H)
         for i in range(1, (order + 1) // 2):
             C += bilinear_cofactors(F[i], F[order - i])

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from fem.equations import State
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
-from fem.system import State, System
+from fem.system import System
 from geometry.layout import FloatArray
 
 STEPS = 8  #: of the load; FElupe's Newton has the pressure as a field of its own, but no step control
