@@ -31,7 +31,7 @@ SQUEEZED = 0.2  #: least J below which elements come to rest by themselves befor
 RESTS, RESTED = 25, 1e-6  #: iterations of these, and the unbalanced forces they leave, of the loads
 STIFFENINGS = (0.05, 0.2, 0.8, 1.0)  #: shares of the negative eigenvalues of their moduli that are left out, if need be
 
-Equations = System | TetrahedralSystem
+AnySystem = System | TetrahedralSystem
 
 
 class UnreachableLoadError(SolverError):
@@ -78,7 +78,7 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(system: Equations, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
+def find_equilibrium(system: AnySystem, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
@@ -142,7 +142,7 @@ class _Tried:
         return self.misfit.residual <= RESIDUAL and self.is_stable is not False
 
 
-def _equilibrium_at(system: Equations, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
+def _equilibrium_at(system: AnySystem, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
@@ -170,7 +170,7 @@ def _equilibrium_at(system: Equations, factor: Factor, state: State, share: floa
 
 
 def _stepped(
-    system: Equations, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
 ) -> State | None:
     """The state after one step of Newton's method, no longer than volumes allow.
 
@@ -193,7 +193,7 @@ def _stepped(
     return trial
 
 
-def _potential_mj(system: Equations, state: State, share: float) -> float:
+def _potential_mj(system: AnySystem, state: State, share: float) -> float:
     """Stored energy less the work of the loads."""
     return system.stored_mj(state) - share * system.own_displacement(state)
 
@@ -224,7 +224,7 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     return replace(state, u=u, p=p)
 
 
-def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadError:
+def _refusal(system: AnySystem, share: float, worst: _Tried) -> UnreachableLoadError:
     j = system.volume_ratios(worst.state).min(axis=1)
     least, element = float(j.min()), int(j.argmin())
     x, y, z = system.body.centres_mm[element]

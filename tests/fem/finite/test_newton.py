@@ -156,12 +156,16 @@ def test_two_rubbers_that_lean_are_solved_on_tetrahedra():
     assert abs(found.energy_imbalance) < 1e-2
 
 
+def on_tetrahedra(scene: Scene) -> TetrahedralSystem:
+    mesh, _ = mesh_scene(scene, [])
+    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), scene.loads)
+
+
 def test_small_loads_on_tetrahedra_give_the_linear_answer():
     """They differ by the strain, which is about 1e-6 / 6, and by what the residual may be."""
     load = loads_of("dead", 1e-6)[0]
     scene = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, loads=(load,), probes=PROBES)
-    mesh, _ = mesh_scene(scene, [])
-    system = TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+    system = on_tetrahedra(scene)
     body = system.body
     linear = body.displacements(Factor(body.upper, upper=True).solve(body.loads(system.dead.reshape(-1, 1))))
     u = find_equilibrium(system).state.u
@@ -174,8 +178,7 @@ def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
     load = StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))
     load = load if kind == "moment" else loads_of(kind, 1.5)[0]
     scene = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, loads=(load,), probes=PROBES)
-    mesh, _ = mesh_scene(scene, [])
-    system = TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+    system = on_tetrahedra(scene)
     found = find_equilibrium(system)
     assert found.steps == 1
     assert found.iterations <= 6
@@ -194,10 +197,8 @@ def test_a_pillar_on_tetrahedra_that_buckles_is_refused():
     """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
     load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
     scene = Scene(body=Block(size_mm=(2.0, 2.0, 12.0)), material=RUBBER, loads=(load,), probes=(TOP,))
-    mesh, _ = mesh_scene(scene, [])
-    body = taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64))
     with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
-        find_equilibrium(TetrahedralSystem(body, [load]))
+        find_equilibrium(on_tetrahedra(scene))
 
 
 def test_plates_that_touch_are_refused():
@@ -246,10 +247,9 @@ def test_a_part_between_mirrors_is_the_whole(loads, planes):
     assert f"the body mirrors in {planes}" in "".join(plan.lines)
     boxes = finite_boxes(scene, 1, plan.mirrors)
     part = find_equilibrium(System(RubberBody.of(boxes, [RUBBER]), loads, plan.mirrors))
-    field = unfolded(boxes, plan.mirrors, [((1, 1), part.state.u)], [RUBBER])
-    assert isinstance(field.mesh, Boxes)
-    whole = find_equilibrium(System(RubberBody.of(field.mesh, [RUBBER]), loads))
-    assert np.allclose(field.displacement_mm, whole.state.u, atol=1e-7)
+    unfold = unfolded(boxes, plan.mirrors, [((1, 1), part.state.u)], [RUBBER])
+    whole = find_equilibrium(System(RubberBody.of(unfold.mesh, [RUBBER]), loads))
+    assert np.allclose(unfold.displacement_mm, whole.state.u, atol=1e-7)
     assert np.isclose(2 ** len(plan.mirrors) * part.stored_mj, whole.stored_mj, rtol=1e-8)
 
 
