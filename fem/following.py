@@ -36,14 +36,19 @@ class FollowingFaces:
     @classmethod
     def on_boxes(cls, boxes: Boxes, loads: Sequence[Load]) -> "FollowingFaces":
         """On boxes with sides along the edges of the following ones of loads."""
-        following = [load for load in loads if isinstance(load, FollowerLoad)]
         order = boxes.order
         top = np.flatnonzero(boxes.high[:, 2] == boxes.height_mm)
         faces = boxes.nodes[top].reshape(len(top), order + 1, order + 1, order + 1)[..., -1].reshape(len(top), -1)
         middle = ((boxes.low + boxes.high) / 2)[top, :2] + np.array(boxes.lean) * boxes.height_mm
-        for load in following:
+        face, pressure = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+        for load in loads:
+            if not isinstance(load, FollowerLoad):
+                continue
             top_nodes(boxes, load.rectangle)  # refuses a rectangle without lines
-        face, pressure = _under(middle, following)
+            x0, y0, x1, y1 = load.rectangle
+            face.append(np.flatnonzero(((middle > (x0, y0)) & (middle < (x1, y1))).all(axis=1)))
+            pressure.append(np.full(len(face[-1]), load.pressure_mpa))
+        under = faces[np.concatenate(face)]
         x, w = gauss_points(order + 1)
         values, slopes = shape_functions(order, x)
         at, by_x, by_y = (
@@ -51,7 +56,7 @@ class FollowingFaces:
             for pair in ((values, values), (slopes, values), (values, slopes))
         )
         weights = np.outer(w, w).ravel()
-        return cls(faces[face], pressure, boxes.n_nodes, at, np.stack([by_x, by_y]), weights)
+        return cls(under, np.concatenate(pressure), boxes.n_nodes, at, np.stack([by_x, by_y]), weights)
 
     @classmethod
     def on_tetrahedra(cls, basis: Basis, loads: Sequence[Load]) -> "FollowingFaces":
@@ -109,13 +114,3 @@ class FollowingFaces:
         """x,ξ and x,η at the points of the faces, each (f, q, 3)."""
         own = x[self.nodes]
         return np.einsum("qa,fai->fqi", self.slopes[0], own), np.einsum("qa,fai->fqi", self.slopes[1], own)
-
-
-def _under(middles_mm: FloatArray, loads: Sequence[FollowerLoad]) -> tuple[IntArray, FloatArray]:
-    """Faces by their middles (n, 2) that lie under loads, and their pressures; twice under two loads."""
-    faces, pressures = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-    for load in loads:
-        x0, y0, x1, y1 = load.rectangle
-        faces.append(np.flatnonzero(((middles_mm > (x0, y0)) & (middles_mm < (x1, y1))).all(axis=1)))
-        pressures.append(np.full(len(faces[-1]), load.pressure_mpa))
-    return np.concatenate(faces), np.concatenate(pressures)

@@ -17,10 +17,8 @@ from dataset.resistance import pillar_strains
 from fem.array.solving import array_response
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
 from fem.finite.preloads import PreloadedArray
-from fem.scene.loads import Load, StiffLoad
-from fem.system import System
 from geometry.design import Array, Pad, SensorDesign
-from geometry.layout import FloatArray, unit_centres
+from geometry.layout import FloatArray
 
 PROTOCOLS = ("contact", "three-axis")
 #: 5 times as many elements as the finer grid of the samples; with its own linear correction, as these have
@@ -29,12 +27,7 @@ REFERENCE = (0.06, 0.25, 0.75, 0.94, 1.0), (0.1, 0.3, 0.7, 0.9, 1.0)
 
 def reference(array: PreloadedArray, influence: FloatArray, force_n: FloatArray) -> FloatArray:
     """Displacements (k, 2, 3) of the electrodes under forces (k, 3) by Newton's method, corrected as samples are."""
-    size = array.design.pad.size_mm
-    loads: list[Load] = [
-        StiffLoad(center_mm=(float(x), float(y)), size_mm=(size, size), force_n=(float(f[0]), float(f[1]), float(f[2])))
-        for (x, y), f in zip(unit_centres(array.design), force_n, strict=True)
-    ]
-    state = find_equilibrium(System(array.body, loads)).state
+    state = find_equilibrium(array.system(force_n)).state
     moved = array.electrodes(state.shift[None], state.rotation[None])[0].ravel()
     return (moved + (influence - array.influence) @ (array.forces_of @ moved)).reshape(-1, 2, 3)
 

@@ -18,7 +18,7 @@ from fem.equations import State
 from fem.factor import Factor
 from fem.finite.series import BaseState, load_series, quaternion_rotations
 from fem.rubber.body import RubberBody
-from fem.scene.loads import Load, StiffLoad
+from fem.scene.loads import StiffLoad
 from fem.system import System
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
@@ -85,18 +85,17 @@ class PreloadedArray:
             If there is none.
         """
         if preload_mpa not in self._bases:
-            self._bases[preload_mpa] = BaseState.of(self._system(preload_mpa))
+            down = -preload_mpa * self.design.pad.size_mm**2
+            self._bases[preload_mpa] = BaseState.of(self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1))))
         return self._bases[preload_mpa]
 
-    def _system(self, preload_mpa: float) -> System:
+    def system(self, force_n: FloatArray) -> System:
+        """The array under forces (k, 3) on its pads [N]."""
         pad = self.design.pad
-        loads: list[Load] = [
-            StiffLoad(
-                center_mm=(float(x + pad.offset_x_mm), float(y + pad.offset_y_mm)),
-                size_mm=(pad.size_mm, pad.size_mm),
-                force_n=(0.0, 0.0, -preload_mpa * pad.size_mm**2),
-            )
-            for x, y in unit_centres(self.design)
+        middles = unit_centres(self.design) + np.array([pad.offset_x_mm, pad.offset_y_mm])
+        loads = [
+            StiffLoad(center_mm=(x, y), size_mm=(pad.size_mm, pad.size_mm), force_n=(fx, fy, fz))
+            for (x, y), (fx, fy, fz) in zip(middles.tolist(), force_n.tolist(), strict=True)
         ]
         return System(self.body, loads)
 
@@ -107,7 +106,8 @@ class PreloadedArray:
     @cached_property
     def influence(self) -> FloatArray:
         """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
-        k, rest = self.design.n_units, self._bases.get(0.0) or BaseState.of(self._system(0.0))
+        k = self.design.n_units
+        rest = self._bases.get(0.0) or BaseState.of(self.system(np.zeros((k, 3))))
         moves, spins = rest.compliance()[:, : 3 * k].T.reshape(3 * k, 2, k, 3).swapaxes(0, 1)
         spins = spins / rest.system.plates.half_mm[:, None]
         return np.asarray((moves[:, :, None] + np.cross(spins[:, :, None], self.arm)).reshape(3 * k, -1).T)

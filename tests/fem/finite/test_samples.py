@@ -9,8 +9,6 @@ from fem.finite.newton import find_equilibrium
 from fem.finite.preloads import array_boxes
 from fem.finite.samples import EXTRAPOLATED, FINE, SampleSolver
 from fem.pictures.arrays import sampled_array_field
-from fem.scene.loads import StiffLoad
-from fem.system import System
 from geometry.design import Array, Material, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import unit_centres, upper_electrodes
@@ -31,11 +29,7 @@ def found(solver):
 
 
 def by_newton(array, forces):
-    loads = [
-        StiffLoad(center_mm=(float(x), float(y)), size_mm=(12.0, 12.0), force_n=tuple(force.tolist()))
-        for (x, y), force in zip(unit_centres(PAIR), forces, strict=True)
-    ]
-    state = find_equilibrium(System(array.body, list(loads))).state
+    state = find_equilibrium(array.system(forces)).state
     return array.electrodes(state.shift[None], state.rotation[None])[0]
 
 
