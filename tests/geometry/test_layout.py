@@ -59,20 +59,9 @@ def test_units_run_along_x_first_with_their_electrodes_as_squares():
             assert squares[k, e].tolist() == [x + ex - 1, y + ey - 1, x + ex + 1, y + ey + 1]
 
 
-def test_pads_are_squares_about_their_offset_and_the_papers_cover_both_electrodes():
+def test_pads_are_squares_about_their_offset():
     design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0))
     assert pad_squares(design).tolist() == [[-14.5, 0.0, -10.5, 4.0], [0.5, 0.0, 4.5, 4.0]]
-    pads, electrodes = (squares(SensorDesign()).reshape(36, -1, 4) for squares in (pad_squares, electrode_squares))
-    assert (electrodes[..., :2] >= pads[..., :2]).all()
-    assert (electrodes[..., 2:] <= pads[..., 2:]).all()
-
-
-def test_everything_is_centred_and_lies_on_its_own_share_of_the_slab(design):
-    centres = unit_centres(design)
-    assert centres.sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-11)  # rounding of 36 sums
-    for squares in (pad_squares(design), electrode_squares(design)):
-        corners = squares.reshape(len(centres), -1, 2) - centres[:, None]
-        assert np.abs(corners).max() <= design.array.pitch_mm / 2 + 1e-12
 
 
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)

@@ -57,9 +57,8 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_missing_variables_and_wrong_dims_are_named_with_the_right_ones(path, name):
-    data, says = OTHERS[name]
+@pytest.mark.parametrize(("data", "says"), OTHERS.values(), ids=OTHERS)
+def test_missing_variables_and_wrong_dims_are_named_with_the_right_ones(path, data, says):
     write_netcdf(data, path)
     assert all(said in refusal(path) for said in says)
 
