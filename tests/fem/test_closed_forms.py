@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from numpy.lib.array_utils import byte_bounds
 from numpy.polynomial.legendre import leggauss
 from scipy.linalg import expm
@@ -22,7 +21,7 @@ from fem.array.closed_forms import (
 from fem.array.response import read_response, write_response
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.patch import patch_integrals
+from fem.tetrahedra.patch import patch_means
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 
@@ -98,23 +97,18 @@ def test_the_point_forces_satisfy_navier_s_equation(nu):
 def test_equation_14_as_printed_is_no_solution():
     """The paper's u_x, u_y and u_z, in its axes (z into the body), miss Navier's equation by their own size.
 
-    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign. Mended they are
-    the normal column of `point_compliance`, which satisfies it.
+    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign, compared with the
+    normal column of `point_compliance`, which satisfies it.
     """
-    nu, (_, G) = RUBBER.poisson, RUBBER.lame_mpa
+    nu = RUBBER.poisson
 
-    def normal(p, printed):
+    def printed(p):
         x, y, z = p.T * np.array([[1.0], [1.0], [-1.0]])
         r = np.sqrt(x**2 + y**2 + z**2)
-        second, sign = (np.array([x * z, z]), -1) if printed else (np.array([x, y]), 1)
-        u_x, u_y = np.array([x, y]) * z / r**3 - (1 - 2 * nu) * second / (r * (r + z))
-        u_z = z**2 / r**3 + sign * 2 * (1 - nu) / r
-        return np.stack([u_x, u_y, -u_z], axis=1)[..., None] / (4 * np.pi * G)
+        u_x, u_y = np.array([x, y]) * z / r**3 - (1 - 2 * nu) * np.array([x * z, z]) / (r * (r + z))
+        return np.stack([u_x, u_y, -(z**2) / r**3 + 2 * (1 - nu) / r], axis=1)[..., None]
 
-    printed, mended = (partial(normal, printed=flag) for flag in (True, False))
     assert navier_misfit(printed, POINTS, RUBBER)[0] > 0.1
-    assert navier_misfit(mended, POINTS, RUBBER)[0] < 1e-6
-    assert np.allclose(mended(POINTS)[..., 0], point_compliance(POINTS, RUBBER) @ [0.0, 0.0, -1.0], rtol=1e-13)
 
 
 def test_a_hemisphere_carries_the_whole_load_and_the_surface_none():
@@ -191,54 +185,17 @@ def test_rectangles_obey_reciprocity_and_energy_is_positive(mean):
     assert np.abs(skew[..., 0, 2]).max() > 0.01 * np.abs(skew).max()  # it is really there
 
 
-def test_scales_and_symmetries():
-    """Twice as large is half as compliant, so is twice as stiff; x and y are alike; a patch far away is a point."""
-    here = mean_compliance(TARGETS, LOAD, RUBBER)
-    assert np.allclose(mean_compliance(2 * TARGETS, 2 * LOAD, RUBBER), here / 2, rtol=1e-11, atol=1e-16)
-    assert np.allclose(mean_compliance(TARGETS, LOAD, replace(RUBBER, young_mpa=12.2)), here / 2, rtol=1e-12)
-    swap, mirror = [1, 0, 2], [1, 0, 3, 2]
-    swapped = mean_compliance(TARGETS[:, mirror], LOAD[mirror], RUBBER)[:, swap][:, :, swap]
-    assert np.allclose(swapped, here, rtol=0, atol=1e-15)
-    far = np.array([80.0, -60.0, 0.0])
-    distant = mean_compliance(np.array([-1.0, -1.0, 1.0, 1.0]) + far[[0, 1, 0, 1]], [-2.0, -2.0, 2.0, 2.0], RUBBER)
-    assert np.allclose(distant, point_compliance(far, RUBBER), rtol=0, atol=1e-3 * np.abs(distant).max())  # (2/100)²
-
-
-def pushed_block(core, outer, layers, squares):
-    """Means of three squares, the first loaded, on a block with lines 2 mm apart within `core` mm: (3, 3, 3)."""
-    across = np.concatenate([-np.array(outer)[::-1], np.arange(-core, core + 1.0, 2.0), outer])
-    mesh = MeshTet.init_tensor(across, across, np.array(layers, dtype=float))
-    body = taylor_hood(mesh, [USUAL], np.zeros(mesh.nelements, dtype=int))
-    means = sp.kron(patch_integrals(body.basis, squares), sp.eye_array(3), format="csr")  # times area
-    solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
-    return (means @ body.displacements(solution)).reshape(3, 3, 3) / np.array([64.0, 16.0, 16.0])[:, None, None]
-
-
-def test_finite_elements_tend_to_the_half_space():
-    """A clamped block, ever larger, sinks under a pad relative to two squares beside it as a half-space does.
-
-    The differences drop what the far base takes away. 3 % are the mesh's: four edges of 2 mm across the load.
-    """
-    misfits = []
-    squares = np.array([[-4.0, -4.0, 4.0, 4.0], [6.0, -2.0, 10.0, 2.0], [-10.0, -10.0, -6.0, -6.0]])
-    closed = mean_compliance(squares, squares[0], USUAL)
-    for block in (([10.0], [0, 8, 12, 14, 16]), ([10.0, 20.0, 40.0], [0, 24, 36, 40, 42])):
-        elements = pushed_block(6.0, *block, squares)
-        error = (elements[0] - elements[1:]) - (closed[0] - closed[1:])
-        misfits.append(np.linalg.norm(error) / np.linalg.norm(closed[0] - closed[1:]))
-    assert misfits[0] > 0.3
-    assert misfits[1] < 0.03
-
-
 def test_the_response_holds_every_pair_of_electrode_and_pad(tmp_path):
-    """Unequal rows and columns, a shifted pad, and no symmetry to hide a mistaken index behind; read as written."""
+    """Unequal rows and columns, a shifted pad, no symmetry to hide a mistaken index behind; its file gives it back."""
     design = SensorDesign(array=Array(rows=2, cols=3), pad=Pad(size_mm=8.0, offset_x_mm=1.0, offset_y_mm=-2.0))
     material = design.matrix_material
-    write_response(layer_response(design), tmp_path / "r.nc")
+    given = replace(layer_response(design), residual=1e-14, unknowns=7, seconds={"condense": 1.5}, error_estimate=5e-4)
+    write_response(given, tmp_path / "r.nc")
     found = read_response(tmp_path / "r.nc")
     influence = found.influence_mm_per_n
-    assert np.array_equal(influence, layer_response(design).influence_mm_per_n)
-    assert (found.method, found.unknowns, found.residual) == ("layer", 0, 0.0)
+    assert np.array_equal(influence, given.influence_mm_per_n)
+    for name in ("design", "method", "residual", "unknowns", "seconds", "error_estimate", "mesh_hash", "content_hash"):
+        assert getattr(found, name) == getattr(given, name)
     height_mm = design.unit.height_mm
     pairs = layer_mean_compliance(electrode_squares(design)[:, None], pad_squares(design), height_mm, material)
     direct = pairs.reshape(2, 3, 2, 2, 3, 3, 3).transpose(0, 1, 2, 5, 3, 4, 6)
@@ -257,15 +214,14 @@ def test_a_large_array_takes_no_memory_to_speak_of():
 
 def test_what_has_no_answer_is_refused_by_name():
     """Rectangles without area, or so wide for their layer that memory would run out; a layer without height."""
-    with pytest.raises(HalfspaceError, match="a rectangle is empty"):
-        mean_compliance([0.0, 0.0, 0.0, 1.0], LOAD, RUBBER)
-    with pytest.raises(HalfspaceError, match=r"shape \(3,\), expected \(\.\.\., 4\)"):
-        mean_compliance(LOAD[:3], LOAD, RUBBER)
-    with pytest.raises(HalfspaceError, match=r"1\.2e\+03 heights wide, at most 100 are allowed: split it"):
-        layer_mean_compliance(PAD, PAD, 0.01, RUBBER)
-    for height_mm in (0.0, -1.0, np.nan):
-        with pytest.raises(HalfspaceError, match="must be above 0: the layer's thickness"):
-            layer_mean_compliance(PAD, PAD, height_mm, RUBBER)
+    for target, height_mm, says in (
+        ([0.0, 0.0, 0.0, 1.0], 1.0, "a rectangle is empty"),
+        (LOAD[:3], 1.0, r"shape \(3,\), expected \(\.\.\., 4\)"),
+        (PAD, 0.01, r"1\.2e\+03 heights wide, at most 100 are allowed: split it"),
+        (PAD, np.nan, "must be above 0: the layer's thickness"),
+    ):
+        with pytest.raises(HalfspaceError, match=says):
+            layer_mean_compliance(target, PAD, height_mm, RUBBER)
 
 
 def halfspace_spectrum(poisson):
@@ -352,14 +308,14 @@ def test_the_mean_agrees_with_a_sum_over_waves():
 
 
 def test_a_high_layer_is_a_half_space_and_a_far_place_is_still():
-    """The base takes 1/height away, near enough a rigid motion; 40 heights away nothing is left but rounding."""
+    """The base takes 1/height away, near enough a rigid motion; 30 heights away nothing is left but rounding."""
     closed = mean_compliance(PLACES, PAD, USUAL)
     misfit = [np.abs(layer_mean_compliance(PLACES, PAD, h, USUAL) - closed).max() for h in (1e3, 2e3)]
     assert misfit[0] < 0.02 * np.abs(closed).max()
     assert misfit[1] == pytest.approx(misfit[0] / 2, rel=0.02)
-    for far in (29.0, 31.0, 40.0):
-        still = layer_mean_compliance(PAD + 10.0 * far * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
-        assert np.abs(still).max() < 1e-10 * np.abs(closed).max() * 10
+    for far in (290.0, 310.0):
+        still = layer_mean_compliance(PAD + far * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
+        assert np.abs(still).max() < 1e-9 * np.abs(closed).max()
 
 
 def test_wide_pads_on_a_thin_layer_get_points_enough():
@@ -374,20 +330,14 @@ def test_wide_pads_on_a_thin_layer_get_points_enough():
 def test_finite_elements_agree_on_a_wide_slab():
     """A slab of 80 × 80 × 10 mm, its sides 4 heights off: 3 % for a mesh with four edges across the load."""
     squares = np.array([[-4.0, -4.0, 4.0, 4.0], [4.0, -2.0, 8.0, 2.0], [-8.0, -8.0, -4.0, -4.0]])
-    elements = pushed_block(8.0, [14.0, 24.0, 40.0], [0.0, 3.5, 6.0, 8.0, 10.0], squares)
+    outer = np.array([14.0, 24.0, 40.0])
+    across = np.concatenate([-outer[::-1], np.arange(-8.0, 9.0, 2.0), outer])
+    mesh = MeshTet.init_tensor(across, across, np.array([0.0, 3.5, 6.0, 8.0, 10.0]))
+    body = taylor_hood(mesh, [USUAL], np.zeros(mesh.nelements, dtype=int))
+    means = patch_means(body.basis, squares)
+    solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray()))
+    elements = (means @ body.displacements(solution)).reshape(3, 3, 3)
     for found, expected in zip(elements, layer_mean_compliance(squares, squares[0], 10.0, USUAL), strict=True):
         assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
     closed = mean_compliance(squares, squares[0], USUAL)
     assert np.linalg.norm(elements - closed) > 0.3 * np.linalg.norm(elements)  # the half-space is no such answer
-
-
-def test_response_is_symmetric_and_local():
-    """Units are alike; far ones feel the layer's exponential decay, not the half-space's 1/r (5 % here)."""
-    design = SensorDesign(array=Array(rows=2, cols=6))
-    layer = layer_response(design)
-    assert layer.influence_mm_per_n.shape == (2, 6, 2, 3, 2, 6, 3)
-    assert np.array_equal(layer.influence_mm_per_n[0, 0, ..., 0, 1, :], layer.influence_mm_per_n[1, 4, ..., 1, 5, :])
-    far, own = (np.linalg.norm(layer.influence_mm_per_n[0, col, ..., 0, 0, :]) for col in (5, 0))
-    assert far < 2e-3 * own
-    stiffer = replace(design, matrix_material=Material(young_mpa=12.2))
-    assert np.allclose(2 * layer_response(stiffer).influence_mm_per_n, layer.influence_mm_per_n, rtol=1e-12)

@@ -32,9 +32,7 @@ def test_the_example_scenes_are_scenes(path):
 def test_a_common_material_fills_the_rubbers_and_the_model_that_the_design_leaves_open():
     body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\nmodel = 'neo-hookean'\n").body
     assert body.design.matrix_material == Material(young_mpa=2.0, poisson=0.4, model="neo-hookean")
-    assert body.design.pillar_material == Material(
-        young_mpa=61.0, model="neo-hookean"
-    )  # [design] gives its own modulus
+    assert body.design.pillar_material == Material(young_mpa=61.0, model="neo-hookean")  # modulus by [design]
 
 
 def test_kinds_of_loads_and_a_model_are_read_as_written():
