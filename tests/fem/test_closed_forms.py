@@ -31,7 +31,6 @@ LOAD = np.array([-1.0, -0.5, 2.0, 1.5])
 POINTS = np.array([[3.0, 1.0, -2.0], [-1.0, 4.0, -1.0], [0.5, -0.5, -3.0], [-4.0, -2.0, -0.5]])
 STEP = 0.05  #: of the differences, of order 6: they err by (STEP/r)⁶, near 1e-10
 CENTRAL = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-DOWNWARD = {0: 49 / 20, -1: -6.0, -2: 15 / 2, -3: -20 / 3, -4: 15 / 4, -5: -6 / 5, -6: 1 / 6}
 PAD = np.array([-6.0, -6.0, 6.0, 6.0])
 PLACES = np.array(
     [[-6.0, -6.0, -4.0, -4.0], PAD, [6.0, 2.0, 8.0, 4.0], [20.0, -5.0, 23.0, -1.0], [9.0, 9.0, 21.0, 21.0]]
@@ -60,13 +59,10 @@ def point_compliance(offset_mm, material):
     return flip * np.moveaxis(np.array(down), (0, 1), (-2, -1)) / (4 * np.pi * G)
 
 
-def gradient(field, points, stencils=(CENTRAL,) * 3):
+def gradient(field, points):
     """∂ along x, y, z as a last axis of a field (n, ...) at points (n, 3)."""
-    unit = np.eye(3) * STEP
-    return np.stack(
-        [sum(c * field(points + k * unit[a]) for k, c in stencil.items()) / STEP for a, stencil in enumerate(stencils)],
-        axis=-1,
-    )
+    steps = np.eye(3) * STEP
+    return np.stack([sum(c * field(points + k * step) for k, c in CENTRAL.items()) / STEP for step in steps], axis=-1)
 
 
 def navier_misfit(field, points, material):
@@ -77,14 +73,6 @@ def navier_misfit(field, points, material):
     gradient_of_div = (lame + G) * np.einsum("nkqki->niq", second)
     largest = np.abs(laplace).max(axis=(0, 1)) + np.abs(gradient_of_div).max(axis=(0, 1))
     return np.abs(laplace + gradient_of_div).max(axis=(0, 1)) / largest
-
-
-def stress(field, points, material, stencils=(CENTRAL,) * 3):
-    """σ (n, i, j, load) of displacement fields (n, 3, loads)."""
-    lame, G = material.lame_mpa
-    strain = gradient(field, points, stencils).transpose(0, 1, 3, 2)  # (n, i, a, load)
-    strain = (strain + strain.transpose(0, 2, 1, 3)) / 2
-    return lame * np.einsum("nkkq,ij->nijq", strain, np.eye(3)) + 2 * G * strain
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
@@ -109,29 +97,6 @@ def test_equation_14_as_printed_is_no_solution():
         return np.stack([u_x, u_y, -(z**2) / r**3 + 2 * (1 - nu) / r], axis=1)[..., None]
 
     assert navier_misfit(printed, POINTS, RUBBER)[0] > 0.1
-
-
-def test_a_hemisphere_carries_the_whole_load_and_the_surface_none():
-    """∮ σ n around a point force balances it, to 1e-7 of Gauss points and differences; σ_z is 0 off the force."""
-    cosine, weight = leggauss(12)
-    cosine, weight = (cosine + 1) / 2, weight / 2
-    angle = np.arange(48) * 2 * np.pi / 48
-    sine = np.sqrt(1 - cosine**2)
-    n = np.stack(
-        [np.outer(sine, np.cos(angle)), np.outer(sine, np.sin(angle)), np.outer(-cosine, np.ones(48))], axis=-1
-    )
-    n, area = n.reshape(-1, 3), np.repeat(weight, 48) * 2 * np.pi / 48
-    radius = 60.0  # so large that the uppermost Gauss point lies a stencil below the surface
-
-    def field(p):
-        return point_compliance(p, RUBBER)
-
-    sigma = stress(field, radius * n, RUBBER)
-    carried = radius**2 * np.einsum("nijq,nj,n->iq", sigma, n, area)
-    assert np.allclose(carried, -np.eye(3), atol=1e-7)
-    surface = np.array([[3.5, 0.5, 0.0], [0.0, -2.5, 0.0], [-3.0, 4.0, 0.0]])
-    sigma = stress(field, surface, RUBBER, (CENTRAL, CENTRAL, DOWNWARD))
-    assert np.abs(sigma[:, :, 2]).max() < 1e-6 * np.abs(sigma).max()
 
 
 TARGETS = np.array([[1.2, -1.0, 4.0, 3.0], LOAD, [5.0, 5.0, 7.0, 6.0], [2.0, 1.5, 3.0, 3.0], [0.0, 0.0, 0.5, 0.5]])

@@ -1,7 +1,5 @@
 """Pictures show a deformed array on an honest scale: parts in their places, moved as the field says."""
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 import pyvista as pv
@@ -142,29 +140,6 @@ def test_a_picture_is_as_high_as_what_it_shows(parts, camera):
     blank = 1 - (np.ptp(inked, axis=0) + 1) / image.shape[:2]
     assert blank.max() < 0.11  # twice the margin, rounding to 16 px, and the width of legends where a picture is narrow
     picture.plotter.close()
-
-
-def test_no_two_faces_of_a_picture_coincide(parts):
-    """No two quadrilaterals of pillars, nor of a pillar and the slab, lie in one plane and overlap there."""
-    at_rest = {name: part.points_mm[part.cells] for name, part in parts.items() if name in ("pillars", "electrodes")}
-    faces = at_rest["pillars"]
-    normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    normal *= np.where(normal @ [1.0, 1e-3, 1e-6] < 0, -1.0, 1.0)[:, None]
-    offset = (faces[:, 0] * normal).sum(axis=1)
-    owner = np.arange(len(faces)) // (len(faces) // (3 * DESIGN.n_units))  # of its surface: a pillar of a unit
-    planes = np.column_stack([normal, offset]).round(6)
-    _, group = np.unique(planes, axis=0, return_inverse=True)
-    centres = faces.mean(axis=1)
-    clashes = [
-        (i, j)
-        for number in np.unique(group)
-        for i, j in combinations(np.flatnonzero(group == number), 2)
-        if owner[i] != owner[j] and np.linalg.norm(centres[i] - centres[j]) < 0.5  # mm: a face is 0.7 wide
-    ]
-    assert clashes == []
-    slab = [0.0, DESIGN.unit.height_mm]
-    assert not np.isin(faces[..., 2].round(6), slab).any()
 
 
 def test_pressing_moves_the_drawn_bodies(parts):

@@ -10,7 +10,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from fem.factor import Factor, checked_solve, whole
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
-from fem.tetrahedra.patch import patch_integrals
+from fem.tetrahedra.patch import PatchError, patch_integrals
 from geometry.design import Material
 from tests.fem.boxes import box_mesh
 
@@ -69,6 +69,29 @@ def test_a_pressed_column_follows_hooke(walls):
     forces[:, 2] = T * patch_integrals(body.basis, np.array([[0.0, 0.0, 2.0, 2.0]])).toarray()[0]
     u = solved_with(body, np.zeros(body.basis.N * 3), forces.ravel(), known.ravel()).reshape(-1, 3)
     assert np.abs(u - exact).max() < 1e-11
+
+
+RECTANGLES = np.array([[0.0, 0.0, 10.0, 10.0], [1.3, 2.1, 4.7, 9.9], [4.9, 4.9, 5.1, 5.1], [0.0, 9.0, 10.0, 10.0]])
+
+
+def test_polynomials_are_integrated_exactly_over_rectangles_of_the_top_face():
+    """∫ xᵃ yᵇ by its closed form, for every power an element can hold, to rounding; nodes below have no part in it."""
+    basis = Basis(box_mesh((4, 5, 2), (10.0, 10.0, 3.0)), ElementTetP2(), intorder=2)
+    integrals = patch_integrals(basis, RECTANGLES)
+    x, y, z = basis.doflocs
+    x0, y0, x1, y1 = RECTANGLES.T
+    for a in range(3):
+        for b in range(3 - a):
+            exact = (x1 ** (a + 1) - x0 ** (a + 1)) / (a + 1) * (y1 ** (b + 1) - y0 ** (b + 1)) / (b + 1)
+            assert np.allclose(integrals @ (x**a * y**b * (z == 3.0)), exact, rtol=1e-12)
+            assert np.allclose(integrals @ (x**a * y**b), exact, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rectangle", [[8.0, 8.0, 11.0, 9.0], [20.0, 0.0, 21.0, 1.0], [-1e-3, 0.0, 5.0, 5.0]])
+def test_a_patch_off_the_body_is_refused_by_name(rectangle):
+    basis = Basis(box_mesh((2, 2, 2), (10.0, 10.0, 4.0)), ElementTetP2(), intorder=2)
+    with pytest.raises(PatchError, match=r"of its .* mm² on the body's top face: move or shrink it"):
+        patch_integrals(basis, np.array([rectangle]))
 
 
 def _manufactured(nu: float, n: int) -> float:

@@ -74,6 +74,7 @@ REFUSED = [
     (Mould, {"clearance_mm": -0.1}, "clearance_mm=-0.1 must be 0 or more"),
     (SensorDesign, {"array": Array(pitch_mm=12.8)}, "pitch_mm=12.8 is smaller than the unit.*to at least 12.83"),
     (SensorDesign, {"pad": Pad(size_mm=15.1)}, OFF.format(15.1)),
+    (SensorDesign, {"pad": Pad(kind="stiff", size_mm=15.0)}, ".*stiff pads may not touch"),
     *((SensorDesign, {"pad": Pad(**offset)}, OFF.format(12)) for offset in OFFSETS),
     (SensorDesign, {"matrix_material": Material(model="neo-hookean")}, "pillar_material is linear.*the same model"),
 ]  # fmt: skip
