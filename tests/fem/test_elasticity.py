@@ -12,7 +12,7 @@ from fem.factor import Factor, checked_solve, whole
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from fem.tetrahedra.patch import PatchError, patch_integrals
 from geometry.design import Material
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 def one_region(mesh: MeshTet) -> np.ndarray:

@@ -17,7 +17,7 @@ from fem.rubber.body import RubberBody
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 def elastic(poisson, boxes=(3, 3, 2)):

@@ -16,7 +16,7 @@ from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import FileFormatError
 from geometry.layout import pillar_shares, pillar_volumes, rest_lengths
 from geometry.wiring import crossings
-from tests.fem.layouts import FOUR
+from tests.fem.scenes import FOUR
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))

@@ -6,7 +6,7 @@ from skfem import MeshTet
 
 from fem.tetrahedra.scene_mesh import bisected
 from geometry.mesh import boundary_faces, cell_volumes
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 def turned(mesh: MeshTet) -> np.ndarray:

@@ -10,7 +10,7 @@ from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of, with_values
-from tests.fem.layouts import FOUR
+from tests.fem.scenes import FOUR
 
 SETTINGS = ResponseSettings(tolerance=5e-2)
 PAIR = SensorDesign(array=Array(rows=1, cols=2))

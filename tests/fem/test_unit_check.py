@@ -12,7 +12,7 @@ from fem.tetrahedra.patch import patch_means
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2))
 

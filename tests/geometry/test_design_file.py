@@ -26,7 +26,7 @@ from geometry import (
 from geometry.design_file import read_tolerances, whole_design
 from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
-from tests.fem.layouts import FOUR
+from tests.fem.scenes import FOUR
 
 lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
