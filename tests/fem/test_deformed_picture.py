@@ -68,16 +68,6 @@ def test_only_loaded_pads_are_shown(pair_field):
         assert np.ptp(pads.points_mm[:, 0]) == pytest.approx(width_mm)
 
 
-def test_a_picture_shows_the_body_in_the_middle(parts):
-    picture = DeformedPicture({"2 MPa": parts})
-    colours = picture.plotter.screenshot(return_img=True).astype(float)
-    picture.plotter.close()
-    height, width, _ = colours.shape
-    assert (colours[:5] == 255).all()  # white around
-    assert (colours[:, :20] == 255).all()  # nothing is cut off
-    assert colours[height // 3 : 2 * height // 3, width // 4 : 3 * width // 4].std() > 15  # something drawn inside
-
-
 def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):
     largest = np.linalg.norm(parts["pillars"].displacement_mm, axis=1).max()
     bar = bar_of(QUANTITIES["displacement"], [{k: part.times(0.1) for k, part in parts.items()}, parts])
@@ -89,15 +79,6 @@ def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts)
     assert still.high > 0  # a scale even where nothing moves
     cut = bar_of(QUANTITIES["mises"], [parts])  # stress has peaks at edges
     assert cut.labels[cut.high].startswith("≥ ")
-
-
-def test_signed_values_are_as_strong_either_way(parts):
-    bar = bar_of(QUANTITIES["vertical"], [parts, {k: part.times(-0.5) for k, part in parts.items()}])
-    assert bar.high == pytest.approx(-0.5 * bar.low)
-    low, high = (np.array(pv.Color(colour).int_rgb) for colour in (bar.colours[0], bar.colours[-1]))
-    assert low[2] > low[0]  # blue below
-    assert high[0] > high[2]  # red above
-    assert high.min() > low.min()  # the end nearer to 0 is the paler one
 
 
 def test_points_crowded_at_an_edge_do_not_widen_the_scale():
@@ -137,6 +118,8 @@ def test_a_picture_is_as_high_as_what_it_shows(parts, camera):
     assert ((points - eye.focal_point) @ toward).max() < toward @ toward
     image = picture.plotter.screenshot(return_img=True)[70:-112]  # without name and legend
     inked = np.argwhere((image < 250).any(axis=2))
+    assert (inked.min(axis=0) > 0).all()  # nothing is cut off
+    assert (inked.max(axis=0) < np.array(image.shape[:2]) - 1).all()
     blank = 1 - (np.ptp(inked, axis=0) + 1) / image.shape[:2]
     assert blank.max() < 0.11  # twice the margin, rounding to 16 px, and the width of legends where a picture is narrow
     picture.plotter.close()
