@@ -12,6 +12,7 @@ from fem.contact import (
     Cylinder,
     Flat,
     ShapeError,
+    Solid,
     Sphere,
     SurfaceCompliance,
     press,
@@ -192,3 +193,11 @@ def test_sensors_that_it_is_no_model_of_are_refused():
     ):
         with pytest.raises(DesignError, match=told):
             surface_compliance(design)
+
+
+def test_height_map_is_empty_outside_its_box_and_beside_holes():
+    heights = np.zeros((3, 3))
+    heights[0, 0] = np.inf
+    solid = Solid(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]), heights)
+    x = np.array([1.5, -0.5, 0.5, -1.0])
+    assert solid.heights_mm(x, np.array([0.0, -0.5, -0.5, -0.5])).tolist() == [np.inf, np.inf, 0.0, np.inf]
