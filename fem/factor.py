@@ -65,8 +65,6 @@ class Factor:
         took 20 to 30 % less time, of grids they take more.
     solver : {"pardiso", "superlu"}, optional
         Default: `solver_name`.
-    memory_gb : float, optional
-        Memory that the factor may take [GB]; default: most of what is free at the first factorisation.
 
     Notes
     -----
@@ -85,7 +83,6 @@ class Factor:
         upper: bool = False,
         by_degree: bool = False,
         solver: str | None = None,
-        memory_gb: float | None = None,
     ) -> None:
         if solver not in (None, "pardiso", "superlu"):
             raise ValueError(f"no solver '{solver}': choose pardiso or superlu.")
@@ -93,7 +90,7 @@ class Factor:
         self.definite, self.symmetric, self.upper = definite, symmetric, upper
         self.memory_gb = 0.0  #: of the factor, at the peak [GB]
         self.n_negative: int | None = None  #: eigenvalues of an indefinite K below 0, where the solver counts them
-        self._by_degree, self._limit_gb = by_degree, memory_gb
+        self._by_degree = by_degree
         self._pardiso: _Pardiso | None = None
         if matrix is not None:
             self.factor(matrix)
@@ -150,7 +147,7 @@ class Factor:
 
     def _need(self, memory_gb: float) -> None:
         self.memory_gb = memory_gb
-        limit = MEMORY_SHARE * psutil.virtual_memory().available / 1e9 if self._limit_gb is None else self._limit_gb
+        limit = MEMORY_SHARE * psutil.virtual_memory().available / 1e9
         if memory_gb > limit:
             need = f"the factor of {self.n_unknowns} unknowns needs {memory_gb:.3g} GB"
             raise FactorMemoryError(f"{need} of {limit:.3g} GB available: take a coarser mesh.")

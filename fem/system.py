@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,7 +17,16 @@ from numpy.typing import NDArray
 from fem.assembly import Assembly
 from fem.factor import Factor
 from fem.following import FollowingFaces
-from fem.mirrors import Mirror, Parity, flipped_rectangles, folded_loads, folded_point, held_components, images
+from fem.mirrors import (
+    Mirror,
+    Parity,
+    flipped_rectangles,
+    folded_loads,
+    folded_point,
+    held_components,
+    images,
+    parities,
+)
 from fem.plates import Plates, skew, turns
 from fem.rubber.body import RubberBody, Tangent
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
@@ -54,13 +64,14 @@ class Misfit:
     pressures: FloatArray  #: those that the volumes ask for, (n_elements, n_pressures) [MPa]
     least_j: float  #: least ratio of volumes
     size: float  #: norm of the loads [N]
+    volumes_n: float = 0.0  #: what volumes that the pressures miss would take in force, where pressures are unknowns
 
     @property
     def residual(self) -> float:
         """Relative to the loads; infinite where an element is turned inside out."""
         if not self.least_j > 0:
             return np.inf
-        return float(np.linalg.norm(self.unbalanced)) / (self.size or 1.0)
+        return float(np.hypot(np.linalg.norm(self.unbalanced), self.volumes_n)) / (self.size or 1.0)
 
 
 class System:
@@ -102,7 +113,9 @@ class System:
             low = np.array([load.rectangle[mirror.axis] for load in stiff])
             middles[low == mirror.position_mm, mirror.axis] = mirror.position_mm
         self.plates = Plates.of(body.boxes, [load.rectangle for load in stiff], middles)
-        self.faces = FollowingFaces(body.boxes, [load for load in self.loads if isinstance(load, FollowerLoad)])
+        self.faces = FollowingFaces.on_boxes(
+            body.boxes, [load for load in self.loads if isinstance(load, FollowerLoad)]
+        )
         self.symmetric = is_linear or not (len(self.faces.nodes) or any(any(load.moment_nmm) for load in stiff))
         boxes = body.boxes
         free = (boxes.points_mm[:, 2] > 0.0) & boxes.is_independent
@@ -234,6 +247,49 @@ class System:
             size=float(np.linalg.norm(on_unknowns)),
         )
 
+    def own_displacement(self, state: State) -> float:
+        """f · u of the full loads that have a potential [mJ]."""
+        return float((self.dead * state.u).sum() + (self.force_n * state.shift).sum())
+
+    def stored_mj(self, state: State) -> float:
+        """Energy in the rubber."""
+        return self.body.energy_mj(state.u)
+
+    def volume_ratios(self, state: State) -> FloatArray:
+        """J at the Gauss points, (n_elements, q)."""
+        return self.body.strain(state.u[None]).J[0]
+
+    @property
+    def is_separable(self) -> bool:
+        """Whether some elements can be taken for themselves: see `around`."""
+        return not len(self.faces.nodes)
+
+    def around(self, some: NDArray[np.bool_]) -> tuple["System", IntArray, IntArray]:
+        """Some elements (n_elements,) and their neighbours alone; nodes shared with others stay where they are.
+
+        Also the numbers of the elements and of the nodes.
+        """
+        body, nodes = self.body, self.body.nodes
+        near = np.zeros(self.body.n_nodes, dtype=bool)
+        near[nodes[some]] = True
+        elements = np.flatnonzero(near[nodes].any(axis=1))
+        number, own = np.unique(nodes[elements], return_inverse=True)
+        boxes = body.boxes
+        boxes = replace(
+            boxes,
+            low=boxes.low[elements],
+            high=boxes.high[elements],
+            nodes=own.reshape(len(elements), -1),
+            region=boxes.region[elements],
+        )
+        part = System(RubberBody(boxes, body.law.part(elements)))
+        inside = np.zeros(body.n_nodes, dtype=bool)
+        inside[self.free[self.moves[: len(self.free)].all(axis=1)]] = True
+        inside[np.delete(nodes, elements, axis=0)] = False
+        part.free, part.dead = np.flatnonzero(inside[number]), self.dead[number]
+        part.moves = part.moves_of(part.parity)
+        return part, elements, number
+
     @cached_property
     def assembly(self) -> Assembly:
         """Where element stiffness goes in the matrix of the unknowns."""
@@ -262,15 +318,19 @@ class System:
         )
 
     def tangent(
-        self, state: State, share: float, reactions: FloatArray, definite: NDArray[np.bool_] | None = None
+        self,
+        state: State,
+        share: float,
+        reactions: FloatArray,
+        stiffened: tuple[NDArray[np.bool_], float] | None = None,
     ) -> tuple[FloatArray, Tangent]:
         """Blocks of the tangent in `assembly` at a share of the load, and the elements'; `reactions` are of `Misfit`.
 
-        Elements that are `definite` take no part in any loss of stability: see `Tangent.make_definite`.
+        Of `stiffened` elements (n_elements,) a share of what takes stability is left out: see `Tangent.make_definite`.
         """
         parts = self.body.tangent(state.u, state.p)
-        if definite is not None:
-            parts.make_definite(definite)
+        if stiffened is not None:
+            parts.make_definite(*stiffened)
         data = self.assembly.sum(parts.blocks(), self.plates.spins(state.rotation))
         if self.plates.count:
             if self.body.boxes.constraint is not None:
@@ -283,6 +343,43 @@ class System:
         if len(self.faces.nodes):
             self.assembly.add(data, 1, -share * self.faces.stiffness(self.body.boxes.points_mm + state.u))
         return data, parts
+
+    def linearise(
+        self,
+        factor: Factor,
+        state: State,
+        share: float,
+        misfit: Misfit,
+        stiffened: tuple[NDArray[np.bool_], float] | None = None,
+    ) -> Tangent:
+        """Leave the tangent in a factor; see `tangent`."""
+        data, parts = self.tangent(state, share, misfit.reactions, stiffened)
+        factor.factor(self.matrix(data))
+        return parts
+
+    def newton_change(self, factor: Factor, parts: Any, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
+        """Changes of the unknowns and of the pressures that balance the forces, by a factor from `linearise`."""
+        change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
+        nodal = self.nodal_change(state.rotation, change)
+        return change, misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
+
+    def unstable_modes(self, factor: Factor) -> int | None:
+        """Negative eigenvalues of the tangent in a factor; None where the solver does not count them."""
+        return factor.n_negative
+
+    def is_stable(self, state: State, share: float, misfit: Misfit) -> bool | None:
+        """Whether no mode is unstable; None where nothing counts them: pressures, moments, no PARDISO.
+
+        Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
+        """
+        data, judge = self.tangent(state, share, misfit.reactions)[0], self.new_factor()
+        for parity in parities(tuple(replace(mirror, parities=(1, -1)) for mirror in self.mirrors)):
+            judge.factor(self.matrix(data, parity))
+            if judge.n_negative is None:
+                return None
+            if judge.n_negative:
+                return False
+        return True
 
     def rest_tangent(self) -> FloatArray:
         """Blocks of the tangent at rest in `assembly`, (n_entries, 3, 3): linear elasticity."""

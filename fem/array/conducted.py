@@ -11,21 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.array.coupled_cells import COLUMNS, CoupledArray
-from fem.array.interior import CellInterior, design_interior
-from fem.array.meshed import functionals, pad_plate
+from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, expanded, influence_range, reduced, representatives
+from fem.array.substructured import MAX_TESTED, PADS, expanded, influence_range, reduced, representatives
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
-    EXTRAPOLATED,
     Conductor,
+    extrapolation,
     pillars_per_mm,
+    second_derivatives,
     strain_derivatives,
     unit_conductances,
     unit_conductors,
 )
-from fem.conduction.second_order import second_derivatives
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes
 
@@ -63,7 +62,7 @@ def conducted_pillars(
     Raises
     ------
     DesignError
-        As of `fem.conduction.unit_mesh.unit_hexahedra`.
+        As of `fem.conduction.meshes.unit_hexahedra`.
     GeometryError, SolverError
         If a mesh or an answer cannot be trusted.
     """
@@ -76,14 +75,15 @@ def conducted_pillars(
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
     modes = _Modes.of(interior, conductors[0], design)
-    first = _first_derivatives(interior, conductors, piezo)
+    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0])
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, modes.amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
     n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
-    seen = _of_unit_loads(interior, rows, cols, np.vstack([first, modes.functionals, electrodes]))
+    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, modes.functionals, electrodes]), PADS)
+    seen = seen.reshape(*seen.shape[:2], -1)
     accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
     rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
@@ -175,8 +175,7 @@ class _Modes:
         """Principal components under usual loads of an array of at most 3 × 3 units, energy weighted by current."""
         mesh = conductor.mesh
         some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
-        K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-        slopes = conductor.gradients(conductor.potentials(K))[some]
+        slopes = conductor.at_rest.gradients[some]
         weight = mesh.weight_mm3[some] * np.sum(
             [np.linalg.norm(slopes[..., i], axis=1) * np.linalg.norm(slopes[..., j], axis=1)
              for i, j in mesh.pairs], axis=0)  # fmt: skip
@@ -185,21 +184,22 @@ class _Modes:
         rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
         gram = rows.T @ rows
         size = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-        snapshots = _of_unit_loads(interior, size[0], size[1], np.eye(n)) * np.tile(
-            [SHEAR, SHEAR, 1.0], size[0] * size[1]
-        )
+        snapshots = CoupledArray(interior.cell, *size).seen(np.eye(n), PADS)[0] * [SHEAR, SHEAR, 1.0]
         value, vector = np.linalg.eigh(gram)
         value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
         to_energy = np.sqrt(value)[:, None] * vector.T
-        excited = to_energy @ np.hstack(list(snapshots))
+        excited = to_energy @ snapshots.swapaxes(0, 1).reshape(n, -1)
         main = np.linalg.svd(excited, full_matrices=False)[0][:, :MODES]
         return cls(vector / np.sqrt(value) @ main, main.T @ to_energy)
 
 
 def _first_derivatives(
-    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity
+    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity, beyond: float
 ) -> FloatArray:
-    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes)."""
+    """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes).
+
+    From both meshes; `beyond` is how much of their difference is added to the finer one's.
+    """
     n = interior.cell.stiffness.shape[0] + 3
     found = []
     for conductor in conductors:
@@ -209,21 +209,4 @@ def _first_derivatives(
         nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
     coarse, fine = found
-    return fine + EXTRAPOLATED * (fine - coarse)
-
-
-def _of_unit_loads(interior: CellInterior, rows: int, cols: int, functionals: FloatArray) -> FloatArray:
-    """Functionals (k, n_amplitudes) of every unit's cell per newton on each pad, shape (n_units, k, n_units·3)."""
-    coupled = CoupledArray(interior.cell, rows, cols)
-    n_cells, n_ports = rows * cols, interior.cell.stiffness.shape[0]
-    found = np.empty((n_cells, len(functionals), n_cells * 3))
-    for first in range(0, n_cells, COLUMNS // 3):
-        loaded = np.arange(first, min(first + COLUMNS // 3, n_cells))
-        forces = np.zeros((n_cells, interior.cell.transfer.shape[1], len(loaded), 3))
-        for k, number in enumerate(loaded):
-            forces[number, range(3), k, range(3)] = 1.0
-        pushed = forces.reshape(*forces.shape[:2], -1)
-        port, _ = coupled.port_displacements(pushed)
-        columns = slice(3 * first, 3 * (loaded[-1] + 1))
-        found[:, :, columns] = functionals[:, :n_ports] @ port + functionals[:, n_ports:] @ pushed[:, :3]
-    return found
+    return fine + beyond * (fine - coarse)

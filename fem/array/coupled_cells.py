@@ -63,18 +63,32 @@ class CoupledArray:
 
         Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
         """
-        found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
+        rows = np.hstack([self.cell.transfer[:, observed].T, self.cell.compliance[np.ix_(observed, loads)]])
+        found, residual = self.seen(rows, loads)
+        return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
+
+    def seen(self, functionals: FloatArray, loads: Sequence[int]) -> tuple[FloatArray, float]:
+        """Functionals of every cell's amplitudes by 1 N on each of some loads of each cell, and the largest residual.
+
+        `functionals` (k, n_modes·3 + n_loads) are rows on a cell's port displacements and on the forces of its own
+        loads. Shape (n_cells, k, n_cells, n_loads), seen first.
+        """
+        n_ports, n_loads = self.cell.stiffness.shape[0], len(loads)
+        found = np.empty((self.n_cells, len(functionals), self.n_cells, n_loads))
         residual = 0.0
-        at_once = max(1, COLUMNS // len(loads))  # bounds the memory
+        at_once = max(1, COLUMNS // n_loads)  # bounds the memory
         for first in range(0, self.n_cells, at_once):
             loaded = np.arange(first, min(first + at_once, self.n_cells))
-            forces = np.zeros((self.n_cells, self.cell.transfer.shape[1], len(loaded), len(loads)))
-            for k, number in enumerate(loaded):
-                forces[number, loads, k, np.arange(len(loads))] = 1.0
-            moved, misfit = self.moved(forces.reshape(*forces.shape[:2], -1))
-            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), len(loaded), len(loads))
+            each = np.zeros((self.n_cells, n_loads, len(loaded), n_loads))
+            each[loaded, :, loaded - first] = np.eye(n_loads)
+            newtons = each.reshape(self.n_cells, n_loads, -1)
+            forces = np.zeros((self.n_cells, self.cell.transfer.shape[1], newtons.shape[2]))
+            forces[:, loads] = newtons
+            q, misfit = self.port_displacements(forces)
+            own = functionals[:, :n_ports] @ q + functionals[:, n_ports:] @ newtons
+            found[:, :, loaded] = own.reshape(self.n_cells, -1, len(loaded), n_loads)
             residual = max(residual, misfit)
-        return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
+        return found, residual
 
     def derivatives(
         self,
@@ -87,7 +101,7 @@ class CoupledArray:
         Parameters
         ----------
         changes : sequence of (dS, dL, dC)
-            For each parameter the derivatives of a cell's stiffness, reach and compliance.
+            For each parameter the derivatives of a cell's stiffness, transfer and compliance.
         loads, observed : sequences of int
             As in `influence`.
 

@@ -125,10 +125,10 @@ def read_response(path: Path) -> ArrayResponse:
 
 def _conducted(data: "xr.Dataset", path: Path) -> ConductedPillars | None:
     """Conduction of a response file's content, None where it has none."""
-    held = [name for name in CONDUCTED if name in data]
-    if not held:
+    found = [name for name in CONDUCTED if name in data]
+    if not found:
         return None
-    if len(held) < len(CONDUCTED):
-        raise FileFormatError(f"{path}: holds {', '.join(held)} alone: make it again by 'tripillar response'.")
-    values = {name.removeprefix("conducted_"): data[name].to_numpy() for name in held}
+    if len(found) < len(CONDUCTED):
+        raise FileFormatError(f"{path}: holds {', '.join(found)} alone: make it again by 'tripillar response'.")
+    values = {name.removeprefix("conducted_"): data[name].to_numpy() for name in found}
     return ConductedPillars(**values, error_estimate=float(data.attrs["conduction_error_estimate"]))

@@ -30,7 +30,7 @@ from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
-VERSION = 3  #: raise when the same design gives other derivatives, so that cached ones are not reused
+VERSION = 4  #: raise when the same design gives other derivatives, so that cached ones are not reused
 LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken

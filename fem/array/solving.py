@@ -15,7 +15,7 @@ from geometry.errors import DesignError
 from geometry.storage.cache import kept
 from geometry.storage.files import digest
 
-VERSION = 3  #: raise when the same design and settings give another response, so that cached ones are not reused
+VERSION = 4  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
@@ -58,39 +58,14 @@ def array_response(
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    _require_linear(design)
-    settings = (settings or ResponseSettings()).suited(design)
-    if design.electrics.is_conduction:
-        _require_cells(design, settings)
+    settings = _checked(design, settings)
     cache_key = response_cache_key(design, settings)
 
     def make() -> ArrayResponse:
-        return replace(_solved(design, settings, progress), cache_key=cache_key)
+        return replace(solve_response(design, settings, progress, cached=True), cache_key=cache_key)
 
     response, path, reused = kept("response.nc", cache_key, make, read_response, write_response)
     return replace(response, design=design), path, reused
-
-
-def _solved(design: SensorDesign, settings: ResponseSettings, progress: Callable[[str], None]) -> ArrayResponse:
-    """Response of a sensor, with the cells, and the displacements under conduction, from the cache."""
-    if not design.electrics.is_conduction:
-        return solve_response(design, settings, progress, cached=True)
-    moved, _, _ = array_response(replace(design, electrics=Electrics()), settings, progress)
-    return _with_conduction(replace(moved, design=design), progress)
-
-
-def _with_conduction(moved: ArrayResponse, progress: Callable[[str], None]) -> ArrayResponse:
-    start = perf_counter()
-    conducted = conducted_pillars(moved.design, moved.influence_mm_per_n, progress)
-    return replace(moved, conducted=conducted, seconds=moved.seconds | {"conduct": perf_counter() - start})
-
-
-def _require_cells(design: SensorDesign, settings: ResponseSettings) -> None:
-    if settings.method != "cells":
-        raise DesignError(
-            f"method '{settings.method}' gives electrodes alone, conduction needs the strain in the pillars: take "
-            "'cells', the default, or write model = 'eq1' in [electrics]."
-        )
 
 
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
@@ -99,13 +74,22 @@ def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
 
 
-def _require_linear(design: SensorDesign) -> None:
-    model = design.matrix_material.model
+def _checked(design: SensorDesign, settings: ResponseSettings | None) -> ResponseSettings:
+    """The settings that a design is solved with; a `DesignError` where there is no such answer."""
+    settings, model = (settings or ResponseSettings()).suited(design), design.matrix_material.model
     if model != "linear":
         raise DesignError(
             f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
             "materials, or solve it as a scene."
         )
+    if settings.method != "cells" and design.electrics.is_conduction:
+        raise DesignError(
+            f"method '{settings.method}' gives electrodes alone, conduction needs the strain in the pillars: take "
+            "'cells', the default, or write model = 'eq1' in [electrics]."
+        )
+    if settings.method != "cells" and design.pad.kind == "stiff":
+        raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
+    return settings
 
 
 def solve_response(
@@ -116,18 +100,17 @@ def solve_response(
 ) -> ArrayResponse:
     """Response of a sensor, computed anew. Parameters and errors as in `array_response`.
 
-    With `cached` a condensed cell may come from the cache, and is left there: arrays of another size are made of it.
+    With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
+    arrays of another size are made of the cell.
     """
-    _require_linear(design)
-    settings = (settings or ResponseSettings()).suited(design)
-    if settings.method != "cells" and design.pad.kind == "stiff":
-        raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
+    settings = _checked(design, settings)
     if design.electrics.is_conduction:
-        _require_cells(design, settings)
-        return _with_conduction(
-            replace(solve_response(replace(design, electrics=Electrics()), settings, progress, cached), design=design),
-            progress,
-        )
+        plain = replace(design, electrics=Electrics())
+        solve = (lambda *asked: array_response(*asked)[0]) if cached else solve_response
+        moved, start = solve(plain, settings, progress), perf_counter()
+        conducted = conducted_pillars(design, moved.influence_mm_per_n, progress)
+        seconds = moved.seconds | {"conduct": perf_counter() - start}
+        return replace(moved, design=design, conducted=conducted, seconds=seconds)
     if settings.method == "layer":
         return layer_response(design)
     return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)

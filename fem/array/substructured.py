@@ -16,9 +16,8 @@ import numpy as np
 from fem.array.cell import CondensedCell, PortModes
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import condensed_cell, functionals, pad_plate
+from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.response import ArrayResponse
-from fem.levels import richardson_factor
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -55,28 +54,22 @@ def read_refined(path: Path) -> RefinedCell:
     return RefinedCell(cell=cell, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
 
 
-VERSION = 3  #: raise when the same design gives another refined cell, so that cached ones are not reused
+VERSION = 4  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
-    "soft": ((1, 2, 6), (1, 3, 7), (2, 4, 8), (3, 6, 9)),
+    "soft": ((1, 2, 6), (2, 3, 7), (3, 4, 8), (4, 6, 9)),
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
-#: the same for meshes, whose levels divide the usual edges
-MESH_STAGES = ((0.8, 1.0, 4), (1.0, 1.4, 5), (1.4, 2.0, 6))
+#: the same for tetrahedra, whose levels count refinements
+MESH_STAGES = ((0, 1, 5), (0, 2, 6), (1, 3, 7), (1, 3, 8), (2, 4, 9))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
-COARSE_MESH = 2e-2  #: tolerance above which meshes begin with stage 1
-#: slowest convergence of grids as level^(−rate), 2.5 to 4 being measured, and of meshes (pads of 8 to 14 mm, pitches of
-#: 12 to 20 mm, ν from 0.3 to 0.499, heights of 6 to 14 mm). Levels 2 and 3 of soft pads may lie on either side of the
-#: limit, so that theirs are farther apart and not extrapolated
-RATE = {"grid": 2.5, "mesh": 2.0}
-#: fraction of the extrapolation's step kept as the error estimate of stiff pads, whose edges make convergence steady:
-#: 0.05 to 0.41 was left between levels 2 and 3 of the same cells
-EXTRAPOLATION_ERROR = 0.41
-COMPARED_DEGREE = 5  #: of the ports with which levels are compared, at most: the coarsest grid knows no more
-#: fraction of the last port-degree increment kept as the error estimate; times 1.2 height / pitch where that is above
-#: 1, because polynomials up a tall side converge slowly (checked against scenes of the whole slab)
-PORT_ERROR = 0.7
+MESH_LIMITS = (2e-2, 7e-3, 4e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
+#: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times
+#: the error of 24 designs (pitches of 10 to 20 mm, heights of 6 to 20 mm, pads of 6.5 to 15.5 mm, ν from 0.3 to 0.499)
+EXTRAPOLATION_ERROR = {"soft": 0.6, "stiff": 0.41}
+COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarsest grid knows no more
+MESH_PORTS = 1.5  #: what the highest degree of the ports leaves, over what it changed, with pillars of another rubber
 
 
 TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
@@ -170,12 +163,11 @@ def refined_cell(
         def answer(cell: CondensedCell) -> FloatArray:
             return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
 
+        source = DesignCell(design, functionals(design), pad_plate(design))
         for stage in cell_stages(design, tolerance):
             coarse, fine, degree = stage
             progress(f"cell, level {fine:g}")
-            cell, _, (of_levels, of_ports) = cell_of_stage(
-                design, stage, functionals(design), pad_plate(design), answer, block_error, spent
-            )
+            cell, _, (of_levels, of_ports) = cell_of_stage(source, stage, answer, block_error, spent)
             estimate = of_levels + of_ports
             steps.append(
                 f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
@@ -191,23 +183,21 @@ def refined_cell(
     return kept("cell.npz", cell_cache_key(design, tolerance), make, read_refined, write_refined)[0]
 
 
-Stage = tuple[float, float, int]  #: coarse and fine level, and the degree of the ports
+Stage = tuple[int, int, int]  #: coarse and fine level, and the degree of the ports
 
 
 def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
     """The stages of a cell's grids or meshes to try for a tolerance."""
     if not design.is_homogeneous:
-        return MESH_STAGES if tolerance >= COARSE_MESH else MESH_STAGES[1:]
+        return MESH_STAGES[sum(tolerance < limit for limit in MESH_LIMITS) :]
     first = 0 if tolerance >= COARSE else 1
     stages = GRID_STAGES[design.pad.kind]
     return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
 def cell_of_stage(
-    design: SensorDesign,
+    source: DesignCell,
     stage: Stage,
-    rectangles: FloatArray,
-    plate: FloatArray | None,
     answer: Callable[[CondensedCell], Answer],
     difference: Callable[[Answer, Answer], float],
     seconds: dict[str, float],
@@ -216,8 +206,8 @@ def cell_of_stage(
 
     Parameters
     ----------
-    design, rectangles, plate
-        As of `meshed.condensed_cell`.
+    source : DesignCell
+    stage : (coarse level, fine level, degree of the ports)
     answer : function
         What is asked of an array of cells.
     difference : function
@@ -227,30 +217,27 @@ def cell_of_stage(
 
     Notes
     -----
-    Cells under stiff pads get a Richardson extrapolation, and a fraction of its step is their error. Others' is what
-    the difference of the levels means at the slowest rate. The ports' is a fraction of what their highest degree
-    changed.
+    Cells of boxes get a Richardson extrapolation, and a fraction of its step is their error. Meshes' is what the
+    difference of the levels means at their rate. The ports' is what their highest degree changed.
     """
     coarse, fine, degree = stage
-    extrapolates = design.is_homogeneous and design.pad.kind == "stiff"
-    compared = degree if extrapolates else min(degree, COMPARED_DEGREE)
-    start = perf_counter()
-    one, meshed_one = condensed_cell(design, coarse, compared, rectangles, plate)
-    two, meshed_two = condensed_cell(design, fine, degree, rectangles, plate)
-    condensed = perf_counter()
-    factor = richardson_factor(coarse, fine, RATE["grid" if design.is_homogeneous else "mesh"])
-    cell = two.extrapolated(one, factor) if extrapolates else two
-    if not cell.is_definite:  # the coarse level may not know the highest modes
+    design = source.design
+    start, meshed_before = perf_counter(), source.meshing_s
+    one, two = source.condensed(coarse, COMPARED_DEGREE), source.condensed(fine, degree)
+    condensed, meshing = perf_counter(), source.meshing_s - meshed_before
+    factor = source.error_factor(coarse, fine)
+    cell = two.extrapolated(one, factor) if design.is_homogeneous else two
+    if not cell.is_definite:
         cell = two
     found = answer(cell)
-    if cell is not two:
-        of_levels = EXTRAPOLATION_ERROR * difference(answer(two), found)
-    else:
-        best = found if compared == degree else answer(two.of_degree(compared))
-        of_levels = factor * difference(answer(one), best)
-    slenderness = max(1.0, 1.2 * design.unit.height_mm / design.array.pitch_mm)
-    of_ports = PORT_ERROR * slenderness * difference(answer(cell.of_degree(degree - 1)), found)
-    meshing = meshed_one + meshed_two
+    if cell is two:
+        of_levels = factor * difference(answer(one), answer(two.of_degree(COMPARED_DEGREE)))
+    else:  # which the extrapolation changes in these degrees alone
+        low = (answer(each.of_degree(COMPARED_DEGREE)) for each in (two, cell))
+        of_levels = EXTRAPOLATION_ERROR[design.pad.kind] * difference(*low)
+    of_ports = difference(answer(cell.of_degree(degree - 1)), found)
+    if not design.is_homogeneous:
+        of_ports *= MESH_PORTS
     spent = {"mesh": meshing, "condense": condensed - start - meshing, "couple": perf_counter() - condensed}
     for name, own_seconds in spent.items():
         seconds[name] = seconds.get(name, 0.0) + own_seconds

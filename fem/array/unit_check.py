@@ -19,7 +19,7 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.patch import patch_means
-from fem.tetrahedra.plate import Plate, tied
+from fem.tetrahedra.plate import bonded
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -130,11 +130,8 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     # one component of the displacement, for means over rectangles: component i of its node n is unknown n·3 + i
     component = Basis(tets, ElementTetP2(), intorder=2)
     pads, electrodes = (patch_means(component, squares(design)) for squares in (pad_squares, electrode_squares))
-    plates = []
-    for square in pad_squares(design) if design.pad.kind == "stiff" else ():
-        bonded, motions = Plate(square, design.unit.height_mm).followers(free, component.doflocs)
-        plates.append((np.searchsorted(free, bonded), motions))
-    T = tied(K.shape[0], plates)
+    plates = pad_squares(design) if design.pad.kind == "stiff" else np.empty((0, 4))
+    T = bonded(K.shape[0], free, component.doflocs.T, plates)
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
     x, residual = checked_solve(Factor(K), T.T @ f)

@@ -12,8 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
-from fem.conduction.hexahedra import Hexahedra
-from fem.conduction.unit_mesh import unit_hexahedra
+from fem.conduction.meshes import Hexahedra, unit_hexahedra
 from fem.factor import Factor, checked_solve
 from geometry.design import Unit
 from geometry.layout import FloatArray
@@ -24,9 +23,20 @@ Deformation = Callable[[FloatArray], FloatArray]
 MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit at rest
 #: the same where strain varies across the pillars, or electrodes are narrower than these and have edges on all sides
 MESHES_ACROSS = ((2, 1), (3, 2))
-#: of the difference of both, added to the finer one's and taken as its error: at rest 0.13 to 0.19 by meshes of order 4
-#: and 5; 0.10 to 0.15 for `MESHES_ACROSS`
-EXTRAPOLATED = 0.16
+#: of the difference of both, what is added to the finer one's and what is taken for the error that this leaves: at rest
+#: the limit by meshes of order 4 and 5 lies 0.13 to 0.19 beyond the finer one; 0.10 to 0.15 for `MESHES_ACROSS`
+EXTRAPOLATED = (0.16, 0.16)
+NARROW = (0.5, 0.2)  #: the same of electrodes narrower than pillars: it lies 0.32 to 0.68 beyond
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AtRest:
+    """A conductor without deformation, the potentials in it for 1 on each of n terminals and 0 on the others."""
+
+    stiffness: sp.csr_matrix  #: of the unknowns
+    potentials: FloatArray  #: (n_unknowns, n)
+    gradients: FloatArray  #: at the mesh's points, (n_points, 3, n) [1/mm]
+    matrix: FloatArray  #: conductances times the resistivity, (n, n) [mm]
 
 
 class Conductor:
@@ -50,16 +60,16 @@ class Conductor:
         return (T.T @ sp.csr_matrix((K.ravel(), (self._rows, self._cols)), shape=(nodes, nodes)) @ T).tocsr()
 
     @cached_property
-    def _held(self) -> FloatArray:
+    def _on_terminals(self) -> FloatArray:
         """Unknowns on each terminal as columns of 0 and 1, (n_unknowns, n_terminals)."""
-        held = np.zeros((len(self.mesh.nodes_mm), len(self.mesh.terminals)))
+        one = np.zeros((len(self.mesh.nodes_mm), len(self.mesh.terminals)))
         for column, nodes in enumerate(self.mesh.terminals):
-            held[nodes, column] = 1.0
-        return np.asarray(self.mesh.constraint.T @ held > 0.5, dtype=np.float64)
+            one[nodes, column] = 1.0
+        return np.asarray(self.mesh.constraint.T @ one > 0.5, dtype=np.float64)
 
     def potentials(self, stiffness: sp.csr_matrix) -> FloatArray:
         """Unknowns (n_unknowns, n_terminals) of potential 1 on each terminal and 0 on the others."""
-        phi = self._held.copy()
+        phi = self._on_terminals.copy()
         free = np.flatnonzero(~phi.any(axis=1))
         rows = stiffness[free]
         K = rows[:, free].tocsr()
@@ -71,11 +81,18 @@ class Conductor:
         self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
     ) -> FloatArray:
         """Conductances between the terminals times the resistivity at rest, shape (n, n) [mm]; see `Conductances`."""
-        points = self.mesh.points_mm
-        F = np.broadcast_to(np.eye(3), (len(points), 3, 3)) if deformation is None else deformation(points)
-        K = self.stiffness(pulled_back(F, piezoresistivity))
+        if deformation is None:
+            return self.at_rest.matrix
+        K = self.stiffness(pulled_back(deformation(self.mesh.points_mm), piezoresistivity))
         phi = self.potentials(K)
         return np.asarray(phi.T @ (K @ phi))
+
+    @cached_property
+    def at_rest(self) -> "AtRest":
+        """The conductor without deformation."""
+        K = self.stiffness(np.broadcast_to(np.eye(3), (len(self.mesh.points_mm), 3, 3)))
+        phi = self.potentials(K)
+        return AtRest(stiffness=K, potentials=phi, gradients=self.gradients(phi), matrix=phi.T @ (K @ phi))
 
     def gradients(self, potentials: FloatArray) -> FloatArray:
         """∇φ at the mesh's points of potentials (n_unknowns, k), shape (n_points, 3, k) [1/mm]."""
@@ -83,33 +100,6 @@ class Conductor:
         nodal = (self.mesh.constraint @ potentials)[self.mesh.elements]  # (n_elements, n, k)
         found = self.mesh.gradient.reshape(n_elements, -1, n) @ nodal
         return np.asarray(found.reshape(len(self.mesh.points_mm), 3, -1))
-
-
-def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
-    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
-
-    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
-
-    Returns
-    -------
-    array, shape (n_pillars, n_points, 3, 3)
-        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
-    """
-    mesh = conductor.mesh
-    K = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-    phi = conductor.potentials(K)
-    slopes, matrix = conductor.gradients(phi), phi.T @ (K @ phi)
-    piezo = piezoresistivity or Piezoresistivity()
-    derivatives = []
-    for i, j in mesh.pairs:
-        one, other = slopes[..., i], slopes[..., j]
-        dot = (one * other).sum(axis=1)[:, None, None]
-        cross = one[:, :, None] * other[:, None, :]
-        # δσ = (1 − m₁₂) tr g − (1 + (m₁₁ − m₁₂)/2) (g + gᵀ) for g = grad u
-        slope = (1 - piezo.across) * dot * np.eye(3)
-        slope = slope - (1 + (piezo.along - piezo.across) / 2) * (cross + cross.swapaxes(1, 2))
-        derivatives.append(slope * mesh.weight_mm3[:, None, None] / matrix[i, j] ** 2)
-    return np.array(derivatives)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,16 +144,18 @@ def unit_conductances(
 
     Notes
     -----
-    From two meshes, extrapolated; what that adds to a pillar's resistance is the estimate of its error.
+    From two meshes, extrapolated.
     """
     conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
-    matrix = fine + EXTRAPOLATED * (fine - coarse)
-    return Conductances(
-        matrix_mm=matrix,
-        error_estimate=np.abs(pillars_per_mm(matrix, pairs) / pillars_per_mm(fine, pairs) - 1),
-        pairs=pairs,
-    )
+    beyond, left = extrapolation(unit)
+    change = np.abs(pillars_per_mm(coarse, pairs) / pillars_per_mm(fine, pairs) - 1)
+    return Conductances(matrix_mm=fine + beyond * (fine - coarse), error_estimate=left * change, pairs=pairs)
+
+
+def extrapolation(unit: Unit) -> tuple[float, float]:
+    """Of the difference of a unit's meshes: what is added to the finer one's answer, and its error after that."""
+    return NARROW if unit.electrode_mm < unit.pillar_width_mm else EXTRAPOLATED
 
 
 @cache
@@ -172,3 +164,90 @@ def unit_conductors(unit: Unit, strained: bool = False) -> tuple[Conductor, Cond
     meshes = MESHES_ACROSS if strained or unit.electrode_mm < unit.pillar_width_mm else MESHES
     coarse, fine = (Conductor(unit_hexahedra(unit, order, levels, strained)) for order, levels in meshes)
     return coarse, fine
+
+
+def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
+
+    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
+
+    Returns
+    -------
+    array, shape (n_pillars, n_points, 3, 3)
+        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
+    """
+    rest, mesh, piezo = conductor.at_rest, conductor.mesh, piezoresistivity or Piezoresistivity()
+    derivatives = []
+    for i, j in mesh.pairs:
+        one, other = rest.gradients[..., i], rest.gradients[..., j]
+        dot = (one * other).sum(axis=1)[:, None, None]
+        cross = one[:, :, None] * other[:, None, :]
+        # δσ = (1 − m₁₂) tr g − (1 + (m₁₁ − m₁₂)/2) (g + gᵀ) for g = grad u
+        slope = (1 - piezo.across) * dot * np.eye(3)
+        slope = slope - (1 + (piezo.along - piezo.across) / 2) * (cross + cross.swapaxes(1, 2))
+        derivatives.append(slope * mesh.weight_mm3[:, None, None] / rest.matrix[i, j] ** 2)
+    return np.array(derivatives)
+
+
+def second_derivatives(
+    conductor: Conductor, gradient: FloatArray, piezoresistivity: Piezoresistivity | None = None
+) -> FloatArray:
+    """Second-order part of conductances, relative: −Gᵢⱼ of a pillar is that at rest times 1 + r·a + aᵀ S a.
+
+    Parameters
+    ----------
+    conductor : Conductor
+        The pillars of a unit.
+    gradient : array, shape (n_points, 3, 3, m)
+        ∂uₐ/∂X_b of m displacements at the mesh's points; a are their amplitudes.
+    piezoresistivity : Piezoresistivity, optional
+
+    Returns
+    -------
+    array, shape (n_pillars, m, m)
+        S of each pillar, symmetric.
+
+    Notes
+    -----
+    With H the gradient, C = (1 + H)ᵀ(1 + H) and σ = (1 + tr H) [(1 + m₁₂ tr E) C + (m₁₁ − m₁₂) C E]⁻¹ = 1 + σ₁ + σ₂:
+    the volume changes by div u as in linear elasticity, not by det(1 + H), whose second-order part no rubber has.
+    G₂ = ∫ ∇φᵢ·σ₂∇φⱼ − r(φᵢ)ᵀ K⁻¹ r(φⱼ) with r(φ) the residual of σ₁ ∇φ and K that of the potentials between the
+    terminals.
+    """
+    piezo = piezoresistivity or Piezoresistivity()
+    q, difference = piezo.across, piezo.along - piezo.across
+    p = 1 + difference / 2
+    mesh, m = conductor.mesh, gradient.shape[3]
+    rest = conductor.at_rest
+    phi, slopes, weight = rest.potentials, rest.gradients, mesh.weight_mm3
+    free = np.flatnonzero(~((phi == 0) | (phi == 1)).all(axis=1))
+    S, tau = gradient + gradient.swapaxes(1, 2), np.trace(gradient, axis1=1, axis2=2)  # (n, 3, 3, m), (n, m)
+    stretched = [np.einsum("nabm,nb->nam", S, slope) for slope in np.moveaxis(slopes, -1, 0)]
+    turned = [np.einsum("nabm,nb->nam", gradient, slope) for slope in np.moveaxis(slopes, -1, 0)]
+    n_elements, n = mesh.elements.shape
+    gather = sp.csr_matrix((np.ones(mesh.elements.size), (mesh.elements.ravel(), np.arange(mesh.elements.size))))
+    gather = (mesh.constraint.T @ gather)[free]
+    by_element = mesh.gradient.reshape(n_elements, -1, n).swapaxes(1, 2)
+
+    def residual(t: int) -> FloatArray:
+        flux = weight[:, None, None] * ((1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t])
+        return np.asarray(gather @ (by_element @ flux.reshape(n_elements, -1, m)).reshape(-1, m))
+
+    residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
+    inner = rest.stiffness[free][:, free].tocsr()
+    solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
+    answers = np.hsplit(solved, n_first)  # of the pillars' first ends
+    found = []
+    for i, j in mesh.pairs:
+        dot = weight * (slopes[..., i] * slopes[..., j]).sum(axis=1)
+        across = np.einsum("na,nam->nm", slopes[..., i], stretched[j])
+
+        def product(one: FloatArray, other: FloatArray, w: FloatArray) -> FloatArray:
+            return (one * w.reshape(-1, *[1] * (one.ndim - 1))).reshape(-1, m).T @ other.reshape(-1, m)
+
+        G = -p * product(turned[i], turned[j], weight) - q / 2 * product(gradient, gradient, dot)
+        G += (p**2 - difference / 2) * product(stretched[i], stretched[j], weight)
+        G += (2 * p * q - q - p) * product(tau, across, weight) + (q**2 - q) * product(tau, tau, dot)
+        G -= answers[i].T @ residuals[j]
+        found.append((G + G.T) / 2 / rest.matrix[i, j])
+    return np.array(found)

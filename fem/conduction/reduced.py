@@ -13,8 +13,8 @@ from numpy.polynomial import legendre
 
 from fem.boxes.lagrange import gauss_points
 from fem.conduction.conductivity import Piezoresistivity, pulled_back
+from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, unit_conductances
-from fem.conduction.unit_mesh import unit_hexahedra
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections
 
@@ -73,14 +73,13 @@ def reduced_conduction(unit: Unit) -> ReducedConduction:
     pillar, local = _places(unit, mesh.points_mm)
     points = _points(unit)
     to_points = _interpolation(local)
-    rest = conductor.stiffness(np.broadcast_to(np.eye(3), (len(mesh.points_mm), 3, 3)))
-    at_rest = conductor.potentials(rest)[:, :-1]
+    at_rest = conductor.at_rest.potentials[:, :-1]
     changes = []
     for number in range(SNAPSHOTS):
         F = random_deformation(np.random.default_rng(number), pillar, local)
         changes.append(conductor.potentials(conductor.stiffness(pulled_back(F)))[:, :-1] - at_rest)
     snapshots = np.hstack(changes)
-    energies, modes = np.linalg.eigh(snapshots.T @ (rest @ snapshots))
+    energies, modes = np.linalg.eigh(snapshots.T @ (conductor.at_rest.stiffness @ snapshots))
     missing = np.cumsum(energies) / energies.sum()
     kept = missing > DROPPED
     basis = np.hstack([at_rest, snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])

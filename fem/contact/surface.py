@@ -19,12 +19,11 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL
-from fem.array.meshed import TetCell, condensed_cell, elastic_body, lone_unit
+from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
+from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
-from geometry.mesh import sensor_mesh, suited_settings
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
@@ -148,12 +147,12 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     size = pitch / tiles
     rectangles = np.vstack([np.stack([x0, y0, x0 + size, y0 + size], axis=1), electrode_squares(alone)])
     if design.is_homogeneous:
-        cell, _ = condensed_cell(design, GRID_LEVEL, GRID_DEGREE, rectangles)
+        cell = DesignCell(design, rectangles).condensed(GRID_LEVEL, GRID_DEGREE)
         return cell, cell
-    mesh, _, _ = sensor_mesh(alone, suited_settings(design).finer(MESH_LEVEL))
-    own, _ = condensed_cell(design, MESH_LEVEL, MESH_DEGREE, rectangles)
-    matrix = replace(alone, pillar_material=design.matrix_material)
-    return own, condense(TetCell(elastic_body(matrix, mesh)), own.ports, rectangles)
+    source = DesignCell(design, rectangles)
+    own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
+    matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
+    return own, condense(TetCell(matrix), own.ports, rectangles)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:

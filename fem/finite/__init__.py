@@ -2,6 +2,6 @@
 
 In: a scene, or a design and the forces on its pads. Out: displacements with an estimate of their error (`solving.py`:
 open it first), or those of thousands of samples (`samples.py`). In the order of the data: `newton.py` (the
-solution of a `fem.system.System`, step by step), `series.py` (the response as a power series in the load),
-`relaxation.py` (many samples by one tangent), `preloads.py` (both for an array on one grid).
+equilibrium of boxes, or of `tetrahedra.py`), `series.py` (the response as a power series in the load), `relaxation.py`
+(many samples by one tangent), `preloads.py` (both for an array on one grid).
 """

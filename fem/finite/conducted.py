@@ -1,17 +1,32 @@
 """Resistances of an array's pillars by conduction, in states of one of its grids."""
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.boxes.boxes import Boxes
 from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import pillars_per_mm
 from fem.conduction.reduced import ACROSS, ALONG, reduced_conduction
-from fem.finite.gradients import PointGradients
 from fem.finite.preloads import PreloadedArray
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
+
+
+class PointGradients:
+    """Deformation gradients at fixed points (n, 3) of boxes; those outside are taken for the nearest ones inside."""
+
+    def __init__(self, boxes: Boxes, points_mm: FloatArray) -> None:
+        self.n_points, self._slopes = len(points_mm), boxes.slopes(points_mm)
+
+    def of(self, displacement_mm: FloatArray) -> FloatArray:
+        """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm]; add 1 for F = ∂x/∂X."""
+        m = len(displacement_mm)
+        columns = displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
+        found = (self._slopes @ columns).reshape(3, self.n_points, m, 3)
+        return np.ascontiguousarray(found.transpose(2, 1, 3, 0))
 
 
 class PillarReader:
@@ -25,9 +40,9 @@ class PillarReader:
         self._points = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
         self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
 
-    def gradients_on(self, array: PreloadedArray) -> PointGradients:
-        """Displacement gradients at the points that this reader needs, from the nodes of an array's grid."""
-        return PointGradients(array.body.boxes, self._points)
+    def slopes_on(self, array: PreloadedArray) -> sp.csr_matrix:
+        """Rows that take the nodes of an array's grid to slopes at this reader's points, see `Boxes.slopes`."""
+        return array.body.boxes.slopes(self._points)
 
     def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances over eq. 1's.
@@ -35,7 +50,7 @@ class PillarReader:
         Parameters
         ----------
         gradient : array, shape (m, k·n, 3, 3)
-            ∂u/∂X of m states, as `gradients_on` gives them.
+            ∂u/∂X of m states at this reader's points, see `gradients`.
         electrode_mm : array, shape (m, k, n_upper, 3)
             Displacements of the same states, for eq. 1.
 
@@ -57,6 +72,13 @@ class PillarReader:
         per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
         ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
         return ratios, good
+
+
+def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
+    """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm] by `Boxes.slopes` (3 n, n_nodes)."""
+    m = len(displacement_mm)
+    found = slopes @ displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
+    return np.ascontiguousarray(found.reshape(3, -1, m, 3).transpose(2, 1, 3, 0))
 
 
 def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -3,22 +3,21 @@
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
 tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
 many iterations, because an iterate whose volume is off by a percent has a pressure off by λ / 100. A state whose
-tangent has an eigenvalue below 0 is unstable, and is not taken; but modes within the few elements that a singular edge
-squeezes below a fifth of their volume are taken for the mesh's own, and are let be. That is argued, not proven: there
-the discrete rubber is far from the continuous one, and a fold of the true surface at the edge would be let be as well.
+tangent has an eigenvalue below 0 is unstable, and is not taken.
 
 No change takes more than a part of an element's volume: J → 0 at the edges of plates, where W grows like −ln J, and
-Newton's method on a logarithm converges from the steep side only.
+Newton's method on a logarithm converges from the steep side only. The few elements that such an edge squeezes come to
+rest by themselves before each step, or the whole body would wait for them.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fem.factor import Factor, FactorMemoryError, SolverError
-from fem.mirrors import parities
-from fem.scene.loads import FollowerLoad
+from fem.finite.tetrahedra import TetrahedralSystem
+from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import Misfit, State, System
 from geometry.layout import FloatArray
 
@@ -28,11 +27,15 @@ MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 32  #: of the load, before it is refused
 KEPT_VOLUME = 0.2  #: of every Gauss point's volume, at least, that a change leaves
 DAMPING, DAMPINGS = 0.6, 12  #: factor of a change that leaves less, and how often
-SQUEEZED = 0.2  #: least J below which an element's own modes do not count; a choice, and `is_stable` is then None
+SQUEEZED = 0.2  #: least J below which elements come to rest by themselves before each iteration
+RESTS, RESTED = 25, 1e-6  #: iterations of these, and the unbalanced forces they leave, of the loads
+STIFFENINGS = (0.05, 0.2, 0.8, 1.0)  #: shares of the negative eigenvalues of their moduli that are left out, if need be
+
+Equations = System | TetrahedralSystem
 
 
 class UnreachableLoadError(SolverError):
-    """A load at which no equilibrium was found, or an unstable one only."""
+    """A load at which no equilibrium was found, or an unstable one only: of the body, not of an edge's elements."""
 
     def __init__(self, message: str, is_unstable: bool) -> None:
         super().__init__(message)
@@ -50,10 +53,8 @@ class Equilibrium:
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
-    #: True if the last tangent is definite; None where nothing counts its eigenvalues (pressures, moments, no PARDISO),
-    #: or where modes of squeezed elements were left out of the judgement: `stability` says which
+    #: True if its tangent is definite; None where nothing counts eigenvalues: pressures, moments, no PARDISO
     is_stable: bool | None = None
-    stability: str = ""  #: what is to be said where `is_stable` is None
 
     @property
     def energy_imbalance(self) -> float:
@@ -77,12 +78,12 @@ class _Path:
         return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(system: System, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
+def find_equilibrium(system: Equations, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
     """Load a body from rest to its full loads.
 
     Parameters
     ----------
-    system : System
+    system : System or TetrahedralSystem
     factor : Factor, optional
         Of the system's tangents, to use again; it is left with the last tangent.
     first_step : float
@@ -97,8 +98,7 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
     state, share, step = system.rest(), 0.0, first_step
     path = _Path()
     iterations = steps = 0
-    worst: _Tried | None = None
-    misfit = system.misfit(state, 0.0)
+    tried: _Tried | None = None
     if system.misfit(state, 1.0).size == 0.0:
         return Equilibrium(
             state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, is_stable=True
@@ -108,25 +108,25 @@ def find_equilibrium(system: System, factor: Factor | None = None, first_step: f
         tried = _equilibrium_at(system, factor, state, share + step, path)
         iterations += tried.iterations
         if not tried.converged:
-            worst = tried
             step /= 2
             if step < MIN_STEP:
-                raise _refusal(system, share, worst)
+                raise _refusal(system, share, tried)
             continue
-        share, state, misfit = share + step, tried.state, tried.misfit
+        share, state = share + step, tried.state
         path.share.append(share)
-        path.value.append(_own_displacement(system, state))
+        path.value.append(system.own_displacement(state))
         path.slope.append(_slope(system, factor, state))
         steps, step = steps + 1, 2 * step
+    assert tried is not None  # the load is not 0
     return Equilibrium(
         state=state,
-        residual=misfit.residual,
-        least_j=misfit.least_j,
+        residual=tried.misfit.residual,
+        least_j=tried.misfit.least_j,
         iterations=iterations,
         steps=steps,
-        stored_mj=system.body.energy_mj(state.u),
+        stored_mj=system.stored_mj(state),
         work_mj=path.work() if system.symmetric else np.nan,
-        **_judgement(system, factor, misfit),
+        is_stable=tried.is_stable,
     )
 
 
@@ -135,95 +135,118 @@ class _Tried:
     state: State
     misfit: Misfit
     iterations: int
-    converged: bool
+    is_stable: bool | None  #: of an equilibrium
+
+    @property
+    def converged(self) -> bool:
+        return self.misfit.residual <= RESIDUAL and self.is_stable is not False
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
+def _equilibrium_at(system: Equations, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
     start = misfit.residual
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS + 1):
+        squeezed = system.volume_ratios(state).min(axis=1) < SQUEEZED
+        if isinstance(system, System) and system.is_separable and squeezed.any():
+            state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
+            misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, not iteration or _is_stable(system, factor, state, share, misfit))
-        if not misfit.residual <= MAX_GROWTH * max(start, 1.0):
-            return _Tried(state, misfit, iteration, False)
+            return _Tried(state, misfit, iteration, system.is_stable(state, share, misfit))
+        if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
+            break
         try:
-            blocks, parts = system.tangent(state, share, misfit.reactions)
-            factor.factor(system.matrix(blocks))
+            stepped = _stepped(system, factor, state, share, misfit, squeezed)
         except FactorMemoryError:
             raise
         except SolverError:
-            return _Tried(state, misfit, iteration, False)
-        change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
+            break
         if not path.slope:
             path.slope.append(_slope(system, factor, state))
-        nodal = system.nodal_change(state.rotation, change)
-        pressures = misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
-        least = KEPT_VOLUME * system.body.strain(state.u[None]).J
-        for damping in DAMPING ** np.arange(DAMPINGS):
-            trial = system.moved(state, change * damping, pressures * damping)
-            if (least <= system.body.strain(trial.u[None]).J).all():
-                break
-        state, misfit = trial, system.misfit(trial, share)
-    converged = misfit.residual <= RESIDUAL and _is_stable(system, factor, state, share, misfit)
-    return _Tried(state, misfit, MAX_ITERATIONS, converged)
+        if stepped is None:
+            break
+        state, misfit = stepped, system.misfit(stepped, share)
+    return _Tried(state, misfit, iteration, None)
 
 
-def _is_stable(system: System, factor: Factor, state: State, share: float, misfit: Misfit) -> bool:
-    """Whether no mode beyond squeezed elements is unstable; True if the solver does not count, as of pressures.
+def _stepped(
+    system: Equations, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+) -> State | None:
+    """The state after one step of Newton's method, no longer than volumes allow.
 
-    Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
+    Where the tangent is indefinite, squeezed elements are stiffened until it is definite, and the potential energy must
+    fall: Newton's method would go to a saddle. None if that does not help.
     """
-    if factor.n_negative is None:
-        return True
-    squeezed = system.body.strain(state.u[None]).J[0].min(axis=1) < SQUEEZED
-    every = parities(tuple(replace(mirror, parities=(1, -1)) for mirror in system.mirrors))
-    blocks, judge = None, system.new_factor()
-    for parity in every if factor.n_negative else every[1:]:
-        blocks = system.tangent(state, share, misfit.reactions, squeezed)[0] if blocks is None else blocks
-        judge.factor(system.matrix(blocks, parity))
-        if judge.n_negative:
-            return False
-    return True
+    for stiffening in (0.0, *STIFFENINGS):
+        parts = system.linearise(factor, state, share, misfit, (squeezed, stiffening))
+        if not system.unstable_modes(factor) or not squeezed.any():
+            break
+    else:
+        return None
+    change, pressures = system.newton_change(factor, parts, state, misfit)
+    least = KEPT_VOLUME * system.volume_ratios(state)
+    for damping in DAMPING ** np.arange(DAMPINGS):
+        trial = system.moved(state, change * damping, pressures * damping)
+        kept = (least <= system.volume_ratios(trial)).all()
+        if kept and (not stiffening or _potential_mj(system, trial, share) <= _potential_mj(system, state, share)):
+            break
+    return trial
 
 
-def _judgement(system: System, factor: Factor, misfit: Misfit) -> dict[str, Any]:
-    """`is_stable` and `stability` of a state that was taken."""
-    if factor.n_negative is None:
-        return {"is_stable": None, "stability": "stability not checked"}
-    # other parities are judged without the modes of squeezed elements, so what these are there is not known
-    if factor.n_negative or (system.mirrors and misfit.least_j < SQUEEZED):
-        return {"is_stable": None, "stability": f"stable but for modes within elements of J < {SQUEEZED:g}, not judged"}
-    return {"is_stable": True}
+def _potential_mj(system: Equations, state: State, share: float) -> float:
+    """Stored energy less the work of the loads."""
+    return system.stored_mj(state) - share * system.own_displacement(state)
 
 
-def _own_displacement(system: System, state: State) -> float:
-    """f · u of the full loads that have a potential [mJ]."""
-    return float((system.dead * state.u).sum() + (system.force_n * state.shift).sum())
+def _with_rested(system: System, state: State, share: float, squeezed: NDArray[np.bool_], unbalanced_n: float) -> State:
+    """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
+
+    They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
+    Comput. 33 (2011) 746).
+    """
+    part, elements, nodes = system.around(squeezed)
+    own = replace(part.rest(), u=state.u[nodes], p=state.p[elements])
+    factor, every = part.new_factor(), np.ones(len(elements), dtype=bool)
+    sizes = []
+    for _ in range(RESTS + 1):
+        misfit = part.misfit(own, share)
+        sizes.append(float(np.linalg.norm(misfit.unbalanced)))
+        if sizes[-1] <= unbalanced_n or len(sizes) > RESTS:
+            break
+        stepped = _stepped(part, factor, own, share, misfit, every)
+        if stepped is None:
+            break
+        own = stepped
+    if not sizes[-1] < sizes[0]:
+        return state
+    u, p = state.u.copy(), state.p.copy()
+    u[nodes], p[elements] = own.u, own.p
+    return replace(state, u=u, p=p)
 
 
-def _slope(system: System, factor: Factor, state: State) -> float:
+def _slope(system: Equations, factor: Factor, state: State) -> float:
     """d(f · u) / d(share) by the last tangent."""
     loads = system.loads_on(state, 1.0).reshape(-1, 1)
     return float((loads * factor.solve(loads)).sum())
 
 
-def _refusal(system: System, share: float, worst: "_Tried") -> UnreachableLoadError:
-    least, element = system.body.least_j(worst.state.u)
+def _refusal(system: Equations, share: float, worst: _Tried) -> UnreachableLoadError:
+    j = system.volume_ratios(worst.state).min(axis=1)
+    least, element = float(j.min()), int(j.argmin())
     x, y, z = system.body.centres_mm[element]
     mend = "bond a stiff plate to the patch, or take a smaller load"
-    if system.plates.count and not system.dead.any() and not len(system.faces.nodes):
+    if all(isinstance(load, StiffLoad) for load in system.loads):
         mend = "take a smaller load or a stiffer rubber"
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
     what = "equilibrium"
-    is_unstable = worst.misfit.residual <= RESIDUAL
-    if is_unstable:
+    is_equilibrium = worst.misfit.residual <= RESIDUAL
+    if is_equilibrium:
         what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
     return UnreachableLoadError(
         f"no {what} above {share:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
         f"gives way (smallest J {least:.2g}): {mend}.",
-        is_unstable,
+        is_unstable=is_equilibrium and least >= SQUEEZED,
     )
 
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.conduction.reduced import REDUCED_ERROR
-from fem.finite.conducted import PillarReader
-from fem.finite.gradients import PointGradients
+from fem.finite.conducted import PillarReader, gradients
 from fem.finite.preloads import Lines, PreloadedArray, Unwanted
 from fem.finite.relaxation import Relaxed
 from geometry.design import SensorDesign
@@ -179,9 +179,9 @@ class SampleSolver:
         size = np.maximum(_norms(moved[on]), 1e-300)
         left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
         if self._reader is not None:
-            on_coarse, on_fine = self._gradients
-            gradient = on_coarse.of(coarse.state.u[on])
-            finer = gradient + on_fine.of(of_grids[1][1]) - on_coarse.of(of_grids[0][1])
+            on_coarse, on_fine = self._slopes
+            gradient = gradients(on_coarse, coarse.state.u[on])
+            finer = gradient + gradients(on_fine, of_grids[1][1]) - gradients(on_coarse, of_grids[0][1])
             electrodes = uncorrected - more.sum(axis=0)
             rough, sound = self._reader.ratios(gradient, electrodes)
             smooth, both = self._reader.ratios(finer, uncorrected)
@@ -191,9 +191,9 @@ class SampleSolver:
         return moved, left, change, coarse.iterations, ratio, ratio_error
 
     @cached_property
-    def _gradients(self) -> tuple[PointGradients, PointGradients]:
+    def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         assert self._reader is not None
-        return self._reader.gradients_on(self.coarse), self._reader.gradients_on(self.fine)
+        return self._reader.slopes_on(self.coarse), self._reader.slopes_on(self.fine)
 
     def _answers(self, array: PreloadedArray, found: Relaxed) -> FloatArray:
         return self._corrected(array, array.electrodes(found.state.shift, found.state.rotation))

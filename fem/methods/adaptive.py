@@ -1,33 +1,19 @@
 """Refine a mesh where the probes need it until they are as accurate as asked."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import psutil
 
 from fem.factor import FactorMemoryError, SolverError
-from fem.field import Field
+from fem.finite.newton import UnreachableLoadError
 from fem.scene.scene import Scene
-from fem.scene.solution import Solution, Stopwatch
+from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual
 MAX_SECONDS = 300.0  #: after which no finer mesh is begun, whatever was foreseen
 MIN_FREE_SHARE = 0.1  #: of the memory, below which none is begun either; factors that would not fit are refused before
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeshAnswer:
-    """Answer on one mesh, and where it errs."""
-
-    probes: FloatArray  #: shape (n_probes, 3) [mm]
-    energy_mj: float
-    residual: float
-    unknowns: int
-    indicators: FloatArray  #: of the error of the probes, by element
-    field: Callable[[], Field]  #: displacement of the whole body
 
 
 class AdaptiveMesh(Protocol):
@@ -63,8 +49,8 @@ def solve_adaptively(
     while True:
         try:
             answer = mesh.solve(watch)
-        except FactorMemoryError as error:
-            if answer is None:
+        except (FactorMemoryError, UnreachableLoadError) as error:
+            if answer is None or getattr(error, "is_unstable", False):  # a finer mesh is right about what buckles
                 raise
             steps.append(f"stopped: {error}")
             break

@@ -14,27 +14,25 @@ from fem.boxes.boxes import Boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
 from fem.field import Field, unfolded
-from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.methods.adaptive import solve_adaptively
 from fem.methods.box_errors import Indicated, estimated_errors, indicators_of_probes, surplus, unit_loads
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import Solution, Stopwatch
+from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 
 ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
-WIDEST = 0.7  #: of the first boxes, relative to the least extent of the body, at a tolerance of 1e-3
-MAX_FIRST = 60  #: first boxes, before any is split, likewise; where there would be more, they are wider
-LOOSER = 0.2  #: power of the tolerance with which the first boxes may be wider and fewer
+MAX_FIRST = 45  #: first boxes, before any is split; where there would be more, they are wider than the body is thin
 ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
 SMALL = 0.2  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
 SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
 NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the shell's
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
-SHARES = 0.3, 0.7  #: least and greatest share of the indicators' sum that is split at once
+SHARES = 0.4, 0.7  #: least and greatest share of the indicators' sum that is split at once
 TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
 AIM = 0.85  #: share of the tolerance at which splitting aims: what it takes varies
 MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
@@ -157,9 +155,8 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
         for axis in range(3)
     ]
-    looser = max(1.0, (scene.tolerance / 1e-3) ** LOOSER)
-    widest = WIDEST * looser * min(scene.height_mm, *scene.outline.section_mm)
-    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST / looser:
+    widest = min(scene.height_mm, *scene.outline.section_mm)
+    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST:
         widest *= 1.25
     lines = [
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
@@ -219,9 +216,7 @@ def _shells(patches: list[Solid], stops: list[FloatArray], widest: float) -> lis
             one, two = low - margin, high + margin * np.array([1.0, 1.0, 0.0])
             for axis in range(3):
                 for end in (one, two):
-                    nearest = stops[axis][np.abs(stops[axis] - end[axis]).argmin()]
-                    if abs(nearest - end[axis]) <= NEAR * margin:
-                        end[axis] = nearest
+                    end[axis] = _nearest(stops[axis], end[axis], NEAR * margin)
             found.append(((one, two), margin))
             margin = max(SHELL_RATIO * margin, side)
     return found
@@ -245,9 +240,7 @@ def _solids(scene: Scene, plan: Plan) -> list[Solid]:
         for load in solids[n_lasting:]:
             within = ON_FACE * (load[1] - load[0])[axis]
             for side in load:
-                nearest = faces[np.argmin(np.abs(faces - side[axis]))]
-                if abs(nearest - side[axis]) <= within:
-                    side[axis] = nearest
+                side[axis] = _nearest(faces, side[axis], within)
     return solids
 
 

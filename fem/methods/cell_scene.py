@@ -6,7 +6,7 @@ import numpy as np
 
 from fem.array.cell import CondensedCell
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import pad_plate
+from fem.array.meshed import DesignCell, pad_plate
 from fem.array.substructured import cell_of_stage, cell_stages
 from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Scene, Sensor
@@ -105,7 +105,7 @@ def solve_by_cells(scene: Scene) -> Solution:
     forces = newtons.reshape(design.n_units, -1, 1)
 
     seconds = {"mesh": 0.0, "condense": 0.0, "couple": 0.0}
-    plate = pad_plate(design)
+    source = DesignCell(design, rectangles, pad_plate(design))
 
     def answer(cell: CondensedCell) -> tuple[dict[str, FloatArray], float, float]:
         """Means of the probes, the energy and the residual."""
@@ -117,7 +117,7 @@ def solve_by_cells(scene: Scene) -> Solution:
     steps: list[str] = []
     for stage in cell_stages(design, scene.tolerance):
         cell, (means, energy, residual), errors = cell_of_stage(
-            design, stage, rectangles, plate, answer, lambda one, other: largest_error(one[0], other[0]), seconds
+            source, stage, answer, lambda one, other: largest_error(one[0], other[0]), seconds
         )
         estimate = sum(errors)
         steps.append(f"cells of level {stage[1]:g}, ports of degree {stage[2]}: estimated error {estimate:.1e}")

@@ -7,18 +7,18 @@ from typing import Literal
 import numpy as np
 
 from fem.methods.cell_scene import has_alike_plates
-from fem.mirrors import Mirror, flipped_points, flipped_rectangles, parities
+from fem.mirrors import Mirror, flipped_points, flipped_rectangles
 from fem.scene.loads import SceneError
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES, FloatArray
 
-Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite"]
+Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite", "finite on tetrahedra"]
 
 #: by method, its elements and why they are used; cells of two rubbers are of tetrahedra
 ELEMENTS = {
-    "boxes": "split hexahedra of order 3 or 4, fine only where the probes need it, factored: whatever contrast, ν, "
-    "shear and slenderness",
+    "boxes": "split hexahedra of order 4, fine only where the probes need it, factored: whatever contrast, ν, shear "
+    "and slenderness",
     "cells": "quadratic hexahedra, they crowd at the edges of plates, two levels extrapolated",
     "finite": "mixed quadratic hexahedra, the pressure linear in each and found there: rubber does not lock",
     "tetrahedra": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
@@ -36,7 +36,7 @@ class Plan:
 
     method: Method
     regions: tuple[Region, ...]  #: prisms inside the body that need a region of their own
-    mirrors: tuple[Mirror, ...]  #: planes of symmetry to be used, at most one per axis
+    mirrors: tuple[Mirror, ...]  #: planes that mirror the body, at most one per axis; those of finite strain, the loads
     lines: tuple[str, ...]  #: for people: name, choice and reason of every decision
 
 
@@ -62,7 +62,8 @@ def make_plan(scene: Scene, *, field: bool = False) -> Plan:
         mirrors, symmetry = _symmetry(scene, regions, even=method == "finite")
         lines.append(f"symmetry: {symmetry}")
     if method != "nothing":
-        lines.append(f"element: {ELEMENTS['tetrahedra' if method == 'cells' and regions else method]}")
+        of_tetrahedra = method == "finite on tetrahedra" or (method == "cells" and regions)
+        lines.append(f"element: {ELEMENTS['tetrahedra' if of_tetrahedra else method]}")
     skipped = f"skipped, {_count(scene.probes, 'probe')} asked for, no picture"
     lines.append(f"field: {'computed, a picture was asked for' if field else skipped}")
     return Plan(method=method, regions=tuple(regions), mirrors=mirrors, lines=tuple(lines))
@@ -82,12 +83,16 @@ def _one_material(scene: Scene, own: list[Region]) -> list[str]:
 
 def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, str]:
     """The method, and what is said of its mesh."""
+    is_sensor = isinstance(scene.body, Sensor)
+    oblique = sum(not prism.is_upright for prism, _ in regions)
+    leaning = f"{oblique} of {_count(regions, 'pillar' if is_sensor else 'inclusion')} of another material lean"
     if scene.is_unloaded and not field:
         return "nothing", "none, nothing loads the body, so nothing moves"
     if not scene.is_linear:
-        loads = ", ".join(sorted({load.kind for load in scene.loads}))
-        return "finite", f"graded hexahedra, finite strain under {loads} loads"
-    is_sensor = isinstance(scene.body, Sensor)
+        loads = f"finite strain under {', '.join(sorted({load.kind for load in scene.loads}))} loads"
+        if oblique or (is_sensor and regions):
+            return "finite on tetrahedra", f"tetrahedra, {loads}, {leaning}"
+        return "finite", f"graded hexahedra, {loads}"
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
     softest = min((rubber.young_mpa for _, rubber in scene.regions), default=np.inf)
     if units > 1 and regions and softest < SOFT * scene.material.young_mpa:
@@ -104,29 +109,24 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, s
         return "cells", "one cell, plates lie on all units alike: one is condensed, its copies are coupled"
     if units > 1 and not scene.stiff_loads and seen_by_means:
         return "cells", f"one cell, {units} equal units: one is meshed and condensed, its copies are coupled"
-    oblique = sum(not prism.is_upright for prism, _ in regions)
     if oblique or (units and regions):
-        what = _count(regions, "pillar" if is_sensor else "inclusion")
-        return "tetrahedra", f"tetrahedra, {oblique} of {what} of another material lean"
+        return "tetrahedra", f"tetrahedra, {leaning}"
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
     return "boxes", f"hexahedra, {boxes}{shape}"
 
 
 def _symmetry(scene: Scene, regions: list[Region], even: bool) -> tuple[tuple[Mirror, ...], str]:
-    """Planes that mirror the body, and what is said of them; if `even`, they mirror the loads, too."""
+    """Planes that mirror the body, if `even` the loads, too; and what is said of those where loads are even, or odd."""
     mirrors = tuple(mirror for axis in (0, 1) if (mirror := _mirror(scene, regions, axis)))
     if not mirrors:
         return (), "none, no middle plane mirrors the body"
-    if even:
-        mirrors = tuple(mirror for mirror in mirrors if mirror.parities == (1,))
-    if not mirrors:
-        return (), "unused, no plane of the body mirrors the loads"
-    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in mirrors)
-    count = len(parities(mirrors))
-    loads = "the loads as well" if count == 1 else f"the loads in {count} even and odd parts where that is cheaper"
-    share = {1: "half", 2: "a quarter"}[len(mirrors)]
-    return mirrors, f"{share} of the body, the body mirrors in {planes} mm, {loads}"
+    used = tuple(mirror for mirror in mirrors if mirror.parities == (1,) or (len(mirror.parities) == 1 and not even))
+    if not used:
+        return (() if even else mirrors), "unused, no plane of the body mirrors the loads"
+    planes = " and ".join(f"{AXES[mirror.axis]} = {mirror.position_mm:g}" for mirror in used)
+    share = {1: "half", 2: "a quarter"}[len(used)]
+    return (used if even else mirrors), f"{share} of the body, the body mirrors in {planes} mm, the loads as well"
 
 
 def _mirror(scene: Scene, regions: list[Region], axis: int) -> Mirror | None:

@@ -11,7 +11,6 @@ from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
 
 LARGE_SHARE = 0.2  #: of a body's least extent: a probe that moves farther has left linear elasticity
-MIN_LINEAR = 3e-3  #: least tolerance of the linear answer that bodies of two rubbers take at finite strain
 
 
 def solve_scene(scene: Scene, *, field: bool = False) -> tuple[Solution, Plan]:
@@ -51,13 +50,10 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
             steps=("nothing loads the body, so nothing was computed",),
         )
     if plan.method == "finite":
-        linear = None
-        if plan.regions:
-            linear = solve_scene(scene.at_small_strain(max(scene.tolerance / 2, MIN_LINEAR)))[0]
-        return solve_finite(scene, linear, plan.mirrors, field)
+        return solve_finite(scene, plan.mirrors, field)
     if plan.method == "cells":
         return solve_by_cells(scene)
-    if plan.method == "tetrahedra":
+    if plan.method in ("tetrahedra", "finite on tetrahedra"):
         return solve_on_tetrahedra(scene, plan, field)
     return solve_on_boxes(scene, plan, field)
 

@@ -1,148 +1,37 @@
-"""Scenes on tetrahedra: one coarse mesh, bisected where the probes need it until they are right to the tolerance.
+"""Scenes on tetrahedra, bisected until the probes are right to the tolerance."""
 
-Bisection keeps every plane face and outline exact and never meshes anew, so the chance of the mesher is in the first
-mesh only and the answers of successive meshes differ by their errors alone.
-"""
-
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
-from skfem import Basis, MeshTet
 
-from fem.factor import Factor, checked_solve
-from fem.field import Field
-from fem.methods.adaptive import MeshAnswer, solve_adaptively
+from fem.finite.newton import find_equilibrium
+from fem.finite.tetrahedra import TetrahedralSystem
+from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
-from fem.scene.solution import Solution, Stopwatch, relative_errors
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.indicator import (
-    cell_sizes,
-    dual_weights,
-    largest_contributors,
-    probe_indicators,
-    residuals,
-    uniform_tractions,
-)
-from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions, taylor_hood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import Plate, tied
-from fem.tetrahedra.scene_mesh import bisected, mesh_scene, prism_of_cells
-from geometry.layout import FloatArray
-
-MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
-SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
-LAST_SHARE = 0.65  #: the same, where little is missing
-MIN_MARKED = 0.12  #: of all elements: few hold the share where rubbers differ 100 times, and the mesh would hardly grow
-MIN_MESHES = 3  #: before an estimate by indicators is believed
-EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
+from fem.scene.solution import FiniteSolution, MeshAnswer, Solution, Stopwatch
+from fem.tetrahedra.adapted import AdaptedTetrahedra, probe_rows
 
 
-def errors_by_indicators(names: Sequence[str], history: Sequence[tuple[float, FloatArray]]) -> dict[str, float]:
-    """Relative error of each probe on the last of several adapted meshes, infinite with fewer than `MIN_MESHES`.
+class FiniteTetrahedra(AdaptedTetrahedra):
+    """A scene at finite strain on Taylor-Hood tetrahedra, refined where its answer at small strain errs.
 
-    `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
-
-    Notes
-    -----
-    The error of a probe is close to proportional to the sum η of its indicators: J(η) = J₀ + C η, with C unknown but
-    changing little from mesh to mesh. The line through the last two meshes and the one fitted to the last three each
-    give |C| η; the larger is taken.
+    The sum of the indicators at small strain is what the errors at finite strain are taken to be proportional to.
     """
-    if len(history) < MIN_MESHES:
-        return dict.fromkeys(names, np.inf)
-    eta = np.array([indicated for indicated, _ in history[-3:]])
-    J = np.array([probes for _, probes in history[-3:]])  # (3, n_probes, 3)
-    if eta[-1] == 0.0:
-        return dict.fromkeys(names, 0.0)
-    fitted = np.tensordot(eta - eta.mean(), J, axes=1) / ((eta - eta.mean()) ** 2).sum()
-    between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
-    answer = dict(zip(names, J[-1], strict=True))
-    estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
-    return {name: max(estimate[name] for estimate in estimates) for name in names}
-
-
-class BisectedTetrahedra:
-    """A scene on Taylor-Hood tetrahedra."""
-
-    def __init__(self, scene: Scene, plan: Plan, mesh: MeshTet) -> None:
-        self.scene, self.mesh = scene, mesh
-        self.history: list[tuple[float, FloatArray]] = []  #: sum of indicators and probes of every mesh
-        self.prisms = [prism for prism, _ in plan.regions]
-        #: the different rubbers, the body's first
-        self.materials = list(dict.fromkeys([scene.material, *(material for _, material in plan.regions)]))
-        self._material_of = np.array([0, *(self.materials.index(material) for _, material in plan.regions)])
-
-    def __str__(self) -> str:
-        return f"{self.mesh.nelements} tetrahedra"
-
-    def error(self) -> float:
-        names = [probe.name for probe in self.scene.probes]
-        return max(errors_by_indicators(names, self.history).values())
-
-    def limit(self, unknowns: int) -> str | None:
-        return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
-
-    def refine(self, indicators: FloatArray, excess: float) -> None:
-        least = int(MIN_MARKED * self.mesh.nelements)
-        marked = largest_contributors(indicators, SHARE if excess > 1.5 else LAST_SHARE)
-        self.mesh = bisected(self.mesh, marked if len(marked) > least else np.argsort(-indicators)[:least])
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
-        scene, mesh = self.scene, self.mesh
-        region = self._material_of[prism_of_cells(mesh, self.prisms)]
-        body = taylor_hood(mesh, self.materials, region)
-        no_loads = sp.csr_matrix((0, body.basis.N))
-        loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
-        forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
-        rows = probe_rows(scene, body.basis)
-        plates = []
-        for rectangle in scene.plate_rectangles_mm:
-            bonded, own = Plate(rectangle, scene.height_mm).followers(body.free, body.basis.doflocs)
-            plates.append((np.searchsorted(body.free, bonded), own))
-        motions = tied(body.n_unknowns, plates)
-        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if plates else body.upper
-        watch.spent("assemble")
-        factor = Factor(matrix, upper=True)
-        watch.spent("factor")
-
-        pushing = motions.T @ body.loads(forces)
-        reduced, residual = checked_solve(factor, pushing)
-        x = motions @ reduced
-        u = body.displacements(x)
-        probes = np.asarray(rows @ u.reshape(-1, 3))
-        duals, scales, shapes = _dual_loads(scene, rows, probes)
-        y, dual_residual = checked_solve(factor, motions.T @ body.loads(duals))
-        y = motions @ y
-        z = body.displacements(y)
+        linear = super().solve(watch)
+        self.equilibrium = found = find_equilibrium(TetrahedralSystem(self.body, self.scene.loads))
         watch.spent("solve")
-
-        lame_mpa, mu_mpa = lame_of_regions(self.materials, region, min_poisson=MIN_POISSON)
-        n = len(body.free)
-
-        def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
-            pressing = uniform_tractions(rectangles, traction) if len(rectangles) else None
-            return residuals(body, u, p, region, lame_mpa, mu_mpa, pressing, scene.plate_rectangles_mm)
-
-        of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
-        of_duals = [
-            residuals_of(z[:, k], y[n:, k], shapes[k], scene.probe_rectangles_mm) for k in range(duals.shape[1])
-        ]
-        watch.spent("assemble")
-        indicators = probe_indicators(of_answer, of_duals, scales)
-        self.history.append((float(indicators.sum()), probes))
-        return MeshAnswer(
+        u = found.state.u
+        probes = np.asarray(probe_rows(self.scene, self.body.basis) @ u)
+        self.history[-1] = (self.history[-1][0], probes)
+        return replace(
+            linear,
             probes=probes,
-            energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
-            residual=max(residual, dual_residual),
-            unknowns=matrix.shape[0],
-            indicators=indicators,
-            field=lambda: Field(
-                mesh=Elements.of_basis(body.basis, region.astype(np.int64)),
-                displacement_mm=u.reshape(-1, 3),
-                material=self.materials,
-            ),
+            energy_mj=found.stored_mj,
+            residual=found.residual,
+            field=lambda: replace(linear.field(), displacement_mm=u),
         )
 
 
@@ -158,54 +47,13 @@ def solve_on_tetrahedra(scene: Scene, plan: Plan, with_field: bool = False) -> S
         Also return the displacement of the whole body.
     """
     watch = Stopwatch()
-    mesh, kept = mesh_scene(scene, [prism for prism, _ in plan.regions])
-    steps = [f"{mesh.nelements} tetrahedra {'from the cache' if kept else 'by the mesher'}"]
-    narrow = np.vstack([scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm])
-    mesh = with_edges_across(mesh, narrow)
+    mesh = (AdaptedTetrahedra if scene.is_linear else FiniteTetrahedra)(scene, plan.regions)
+    steps = [f"{mesh} {'from the cache' if mesh.is_kept else 'by the mesher'}"]
     watch.spent("mesh")
-    return solve_adaptively(scene, BisectedTetrahedra(scene, plan, mesh), watch, steps, with_field)
-
-
-def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
-    """A mesh whose elements at the edges of rectangles of the top face are not much longer than these are wide."""
-    if not len(rectangles):
-        return mesh
-    narrow_mm = (rectangles[:, 2:] - rectangles[:, :2]).min(axis=1)
-    while True:
-        corners = mesh.p.T[mesh.t.T]
-        at_top = corners[:, :, 2].max(axis=1) == mesh.p[2].max()
-        low, high = corners[at_top].min(axis=1)[:, :2], corners[at_top].max(axis=1)[:, :2]
-        size_mm = cell_sizes(mesh)[at_top]
-        coarse = np.zeros(len(low), dtype=bool)
-        for (x0, y0, x1, y1), width_mm in zip(rectangles, narrow_mm, strict=True):
-            meets = ((high >= (x0, y0)) & (low <= (x1, y1))).all(axis=1)
-            within = ((low > (x0, y0)) & (high < (x1, y1))).all(axis=1)
-            coarse |= meets & ~within & (size_mm > width_mm / EDGES_ACROSS_PATCH)
-        if not coarse.any():
-            return mesh
-        mesh = bisected(mesh, np.flatnonzero(at_top)[coarse])
-
-
-def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
-    """Rows that take one component of all nodes to that component of every probe, shape (n_probes, n_nodes)."""
-    rectangles, points = scene.probe_rectangles_mm, scene.probe_points_mm
-    rows: dict[str, list[sp.csr_matrix]] = {"mean": [], "point": []}
-    if len(rectangles):
-        areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)
-        rows["mean"] = list(sp.csr_matrix(sp.diags_array(1 / areas) @ patch_integrals(basis, rectangles)))
-    if len(points):
-        elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
-        rows["point"] = list(elements.at(points))
-    return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
-
-
-def _dual_loads(
-    scene: Scene, rows: sp.csr_matrix, probes: FloatArray
-) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Unit loads on the probes: nodal forces (n_displacement, k), their scales, and tractions (n_means, 3) of each."""
-    weights, scales = dual_weights(probes)
-    rectangles = scene.probe_rectangles_mm
-    areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
-    is_mean = np.array([probe.kind == "mean" for probe in scene.probes])
-    forces = np.stack([np.asarray(rows.T @ weight).ravel() for weight in weights], axis=1)
-    return forces, scales, [weight[is_mean] / areas for weight in weights]
+    found = solve_adaptively(scene, mesh, watch, steps, with_field)
+    if not isinstance(mesh, FiniteTetrahedra):
+        return found
+    last = mesh.equilibrium
+    told = {name: getattr(last, name) for name in ("work_mj", "least_j", "iterations")}
+    unchecked = () if last.is_stable else ("stability not checked",)
+    return FiniteSolution(**vars(found) | told | {"load_steps": last.steps, "steps": found.steps + unchecked})

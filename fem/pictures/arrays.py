@@ -13,12 +13,10 @@ from functools import cache
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import CellInterior, design_interior
-from fem.array.meshed import lone_unit, pad_plate
+from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.field import Field
 from fem.finite.samples import SampleSolver
-from fem.finite.solving import solve_finite
-from fem.methods.plan import make_plan
+from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign
@@ -197,7 +195,7 @@ def no_stress() -> SceneError:
 def finite_field(scene: Scene) -> Field:
     """Displacement of a neo-Hookean scene's whole body, for pictures; errors as of `solve_finite`."""
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
-    found = solve_finite(coarse, None, make_plan(coarse).mirrors, with_field=True).field
+    found = solve_scene(coarse, field=True)[0].field
     assert found is not None  # it was asked for
     return found
 

@@ -356,16 +356,16 @@ class Tangent:
     """
 
     def __init__(self, body: RubberBody, strain: Strain, p: FloatArray) -> None:
-        self.body, self._p, self._definite = body, p, np.zeros(body.n_elements, dtype=bool)
+        self.body, self._p, self._definite, self._share = body, p, np.zeros(body.n_elements, dtype=bool), 1.0
         self._strain = Strain(H=strain.H[:, :, 0], C=strain.C[:, :, 0], theta=strain.theta[0])
         #: (∫ q qᵀ/λ)⁻¹, diagonal, (n_elements, k) [MPa/mm³]
         self._bulk = body.law.lame_mpa / (body._mass * body.jacobian[:, None])
         #: B, the forces that pressures exert, shape (3, n_elements, n, k) [mm²]
         self.pressing = np.empty((3, *body.nodes.shape, body.n_pressures))
 
-    def make_definite(self, some: NDArray[np.bool_]) -> None:
-        """Leave the negative eigenvalues of A out at every Gauss point of some elements (n_elements,)."""
-        self._definite = some
+    def make_definite(self, some: NDArray[np.bool_], share: float = 1.0) -> None:
+        """Leave a share of A's negative eigenvalues out at every Gauss point of some elements (n_elements,)."""
+        self._definite, self._share = some, share
 
     def blocks(self) -> Iterator[tuple[slice, FloatArray]]:
         """Chunks of elements and their K, (e, n, n, 3, 3): entry [e, a, b, i, j] couples aᵢ with b_j [N/mm]."""
@@ -406,7 +406,8 @@ class Tangent:
         if len(definite):
             own = np.moveaxis(A[..., definite, :].reshape(9, 9, -1), -1, 0)
             values, vectors = np.linalg.eigh(own)
-            own = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+            values -= self._share * np.minimum(values, 0.0)
+            own = (vectors * values[:, None]) @ vectors.swapaxes(1, 2)
             A[..., definite, :] = np.moveaxis(own, 0, -1).reshape(3, 3, 3, 3, len(definite), -1)
         return A
 

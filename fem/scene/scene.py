@@ -265,18 +265,6 @@ class Scene:
         """True if the rubber is linear elastic: small strain."""
         return self.material.model == "linear"
 
-    def at_small_strain(self, tolerance: float) -> "Scene":
-        """The same scene with linear rubbers and a tolerance of its own."""
-
-        def linear(one: Any, *rubbers: str) -> Any:
-            return replace(one, **{name: replace(getattr(one, name), model="linear") for name in rubbers})
-
-        body = self.body
-        if isinstance(body, Sensor):
-            body = replace(body, design=linear(body.design, "pillar_material", "matrix_material"))
-        inclusions = tuple(linear(one, "material") for one in self.inclusions)
-        return replace(linear(self, "material"), body=body, inclusions=inclusions, tolerance=tolerance)
-
     def under(self, share: float) -> "Scene":
         """The same scene under a share of its loads."""
         return self if share == 1.0 else replace(self, loads=tuple(load.times(share) for load in self.loads))

@@ -1,7 +1,7 @@
 """The solution of a scene: its probes, the estimate of their error, the effort, and how it becomes a file."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +18,18 @@ if TYPE_CHECKING:
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
 
 Probes = dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshAnswer:
+    """Answer on one mesh, and where it errs."""
+
+    probes: FloatArray  #: shape (n_probes, 3) [mm]
+    energy_mj: float
+    residual: float
+    unknowns: int
+    indicators: FloatArray  #: of the error of the probes, by element
+    field: "Callable[[], Field]"  #: displacement of the whole body
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,11 +9,10 @@ unit load on the probe (Becker and Rannacher, Acta Numerica 10, 2001).
 from collections.abc import Callable
 
 import numpy as np
-from skfem import Basis, MeshTet
+from skfem import MeshTet
 
 from fem.scene.solution import SMALLEST_SHARE
-from fem.tetrahedra.elements import Elements, shape_gradients
-from fem.tetrahedra.mixed import IntArray, TaylorHood, pressure_dofs
+from fem.tetrahedra.mixed import IntArray, TaylorHood
 from geometry.layout import FloatArray
 
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
@@ -22,34 +21,24 @@ SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² pa
 Traction = Callable[[FloatArray], FloatArray]  #: points (..., 3) on the top face to tractions (..., 3) [MPa]
 
 
-def corner_gradients(basis: Basis, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gradient of a displacement at the corners of each element.
-
-    Parameters
-    ----------
-    basis : Basis
-        Of P2 tetrahedra, whose gradients are linear: their values at the corners say all.
-    u : array, shape (n_displacement,)
+def corner_gradients(body: TaylorHood, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradient of a displacement (n_displacement,) at the corners of elements, where linear ones are known by.
 
     Returns
     -------
     array, shape (m, 4, 3, 3): entry [e, v, i, j] is ∂ⱼuᵢ at corner v
     array, shape (m, 4, 3): gradients of the barycentric coordinates [1/mm]
     """
-    elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
-    local = shape_gradients(elements.element, elements.element.doflocs[:4].T)  # (v, a, k)
-    inverse = elements.inverse_jacobian
-    gradient = np.einsum("eai,vak,ekj->evij", u.reshape(-1, 3)[elements.nodes], local, inverse, optimize=True)
-    return gradient, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    gradient = np.stack([body.at_corners.interpolate(component).grad for component in u.reshape(-1, 3).T])
+    inverse = body.basis.mapping.invA.transpose(2, 0, 1)  # ∂ξ/∂x, (m, 3, 3)
+    slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    return np.ascontiguousarray(gradient.transpose(2, 3, 0, 1)), slopes
 
 
 def residuals(
     body: TaylorHood,
     u: FloatArray,
     pressure: FloatArray,
-    region: IntArray,
-    lame_mpa: FloatArray,
-    mu_mpa: FloatArray,
     traction: Traction | None,
     plates: FloatArray | None = None,
 ) -> FloatArray:
@@ -62,8 +51,6 @@ def residuals(
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
         Corner pressures of the mixed form [MPa].
-    region, lame_mpa, mu_mpa : arrays, shape (m,)
-        Region, λ and μ of each element.
     traction : function, optional
         On the top face; None where nothing loads it.
     plates : array, shape (k, 4), optional
@@ -75,9 +62,9 @@ def residuals(
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
-    gradient, slopes = corner_gradients(body.basis, u)
+    gradient, slopes = corner_gradients(body, u)
     divergence = np.trace(gradient, axis1=2, axis2=3)
-    p = pressure[pressure_dofs(mesh, region).T]
+    p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
     for i in range(3):
         stress[..., i, i] += p

@@ -42,17 +42,27 @@ class TaylorHood:
     """
 
     basis: Basis  #: scikit-fem's, of one component of the displacement
-    corners: IntArray  #: number of the pressure at each corner of each element, (4, m)
+    region: IntArray  #: the rubber of each element, (m,)
     law: Law  #: its λ and μ of shape (m, 1)
 
     @property
     def mesh(self) -> MeshTet:
         return self.basis.mesh
 
+    @cached_property
+    def corners(self) -> IntArray:
+        """Number of the pressure at each corner of each element, (4, m)."""
+        return pressure_dofs(self.mesh, self.region)
+
     @property
     def points_mm(self) -> FloatArray:
         """Positions of the nodes at rest, (n_nodes, 3)."""
         return self.basis.doflocs.T
+
+    @property
+    def centres_mm(self) -> FloatArray:
+        """Middles of the elements at rest, (m, 3)."""
+        return self.mesh.p.T[self.mesh.t.T].mean(axis=1)
 
     @property
     def n_nodes(self) -> int:
@@ -96,6 +106,12 @@ class TaylorHood:
     def slopes(self) -> FloatArray:
         """∂φ/∂X at the points of integration, (m, q, 10, 3) [1/mm]."""
         return np.stack([functions[0].grad for functions in self.basis.basis]).transpose(2, 3, 0, 1)
+
+    @cached_property
+    def at_corners(self) -> Basis:
+        """The same functions at the corners of elements, where gradients, which are linear, are known by."""
+        corners = ElementTetP2().doflocs[:4].T
+        return Basis(self.mesh, ElementTetP2(), quadrature=(corners, np.full(4, 1 / 24)))
 
     @cached_property
     def _of_pressure(self) -> FloatArray:
@@ -208,7 +224,7 @@ def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) 
     raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
     shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
     law = LAWS[materials[0].model].of(raised, shares)
-    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), pressure_dofs(mesh, region), law)
+    return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), region, law)
 
 
 def pressure_dofs(mesh: MeshTet, region: IntArray) -> IntArray:

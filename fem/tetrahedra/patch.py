@@ -48,7 +48,7 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     PatchError
         If a rectangle is not covered by the top face to a relative 1e-9 of its area.
     """
-    corners, dofs = _top_triangles(basis)  # (n, 3, 2), (n, 6)
+    corners, dofs = top_triangles(basis)  # (n, 3, 2), (n, 6)
     low, high = corners.min(axis=1), corners.max(axis=1)
     rows, cols, values = [], [], []
     for number, (x0, y0, x1, y1) in enumerate(rectangles):
@@ -68,7 +68,7 @@ def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     return sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), shape=shape)
 
 
-def _top_triangles(basis: Basis) -> tuple[FloatArray, NDArray[np.int64]]:
+def top_triangles(basis: Basis) -> tuple[FloatArray, NDArray[np.int64]]:
     """Corners (n, 3, 2) of the top face's triangles, and the degrees of freedom (n, 6) on each."""
     mesh = basis.mesh
     boundary = mesh.boundary_facets()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
+from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Scene
 from fem.tetrahedra.indicator import cell_sizes
 from fem.tetrahedra.mixed import IntArray
@@ -68,10 +69,11 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
 
 
 def _under_plates(scene: Scene, depth_mm: float) -> list[Prism]:
-    """A layer of the body under every stiff plate that does not cover the whole top."""
+    """A layer of the body under every stiff plate, and every following load, that does not cover the whole top."""
     height, lean = scene.height_mm, scene.outline.lean
     found = []
-    for load in scene.stiff_loads:
+    following = [load for load in scene.loads if isinstance(load, FollowerLoad) and not scene.is_linear]
+    for load in (*scene.stiff_loads, *following):
         depth = min(depth_mm, height / 2, *load.size_mm)
         x, y = load.center_mm
         below = (x - lean[0] * depth, y - lean[1] * depth, height - depth)

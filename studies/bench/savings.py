@@ -15,7 +15,7 @@ SAVINGS = {
     "zero-load": "a scene without load is answered without a mesh",
     "one-material": "what is of the body's own material gets no region",
     "hexahedra": "hexahedra where sides allow; off: tetrahedra",
-    "symmetry": "a half or a quarter of the body where it mirrors itself, loads in even and odd parts",
+    "symmetry": "a half or a quarter of the body where it mirrors itself and the loads",
     "substructuring": "arrays from one condensed cell; off: the whole array meshed",
     "field": "no displacement of the whole body, no file for pictures, unless asked for",
     "cache": "tetrahedral meshes are kept on disk and found again; off: meshed anew",

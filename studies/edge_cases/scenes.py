@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from fem.array.closed_forms import mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import condensed_cell, lone_unit
+from fem.array.meshed import DesignCell, lone_unit
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS
 from fem.factor import Factor, checked_solve
@@ -291,7 +291,7 @@ def array_of(pitch_mm: float, height_mm: float) -> Judged:
 def reciprocity(pitch_mm: float, height_mm: float) -> Judged:
     """Pads move each other alike (Betti), and no load does negative work."""
     design = small_array(pitch_mm, height_mm)
-    cell, _ = condensed_cell(design, 2, 4, pad_squares(lone_unit(design)))
+    cell = DesignCell(design, pad_squares(lone_unit(design))).condensed(2, 4)
     influence, misfit = CoupledArray(cell, 2, 2).influence(PADS, PADS)
     matrix = influence.reshape(12, 12)
     error = float(np.abs(matrix - matrix.T).max() / np.abs(matrix).max())

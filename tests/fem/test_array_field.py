@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.interior import MESH_DEGREE
-from fem.array.meshed import condensed_cell, functionals
+from fem.array.meshed import MESH_DEGREE, DesignCell, functionals
 from fem.array.solving import solve_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
@@ -104,11 +103,11 @@ def test_answers_add_up(field, state):
 
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
-    monkeypatch.setattr("fem.array.interior.MESH_LEVEL", 0.8)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)  # coarse: both routes take the same mesh
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
-    cell, _ = condensed_cell(design, 0.8, MESH_DEGREE, functionals(design))
+    cell = DesignCell(design, functionals(design)).condensed(0, MESH_DEGREE)
     influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 9))
     expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(2, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):

@@ -7,13 +7,13 @@ import pytest
 
 from fem.array import conducted as module
 from fem.array.conducted import conducted_pillars, displacement_gradients
-from fem.array.interior import design_interior
+from fem.array.coupled_cells import CoupledArray
+from fem.array.meshed import design_interior
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response
 from fem.conduction.conductivity import Piezoresistivity
-from fem.conduction.potentials import Conductor, pillars_per_mm
-from fem.conduction.second_order import second_derivatives
-from fem.conduction.unit_mesh import unit_hexahedra
+from fem.conduction.meshes import unit_hexahedra
+from fem.conduction.potentials import Conductor, pillars_per_mm, second_derivatives
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares
@@ -51,7 +51,7 @@ def pressed(coarse):
     """A lone unit of conduction by one coarse mesh, its cell, and the motion of its electrodes."""
     design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     interior = design_interior(design, np.vstack([pad_squares(design), electrode_squares(design)]))
-    seen = module._of_unit_loads(interior, 1, 1, np.eye(interior.cell.stiffness.shape[0] + 3))[0]
+    seen = CoupledArray(interior.cell, 1, 1).seen(np.eye(interior.cell.stiffness.shape[0] + 3), range(3))[0][0, :, 0]
     electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
     influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)
     with pytest.MonkeyPatch.context() as patch:

@@ -234,7 +234,6 @@ REFUSED = {
     "singular": (FREE, {}, SolverError, "."),
     "singular, as definite": (FREE, DEFINITE, SolverError, "."),
     "no such solver": (FREE, {"solver": "cholesky"}, ValueError, "no solver 'cholesky': choose pardiso or superlu"),
-    "memory": (FREE, {"memory_gb": 1e-9}, FactorMemoryError, "GB of 1e-09 GB available: take a coarser mesh"),
     "not a number": (FREE * np.nan, {}, SolverError, "not finite"),
     "indefinite": (sp.csr_matrix(np.diag([1.0, -1.0])), DEFINITE, SolverError, "not positive definite.*definite=False"),
     "no diagonal": (sp.csr_matrix(EXCHANGE), {}, SolverError, "an entry on the diagonal is missing"),
@@ -253,6 +252,12 @@ def test_matrices_are_refused(name, solver):
         return
     with pytest.raises(error, match=says):
         checked_solve(Factor(matrix, **{"solver": solver, **kind}), rhs)
+
+
+def test_a_factor_that_would_not_fit_is_refused(solver, monkeypatch):
+    monkeypatch.setattr(module, "MEMORY_SHARE", 1e-12)
+    with pytest.raises(FactorMemoryError, match=r"needs .* GB of .* GB available: take a coarser mesh"):
+        Factor(elastic(0.3), solver=solver, definite=True)
 
 
 def test_without_pardiso_superlu_solves(monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fem.levels import SAFETY, richardson_factor, to_tolerance
-from fem.methods.tetrahedral import errors_by_indicators
+from fem.tetrahedra.adapted import errors_by_indicators
 
 LIMIT, SLOPE = np.array([0.1, 0.0, -2.0]), np.array([0.2, 0.0, 0.3])
 
@@ -55,5 +55,5 @@ def test_errors_that_follow_the_indicators_are_known():
     history = [(eta, exact + slope * eta) for eta in (0.4, 0.3, 0.2, 0.1)]
     assert errors_by_indicators(["top", "middle"], history[:2]) == {"top": np.inf, "middle": np.inf}
     errors = errors_by_indicators(["top", "middle"], history)
-    assert errors["top"] == pytest.approx(0.03 / 1.97)
-    assert errors["middle"] == pytest.approx(0.02 / np.hypot(0.12, 1.0))
+    assert errors["top"] == pytest.approx(SAFETY * 0.03 / 1.97)
+    assert errors["middle"] == pytest.approx(SAFETY * 0.02 / np.hypot(0.12, 1.0))

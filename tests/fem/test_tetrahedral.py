@@ -9,14 +9,14 @@ from skfem import Basis, ElementTetP2
 from fem.finite.solving import solve_finite
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
-from fem.methods.tetrahedral import with_edges_across
 from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
+from fem.tetrahedra.adapted import with_edges_across
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.indicator import corner_gradients, largest_contributors, residuals, uniform_tractions
-from fem.tetrahedra.mixed import lame_of_regions, taylor_hood
+from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
 from geometry.design import Material
@@ -102,7 +102,7 @@ def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
     factor scatters: it is tried on one irregular mesh.
     """
     mesh = box_mesh((8, 8, 3), (30.0, 30.0, 10.0), disorder=0.2)
-    monkeypatch.setattr("fem.methods.tetrahedral.mesh_scene", lambda *_, **__: (mesh, False))
+    monkeypatch.setattr("fem.tetrahedra.adapted.mesh_scene", lambda *_, **__: (mesh, False))
     text = BLOCK[: BLOCK.index("[[inclusion]]")] + BLOCK[BLOCK.index("[[load]]") :].replace("[8.0, 9.0]", "[10, 10]")
     scene = scene_from_toml(text[: text.rindex("[[probe]]")] + "[solve]\ntolerance = 2.5e-3\n")
     solution = solved(scene)
@@ -152,7 +152,7 @@ def test_a_mesh_is_made_once_and_anew_where_it_is_damaged(tmp_path):
 
 def test_more_than_the_limit_is_not_tried(monkeypatch):
     """A tolerance out of reach ends at the limit, with an estimate that says so."""
-    monkeypatch.setattr("fem.methods.tetrahedral.MAX_UNKNOWNS", 9000)
+    monkeypatch.setattr("fem.tetrahedra.adapted.MAX_UNKNOWNS", 9000)
     scene = replace(scene_from_toml(PILLAR), tolerance=1e-5)
     solution = solved(scene)
     assert solution.steps[-1] == "stopped at the limit of 9000 unknowns, short of the tolerance 1e-05"
@@ -241,10 +241,10 @@ def test_a_pressure_may_jump_at_an_interface():
 
 def test_gradients_at_the_corners_are_exact(disordered_cube):
     """A quadratic field has the gradient of its closed form at every corner."""
-    basis = Basis(disordered_cube, ElementTetP2(), intorder=2)
-    x, y, z = basis.doflocs
+    body = taylor_hood(disordered_cube, [Material()], np.zeros(disordered_cube.nelements, dtype=int))
+    x, y, z = body.points_mm.T
     u = np.stack([z + x * y, 2 * x - z**2, y + x**2 - y * z]).T.ravel()
-    gradient, _ = corner_gradients(basis, u)
+    gradient, _ = corner_gradients(body, u)
     X, Y, Z = disordered_cube.p[:, disordered_cube.t]
     zero, one = np.zeros_like(X), np.ones_like(X)
     exact = [[Y, X, one], [2 * one, zero, -2 * Z], [2 * X, one - Z, -Y]]
@@ -256,11 +256,10 @@ def test_an_exact_answer_leaves_no_residual(disordered_cube):
     rubber, region = Material(young_mpa=2.0, poisson=0.3), np.zeros(disordered_cube.nelements, dtype=int)
     body = taylor_hood(disordered_cube, [rubber], region)
     u = body.basis.doflocs.T * [0.3 / 2.0, 0.3 / 2.0, -1 / 2.0]
-    lame, mu = lame_of_regions([rubber], region)
-    p = np.full(body.n_pressure, lame[0] * (2 * 0.3 - 1) / 2.0)
+    p = np.full(body.n_pressure, rubber.lame_mpa[0] * (2 * 0.3 - 1) / 2.0)
     for pressure, missing in ((-1.0, False), (-0.5, True)):
         top = uniform_tractions(np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[0.0, 0.0, pressure]]))
-        found = residuals(body, u.ravel(), p, region, lame, mu, top)
+        found = residuals(body, u.ravel(), p, top)
         at_top = disordered_cube.p[2, disordered_cube.t].max(axis=0) == 10.0
         assert found[~at_top].max() < 1e-20
         assert (found.max() > 1e-3) == missing

@@ -16,7 +16,7 @@ from dataset.resistance import pillar_lengths
 from fem.boxes.boxes import Boxes
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
-from fem.finite.gradients import PointGradients
+from fem.finite.conducted import gradients
 from fem.finite.solving import solve_finite
 from fem.scene.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
@@ -104,7 +104,7 @@ def deformed(pressed: Pressed) -> Deformed:
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    F = np.eye(3) + PointGradients(grid, places.reshape(-1, 3) + centre).of(found.field.displacement_mm[None])[0]
+    F = np.eye(3) + gradients(grid.slopes(places.reshape(-1, 3) + centre), found.field.displacement_mm[None])[0]
     moved = np.array([found.probes[name] for name in Unit().layout.upper_names])
     return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, design.unit))
 

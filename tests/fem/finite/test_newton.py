@@ -8,15 +8,21 @@ import pytest
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor, FactorMemoryError
 from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium, solve_rest
+from fem.finite.preloads import PreloadedArray
+from fem.finite.samples import FINE, SampleSolver
 from fem.finite.solving import finite_boxes, solve_finite, unfolded
+from fem.finite.tetrahedra import TetrahedralSystem
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, SceneError, StiffLoad
-from fem.scene.scene import Block, Inclusion, Probe, Scene
-from fem.scene.solution import Solution, largest_error
+from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
+from fem.scene.solution import FiniteSolution
 from fem.system import System
-from geometry.design import Material
+from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.scene_mesh import mesh_scene
+from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.layout import unit_centres
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
@@ -26,6 +32,7 @@ PROBES = (
     Probe(name="middle", kind="mean", center_mm=(7.5, 7.5), size_mm=(2.0, 2.0)),
     Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
 )
+TOP = Probe(name="top", kind="mean", center_mm=(1.0, 1.0), size_mm=(2.0, 2.0))
 
 
 def loads_of(kind: str, mpa: float) -> list[Load]:
@@ -133,26 +140,61 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
     assert found.error_estimate < 1e-2
 
 
-def test_small_loads_on_two_rubbers_give_the_linear_answer_itself():
-    leaning = Inclusion(
-        base_mm=(4.0, 6.0, 0.0), top_mm=(8.0, 9.0, 8.0), section_mm=(3.0, 3.0), material=neo_hookean(18.0, 0.49)
-    )
-    scene = Scene(
-        body=Block(size_mm=(15.0, 15.0, 10.0)),
-        material=neo_hookean(6.1, 0.49),
-        inclusions=(leaning,),
-        loads=(DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -1e-6)),),
-        probes=PROBES,
-        tolerance=1e-2,
-    )
-    fine = {"middle": np.array([0.0, 0.0, -1e-6]), "inside": np.array([1e-7, 0.0, -5e-7])}
-    linear = Solution(
-        probes=fine, energy_mj=1e-9, residual=0.0, unknowns=1, error_estimate=3e-3, seconds={}
-    )  # fmt: skip
-    found = solve_finite(scene, linear)
-    assert largest_error(found.probes, fine) < 1e-5
-    assert np.isclose(found.energy_mj, 1e-9, rtol=1e-3)
-    assert 3e-3 <= found.error_estimate < 3.1e-3
+def test_two_rubbers_that_lean_are_solved_on_tetrahedra():
+    soft, hard = (neo_hookean(young, 0.49) for young in (6.1, 18.0))
+    leaning = Inclusion(base_mm=(4.0, 6.0, 0.0), top_mm=(8.0, 9.0, 8.0), section_mm=(3.0, 3.0), material=hard)
+    body, probe = Block(size_mm=(15.0, 15.0, 10.0)), PROBES[:1]
+    loads = tuple(loads_of("dead", 1.0))
+    scene = Scene(body=body, material=soft, inclusions=(leaning,), loads=loads, probes=probe, tolerance=0.05)
+    found, plan = solve_scene(scene)
+    assert plan.method == "finite on tetrahedra"
+    assert isinstance(found, FiniteSolution)
+    assert found.error_estimate < 0.05
+    assert abs(found.energy_imbalance) < 1e-2
+
+
+def test_small_loads_on_tetrahedra_give_the_linear_answer():
+    """They differ by the strain, which is about 1e-6 / 6, and by what the residual may be."""
+    load = loads_of("dead", 1e-6)[0]
+    scene = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, loads=(load,), probes=PROBES)
+    mesh, _ = mesh_scene(scene, [])
+    system = TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+    body = system.body
+    linear = body.displacements(Factor(body.upper, upper=True).solve(body.loads(system.dead.reshape(-1, 1))))
+    u = find_equilibrium(system).state.u
+    assert np.abs(u - linear.reshape(-1, 3)).max() < 1e-6 * np.abs(linear).max()
+
+
+@pytest.mark.parametrize("kind", ["dead", "follower", "stiff", "moment"])
+def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
+    """One rubber on both, at strains of 10 %: the coarse tetrahedra are 1 to 6 % too stiff, plates most."""
+    load = StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))
+    load = load if kind == "moment" else loads_of(kind, 1.5)[0]
+    scene = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, loads=(load,), probes=PROBES)
+    mesh, _ = mesh_scene(scene, [])
+    system = TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+    found = find_equilibrium(system)
+    assert found.steps == 1
+    assert found.iterations <= 6
+    assert found.is_stable is (None if kind in ("follower", "moment") else True)
+    base = system.body.points_mm[:, 2] == 0.0
+    internal, _, _ = system.body.internal_forces(found.state.u, found.state.p)
+    pushed = internal[~base].sum(axis=0) if kind == "follower" else system.dead.sum(axis=0) + system.force_n.sum(axis=0)
+    assert np.allclose(internal[base].sum(axis=0), -pushed, atol=1e-6)
+    if found.is_stable:
+        assert abs(found.energy_imbalance) < 1e-2
+    rough = find_equilibrium(System(BODY, [load]))
+    assert np.isclose(found.stored_mj, rough.stored_mj, rtol=0.06)
+
+
+def test_a_pillar_on_tetrahedra_that_buckles_is_refused():
+    """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
+    load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
+    scene = Scene(body=Block(size_mm=(2.0, 2.0, 12.0)), material=RUBBER, loads=(load,), probes=(TOP,))
+    mesh, _ = mesh_scene(scene, [])
+    body = taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64))
+    with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
+        find_equilibrium(TetrahedralSystem(body, [load]))
 
 
 def test_plates_that_touch_are_refused():
@@ -166,10 +208,11 @@ def test_a_load_off_the_grid_s_lines_is_refused():
         System(BODY, [StiffLoad(center_mm=(7.5, 7.5), size_mm=(13.0, 12.0), force_n=(0.0, 0.0, -1.0))])
 
 
-def test_too_little_memory_is_not_told_as_a_load_out_of_reach():
+def test_too_little_memory_is_not_told_as_a_load_out_of_reach(monkeypatch):
+    monkeypatch.setattr("fem.factor.MEMORY_SHARE", 1e-12)
     system = System(BODY, loads_of("follower", 1.0))
     with pytest.raises(FactorMemoryError):
-        find_equilibrium(system, Factor(symmetric=False, memory_gb=1e-9))
+        find_equilibrium(system, Factor(symmetric=False))
 
 
 def test_both_solvers_agree():
@@ -200,9 +243,9 @@ def test_a_part_between_mirrors_is_the_whole(loads, planes):
     assert f"the body mirrors in {planes}" in "".join(plan.lines)
     boxes = finite_boxes(scene, 1, plan.mirrors)
     part = find_equilibrium(System(RubberBody.of(boxes, [RUBBER]), loads, plan.mirrors))
-    whole_boxes, u = unfolded(boxes, part.state.u, plan.mirrors)
-    whole = find_equilibrium(System(RubberBody.of(whole_boxes, [RUBBER]), loads))
-    assert np.allclose(u, whole.state.u, atol=1e-7)
+    unfold = unfolded(boxes, plan.mirrors, [((1, 1), part.state.u)], [RUBBER])
+    whole = find_equilibrium(System(RubberBody.of(unfold.mesh, [RUBBER]), loads))
+    assert np.allclose(unfold.displacement_mm, whole.state.u, atol=1e-7)
     assert np.isclose(2 ** len(plan.mirrors) * part.stored_mj, whole.stored_mj, rtol=1e-8)
 
 
@@ -214,7 +257,37 @@ def test_squeezed_elements_take_few_iterations():
     body = RubberBody.of(finite_boxes(scene, 2, mirrors), [material])
     found = find_equilibrium(System(body, scene.loads, mirrors))
     assert found.least_j < 0.1
-    assert found.is_stable is None
-    assert found.stability  # not silently
+    assert found.is_stable
     assert found.steps == 1
-    assert found.iterations <= 10
+    assert found.iterations <= 8
+
+
+@pytest.mark.long
+def test_plates_that_squeeze_corners_to_a_fortieth_find_equilibrium():
+    """Sample 0 of `three-axis`, seed 77, whose plates' corners were taken for a load without equilibrium."""
+    rubber = Material(model="neo-hookean")
+    design = SensorDesign(
+        unit=Unit(height_mm=8.0, span_mm=8.0),
+        array=Array(rows=2, cols=2, pitch_mm=13.0),
+        pad=Pad(kind="stiff", size_mm=10.8),
+        matrix_material=rubber,
+        pillar_material=rubber,
+    )
+    forces = np.array(
+        [[71.47, 70.92, -538.69], [42.59, -16.04, -318.5], [-30.76, -22.46, -261.28], [-57.08, 7.27, -492.94]]
+    )
+    loads = [
+        StiffLoad(center_mm=(float(x), float(y)), size_mm=(10.8, 10.8), force_n=tuple(force.tolist()))
+        for (x, y), force in zip(unit_centres(design), forces, strict=True)
+    ]
+    scene = Scene(body=Sensor(design=design), material=rubber, loads=tuple(loads), probes=PROBES, tolerance=0.1)
+    found = find_equilibrium(System(RubberBody.of(finite_boxes(scene, 2), [rubber]), loads))
+    assert found.is_stable
+    assert found.least_j < 0.03
+    assert found.steps == 1
+    assert found.iterations <= 15
+    sampled = SampleSolver(replace(design, matrix_material=Material(), pillar_material=Material()))
+    answer = sampled.displacements(forces[None])
+    of_plates = PreloadedArray(design, FINE).electrodes(found.state.shift[None], found.state.rotation[None])
+    off = np.linalg.norm(of_plates - answer.displacement_mm) / np.linalg.norm(of_plates)
+    assert off < 0.068  # the error that `solve` estimates on this grid

@@ -1,21 +1,20 @@
 """Hexahedra of a unit's pillars, crowding where the current density is singular.
 
-At an electrode meet at most one upright and one oblique pillar, which lie between −w/2 and w/2 across: their union is a
-plane figure, swept across. It is cut into quadrilaterals along lines that end at the electrodes' edges and in the
-crotch. A figure holds an upright pillar to half its height, an oblique one to its other end, but also to half its
-height where it shares that end with another pillar.
+Every pillar is cut in the middle of its height, and about each electrode lie the halves that end there: at most an
+upright and an oblique one, between −w/2 and w/2 across. Their union is a plane figure, swept across. It is cut into
+quadrilaterals along lines that end at the electrode's edges and in the crotch.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
-from itertools import combinations, pairwise
+from functools import cache, cached_property, partial
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.lagrange import shape_functions
-from fem.conduction.hexahedra import Hexahedra, joined
+from fem.boxes.lagrange import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
 from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.errors import DesignError
@@ -25,19 +24,84 @@ from geometry.prism import unit_prisms
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
+COINCIDENT = 1e-8  #: of the body's extent: nodes closer than that are one
+
+Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hexahedra:
+    """Trilinear hexahedra with Lagrange functions of an order along each edge; corners and nodes run z fastest."""
+
+    order: int
+    corners_mm: FloatArray  #: (n_elements, 8, 3)
+    nodes_mm: FloatArray  #: (n_nodes, 3)
+    elements: IntArray  #: (n_elements, (order + 1)³): nodes of each
+    terminals: tuple[IntArray, ...]  #: nodes on each terminal
+    constraint: sp.csr_matrix  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
+    pairs: tuple[tuple[int, int], ...] = ((0, 1),)  #: terminals at both ends of each pillar
+
+    @cached_property
+    def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, w = gauss_points(self.order + 1)
+        points = np.array(list(product(x, x, x)))
+        jacobian = np.einsum("dqn,enx->eqxd", cube_slopes(1, points), self.corners_mm)  # ∂x/∂ξ
+        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ cube_slopes(self.order, points).swapaxes(0, 1)
+        weights = np.einsum("a,b,c->abc", w, w, w).ravel() * np.abs(np.linalg.det(jacobian))
+        places = cube_functions(1, points) @ self.corners_mm
+        return places.reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """Gauss points of all elements, one after the other, (n_points, 3)."""
+        return self._gauss[0]
+
+    @property
+    def weight_mm3(self) -> FloatArray:
+        """Volume of each of `points_mm`, (n_points,)."""
+        return self._gauss[1]
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Gradients of the element's functions at `points_mm`, (n_points, 3, (order + 1)³) [1/mm]."""
+        return self._gauss[2]
+
+
+def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
+    """Hexahedra that share the nodes of common faces.
+
+    Parameters
+    ----------
+    corners_mm : array, shape (n_elements, 8, 3)
+        Of conforming elements, either orientation.
+    order : int
+    on_terminals : sequence of functions
+        Points (n, 3) to booleans: those on each terminal.
+    """
+    x = lobatto_points(order)
+    places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
+    rounded = np.round(places / (COINCIDENT * np.ptp(places, axis=0).max())).astype(np.int64)
+    _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    nodes = places[first]
+    return Hexahedra(
+        order=order,
+        corners_mm=corners_mm,
+        nodes_mm=nodes,
+        elements=numbers.reshape(len(corners_mm), -1),
+        terminals=tuple(np.flatnonzero(on(nodes)) for on in on_terminals),
+        constraint=sp.eye(len(nodes), format="csr"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
     """Pillars that meet at an electrode. X runs along the oblique one's lean, Y across, t away from the electrode."""
 
-    terminal: int  #: the electrode's number
     upright: int | None  #: numbers of the pillars
     oblique: int | None
     axis: int = 0  #: along which the oblique one leans
     sign: float = 1.0  #: its lean away from the electrode
-    far: int | None = None  #: electrode at the oblique pillar's other end, where the figure goes that far
 
     def turned(self, local: FloatArray) -> FloatArray:
         """Values (..., 2) along X and Y along x and y."""
@@ -64,30 +128,27 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
 
     Notes
     -----
-    Figures meet where a pillar is cut in the middle of its height, where the lines of one may cross those of the other:
-    the values there follow one polynomial of the elements' order, which suits both.
+    Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
+    the elements' order, which suits both.
     """
     h, half, layout = unit.height_mm, unit.pillar_width_mm / 2, unit.layout
-    electrodes, slack = electrode_centres(unit), 1e-6 * unit.pillar_width_mm
+    slack = 1e-6 * unit.pillar_width_mm
     corners: list[FloatArray] = []
     nodes: list[FloatArray] = []
-    elements, n = [], 0
-    terminals: list[IntArray] = [np.zeros(0, dtype=np.int64)] * len(electrodes)
+    elements, terminals, n = [], [], 0
     ties: dict[int, Tie] = {}
     swept = cache(partial(_swept, unit, order, levels, strained))
-    for joint in _joints(unit):
+    for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit), strict=True)):
         run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
-        part = swept(joint.upright is not None, run, joint.far is not None)
+        part = swept(joint.upright is not None, run)
         X, Y, t = part.nodes_mm.T
-        at, up = electrodes[joint.terminal], 1.0 if joint.terminal >= len(layout.upper) else -1.0
+        up = 1.0 if number >= len(layout.upper) else -1.0
         for local, placed in ((part.corners_mm, corners), (part.nodes_mm, nodes)):
             placed.append(at + np.concatenate([joint.turned(local[..., :2]), up * local[..., 2:]], axis=-1))
         elements.append(part.elements + n)
-        terminals[joint.terminal] = part.terminals[0] + n
-        if joint.far is not None:
-            terminals[joint.far] = part.terminals[1] + n
+        terminals.append(part.terminals[0] + n)
         halves = {} if joint.upright is None else {joint.upright: (0.0, half)}
-        if joint.oblique is not None and joint.far is None:
+        if joint.oblique is not None:
             halves[joint.oblique] = (run / 2, pillar_sections(unit)[joint.oblique, joint.axis] / 2)
         for pillar, (middle, width) in halves.items():
             cut = np.flatnonzero((np.abs(t - h / 2) < slack) & (np.abs(X - middle) <= width + slack))
@@ -106,39 +167,26 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
 
 
 def _joints(unit: Unit) -> list[Joint]:
-    """The electrodes about which figures lie; refusals as of `unit_hexahedra`."""
+    """What lies about each electrode; refusals as of `unit_hexahedra`."""
     layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
     leans, pairs = ends[:, 1] - ends[:, 0], layout.pillar_terminals
-    runs = np.abs(leans).max(axis=1)
-    at = [[k for k, pair in enumerate(pairs) if number in pair] for number in range(len(layout.terminals))]
-    for number, own in enumerate(at):
+    for number, name in enumerate(layout.terminals):
+        own = [k for k, pair in enumerate(pairs) if number in pair]
         uprights, obliques = ([k for k in own if leans[k].any() == lean] for lean in (False, True))
         if len(obliques) > 1:
             raise DesignError(
-                f"conduction takes one oblique pillar at an electrode, {layout.terminals[number]} has {len(obliques)}: "
-                "take eq. 1."
+                f"conduction takes one oblique pillar at an electrode, {name} has {len(obliques)}: take eq. 1."
             )
+        upright = uprights[0] if uprights else None
         if not obliques:
-            joints.append(Joint(terminal=number, upright=uprights[0], oblique=None))
+            joints.append(Joint(upright=upright, oblique=None))
             continue
-        top, foot = pairs[obliques[0]]
-        other, lean = (foot, -leans[obliques[0]]) if number == top else (top, leans[obliques[0]])
-        if not uprights and (len(at[other]) > 1 or number == foot):
-            continue  # the figure at its other end holds it
+        lean = leans[obliques[0]] * (-1 if number == pairs[obliques[0]][0] else 1)
         axis = int(lean[1] != 0)
-        joints.append(
-            Joint(
-                terminal=number,
-                upright=uprights[0] if uprights else None,
-                oblique=obliques[0],
-                axis=axis,
-                sign=float(np.sign(lean[axis])),
-                far=other if len(at[other]) == 1 else None,
-            )
-        )
+        joints.append(Joint(upright=upright, oblique=obliques[0], axis=axis, sign=float(np.sign(lean[axis]))))
     # an oblique pillar must part from an upright one above the middle of its height, and touch no other
     least_mm, prisms = unit.pillar_width_mm + float(pillar_sections(unit).max()), unit_prisms(unit)
-    both = [runs[one.oblique] for one in joints if None not in (one.upright, one.oblique)]
+    both = [np.abs(leans[one.oblique]).max() for one in joints if None not in (one.upright, one.oblique)]
     close = min(both, default=np.inf) <= least_mm
     for (one, a), (two, b) in combinations(zip(prisms, pairs, strict=True), 2):
         close |= not {*a} & {*b} and one.cuts(two, 0.0)
@@ -151,8 +199,8 @@ def _joints(unit: Unit) -> list[Joint]:
     return joints
 
 
-def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float, whole: bool) -> Hexahedra:
-    """A joint's figure swept across, in X, Y and t; terminals are the electrode and that at the oblique's other end."""
+def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float) -> Hexahedra:
+    """A joint's figure swept across, in X, Y and t; the terminal is its electrode."""
     h, half, e = unit.height_mm, unit.pillar_width_mm / 2, unit.electrode_mm / 2
     across = _across(half, e, max(levels - 2, 0), strained)
     if not run:
@@ -160,16 +208,17 @@ def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, r
         depth = _between(0.0, h / 2, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
         quads = _cells(np.broadcast_to(columns, (len(depth), len(columns))), depth)
     else:
-        quads = _figure(unit, levels, upright, run, h if whole else h / 2)
+        quads = _figure(unit, levels, upright, run)
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
     slack = 2e-6 * half
+    on_electrode = partial(_within, low=np.array([-e, -e, 0.0]) - slack, high=np.array([e, e, 0.0]) + slack)
+    return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
 
-    def on_end(places: FloatArray, x: float, t: float) -> NDArray[np.bool_]:
-        return np.asarray((np.abs(places - (x, 0.0, t)) <= (e + slack, e + slack, slack)).all(axis=1))
 
-    return joined(corners.reshape(-1, 8, 3), order, [lambda at: on_end(at, 0.0, 0.0), lambda at: on_end(at, run, h)])
+def _within(points: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
@@ -223,22 +272,22 @@ def _between(
     return start + np.concatenate(filled)
 
 
-def _figure(unit: Unit, levels: int, upright: bool, run: float, length: float) -> FloatArray:
-    """Quadrilaterals of an oblique pillar's figure, shape (n, 2, 2, 2): corners by X and depth t, then X and t [mm].
+def _figure(unit: Unit, levels: int, upright: bool, run: float) -> FloatArray:
+    """Quadrilaterals of an oblique pillar's half, and an upright one's, (n, 2, 2, 2): corners by X and t, then X and t.
 
     X runs from the electrode's middle toward the oblique pillar's other end, which is `run` away at the depth of the
-    other electrodes; the figure holds the pillar to the depth `length`, and an upright one to half the height.
+    other electrodes [mm].
     """
     h, w = unit.height_mm, unit.pillar_width_mm
     a, b, c, e = run / h, w * np.hypot(run, h) / h / 2, w / 2, unit.electrode_mm / 2
-    rimmed = levels if e < b * (1 - 1e-6) else 0
+    is_rimmed = e < b * (1 - 1e-6)
+    rimmed = levels if is_rimmed else 0
     lines = partial(_between, scale=w / 2)
     down = partial(lines, longest=LONGEST * w)
-    oblique_columns = _oblique_columns(b, e, w / 2, levels, rimmed)
-    at_end = (rimmed if upright else levels) if length == h else 0
     if not upright:
-        below = down(0.0, length, at_start=levels, at_end=at_end)
-        return _cells(-b + a * below[:, None] + 2 * b * oblique_columns, below)
+        columns = _across(b, e, levels, False) if is_rimmed else lines(-b, b, at_end=levels)
+        depth = down(0.0, h / 2, at_start=levels)
+        return _cells(a * depth[:, None] + columns, depth)
 
     first, crotch = (b - c) / a, (b + c) / a  # depths at which the oblique pillar leaves the upright one's sides
     right = e if rimmed else c  # where the line to the crotch starts
@@ -250,27 +299,16 @@ def _figure(unit: Unit, levels: int, upright: bool, run: float, length: float) -
     if rimmed:
         columns = np.concatenate([lines(-b, -e, at_end=levels), columns[1:]])
     columns = (columns - columns[0]) / np.ptp(columns)
+    oblique_columns = lines(0.0, 2 * b, at_start=levels) / (2 * b)
     uprights = left_of[:, None] + (right_of - left_of)[:, None] * columns
     obliques = right_of[:, None] + (b + a * depth - right_of)[:, None] * oblique_columns
-    quads = [_cells(uprights, depth), _cells(obliques, depth)]
-
     below = down(crotch, h / 2, at_start=levels)
-    quads.append(_cells(np.broadcast_to(-c + 2 * c * columns, (len(below), len(columns))), below))
-    below = down(crotch, length, at_start=levels, at_end=at_end)
-    quads.append(_cells(-b + a * below[:, None] + 2 * b * oblique_columns, below))
-    return np.concatenate(quads)
-
-
-def _oblique_columns(b: float, e: float, scale: float, levels: int, rimmed: int) -> FloatArray:
-    """Lines across an oblique pillar as shares of its width, at its far electrode's edges and toward the crotch."""
-    if not rimmed:
-        return _between(0.0, 2 * b, scale, at_start=levels) / (2 * b)
-    lines = [
-        _between(0.0, b - e, scale, at_start=levels, at_end=levels),
-        _between(b - e, b + e, scale, at_start=levels, at_end=levels),
-        _between(b + e, 2 * b, scale, at_start=levels),
-    ]
-    return np.concatenate([lines[0], lines[1][1:], lines[2][1:]]) / (2 * b)
+    return np.concatenate([
+        _cells(uprights, depth),
+        _cells(obliques, depth),
+        _cells(np.broadcast_to(-c + 2 * c * columns, (len(below), len(columns))), below),
+        _cells(-b + a * below[:, None] + 2 * b * oblique_columns, below),
+    ])  # fmt: skip
 
 
 def _cells(x: FloatArray, t: FloatArray) -> FloatArray:
