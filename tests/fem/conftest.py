@@ -9,7 +9,7 @@ from skfem import MeshTet
 from fem.array.coupled_cells import CoupledArray
 from fem.pictures.arrays import ArrayField, solve_array_field
 from geometry.design import Array, SensorDesign
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,27 @@
-"""Scenes for the tests, small enough to be solved in a moment."""
+"""Scenes, meshes and a layout for the tests, small enough to be solved in a moment."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from skfem import MeshTet
 
 from fem.methods.plan import Plan, make_plan
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
 from geometry.design import Material
+from geometry.layout import Electrode, Layout
+from geometry.layout import Pillar as PillarOf
+
+#: two uprights, two oblique pillars and three upper electrodes, in a chain from U1 to U3; y shares both its electrodes
+FOUR = Layout(
+    upper=(Electrode("U1", (-1.0, -1.0)), Electrode("U2", (-1.0, 1.0)), Electrode("U3", (1.0, 1.0))),
+    lower=(Electrode("L1", (-1.0, -1.0)), Electrode("L2", (-1.0, 1.0))),
+    pillars=tuple(
+        PillarOf(*one) for one in (("z", "L1", "U1"), ("y", "L1", "U2"), ("w", "L2", "U2"), ("x", "L2", "U3"))
+    ),
+)
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 
@@ -126,3 +138,19 @@ def assert_follows_bernoulli(u):
     bending = 1e-3 / root * root * 30**3 / (3 * 6.1 / 12)
     assert u @ across == pytest.approx(bending, rel=0.05)  # half the width over the length counts three times
     assert abs(u @ [root, 0.0, -root]) < 0.01 * bending
+
+
+def box_mesh(n: tuple[int, int, int], size_mm: tuple[float, float, float], disorder: float = 0.0) -> MeshTet:
+    """A box from the origin in 6·nx·ny·nz tetrahedra, inner points moved at random by a share of the edges."""
+    grid = [np.linspace(0.0, extent, cells + 1) for cells, extent in zip(n, size_mm, strict=True)]
+    mesh = MeshTet.init_tensor(*grid)
+    if not disorder:
+        return mesh
+    points = mesh.p.copy()
+    inner = np.ones(points.shape[1], dtype=bool)
+    for axis, extent in enumerate(size_mm):
+        inner &= (points[axis] > 0) & (points[axis] < extent)
+    edges = np.array(size_mm) / np.array(n)
+    moves = np.random.default_rng(7).uniform(-disorder, disorder, (3, int(inner.sum()))) * edges[:, None]
+    points[:, inner] += moves
+    return MeshTet(points, mesh.t)

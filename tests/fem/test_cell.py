@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import PortModes, condense, lobatto
+from fem.array.cell import PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import BoxCell
 from fem.factor import Factor, checked_solve
@@ -96,20 +96,6 @@ def test_the_inside_belongs_to_the_condensed_cell(plate):
     assert np.allclose(seen[n:], cell.compliance, rtol=0, atol=1e-12)
 
 
-def test_exchanging_x_and_y_twice_changes_nothing(cell):
-    """A square cell of square rectangles is its own exchange, but for which corner the second one lies in."""
-    swap = PORTS.exchanged
-    assert np.array_equal(swap[swap], np.arange(PORTS.n_modes * 3))
-    twice = cell.exchanged(np.arange(2)).exchanged(np.arange(2))
-    assert np.array_equal(twice.stiffness, cell.stiffness)
-    assert np.array_equal(twice.transfer, cell.transfer)
-    points = np.array([[HALF, 2.0, 3.0], [-1.0, -HALF, 5.0], [HALF, HALF, 10.0]])
-    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
-    here = PORTS.values(points) @ q.reshape(-1, 3)
-    there = PORTS.values(points[:, [1, 0, 2]]) @ q[swap].reshape(-1, 3)
-    assert np.allclose(there, here[:, [1, 0, 2]], rtol=0, atol=1e-14)
-
-
 def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
     assert np.array_equal(cell.stiffness, cell.stiffness.T)
     least = np.linalg.eigvalsh(cell.stiffness)[0]
@@ -165,14 +151,6 @@ def test_lower_degrees_are_part_of_higher_ones(whole_cell):
     assert cut.ports == low.ports
     assert np.allclose(cut.stiffness, low.stiffness, rtol=0, atol=1e-11 * np.abs(low.stiffness).max())
     assert np.allclose(cut.transfer, low.transfer, rtol=0, atol=1e-11)
-
-
-def test_modes_vanish_at_the_base_and_bubbles_at_the_edges():
-    corners = np.array([[x, y, z] for x in (-HALF, HALF) for y in (-HALF, HALF) for z in (0.0, HEIGHT / 3)])
-    values = PORTS.values(corners)
-    assert np.abs(values[::2]).max() < 1e-15
-    assert np.abs(values[:, 4 * PORTS.per_edge :]).max() < 1e-14
-    assert np.allclose(lobatto(5, np.array([-1.0, 1.0])), 0.0)
 
 
 def test_parities_share_out_every_mode():

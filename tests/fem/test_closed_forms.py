@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from numpy.lib.array_utils import byte_bounds
 from numpy.polynomial.legendre import leggauss
 from scipy.linalg import expm
@@ -22,7 +21,7 @@ from fem.array.closed_forms import (
 from fem.array.response import read_response, write_response
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.patch import patch_integrals
+from fem.tetrahedra.patch import patch_means
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 
@@ -32,7 +31,6 @@ LOAD = np.array([-1.0, -0.5, 2.0, 1.5])
 POINTS = np.array([[3.0, 1.0, -2.0], [-1.0, 4.0, -1.0], [0.5, -0.5, -3.0], [-4.0, -2.0, -0.5]])
 STEP = 0.05  #: of the differences, of order 6: they err by (STEP/r)⁶, near 1e-10
 CENTRAL = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-DOWNWARD = {0: 49 / 20, -1: -6.0, -2: 15 / 2, -3: -20 / 3, -4: 15 / 4, -5: -6 / 5, -6: 1 / 6}
 PAD = np.array([-6.0, -6.0, 6.0, 6.0])
 PLACES = np.array(
     [[-6.0, -6.0, -4.0, -4.0], PAD, [6.0, 2.0, 8.0, 4.0], [20.0, -5.0, 23.0, -1.0], [9.0, 9.0, 21.0, 21.0]]
@@ -61,13 +59,10 @@ def point_compliance(offset_mm, material):
     return flip * np.moveaxis(np.array(down), (0, 1), (-2, -1)) / (4 * np.pi * G)
 
 
-def gradient(field, points, stencils=(CENTRAL,) * 3):
+def gradient(field, points):
     """∂ along x, y, z as a last axis of a field (n, ...) at points (n, 3)."""
-    unit = np.eye(3) * STEP
-    return np.stack(
-        [sum(c * field(points + k * unit[a]) for k, c in stencil.items()) / STEP for a, stencil in enumerate(stencils)],
-        axis=-1,
-    )
+    steps = np.eye(3) * STEP
+    return np.stack([sum(c * field(points + k * step) for k, c in CENTRAL.items()) / STEP for step in steps], axis=-1)
 
 
 def navier_misfit(field, points, material):
@@ -80,14 +75,6 @@ def navier_misfit(field, points, material):
     return np.abs(laplace + gradient_of_div).max(axis=(0, 1)) / largest
 
 
-def stress(field, points, material, stencils=(CENTRAL,) * 3):
-    """σ (n, i, j, load) of displacement fields (n, 3, loads)."""
-    lame, G = material.lame_mpa
-    strain = gradient(field, points, stencils).transpose(0, 1, 3, 2)  # (n, i, a, load)
-    strain = (strain + strain.transpose(0, 2, 1, 3)) / 2
-    return lame * np.einsum("nkkq,ij->nijq", strain, np.eye(3)) + 2 * G * strain
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
 def test_the_point_forces_satisfy_navier_s_equation(nu):
     """In the body, for forces along x, y and z: to the 1e-7 of differences of order 6 taken twice."""
@@ -98,46 +85,18 @@ def test_the_point_forces_satisfy_navier_s_equation(nu):
 def test_equation_14_as_printed_is_no_solution():
     """The paper's u_x, u_y and u_z, in its axes (z into the body), miss Navier's equation by their own size.
 
-    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign. Mended they are
-    the normal column of `point_compliance`, which satisfies it.
+    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign, compared with the
+    normal column of `point_compliance`, which satisfies it.
     """
-    nu, (_, G) = RUBBER.poisson, RUBBER.lame_mpa
+    nu = RUBBER.poisson
 
-    def normal(p, printed):
+    def printed(p):
         x, y, z = p.T * np.array([[1.0], [1.0], [-1.0]])
         r = np.sqrt(x**2 + y**2 + z**2)
-        second, sign = (np.array([x * z, z]), -1) if printed else (np.array([x, y]), 1)
-        u_x, u_y = np.array([x, y]) * z / r**3 - (1 - 2 * nu) * second / (r * (r + z))
-        u_z = z**2 / r**3 + sign * 2 * (1 - nu) / r
-        return np.stack([u_x, u_y, -u_z], axis=1)[..., None] / (4 * np.pi * G)
+        u_x, u_y = np.array([x, y]) * z / r**3 - (1 - 2 * nu) * np.array([x * z, z]) / (r * (r + z))
+        return np.stack([u_x, u_y, -(z**2) / r**3 + 2 * (1 - nu) / r], axis=1)[..., None]
 
-    printed, mended = (partial(normal, printed=flag) for flag in (True, False))
     assert navier_misfit(printed, POINTS, RUBBER)[0] > 0.1
-    assert navier_misfit(mended, POINTS, RUBBER)[0] < 1e-6
-    assert np.allclose(mended(POINTS)[..., 0], point_compliance(POINTS, RUBBER) @ [0.0, 0.0, -1.0], rtol=1e-13)
-
-
-def test_a_hemisphere_carries_the_whole_load_and_the_surface_none():
-    """∮ σ n around a point force balances it, to 1e-7 of Gauss points and differences; σ_z is 0 off the force."""
-    cosine, weight = leggauss(12)
-    cosine, weight = (cosine + 1) / 2, weight / 2
-    angle = np.arange(48) * 2 * np.pi / 48
-    sine = np.sqrt(1 - cosine**2)
-    n = np.stack(
-        [np.outer(sine, np.cos(angle)), np.outer(sine, np.sin(angle)), np.outer(-cosine, np.ones(48))], axis=-1
-    )
-    n, area = n.reshape(-1, 3), np.repeat(weight, 48) * 2 * np.pi / 48
-    radius = 60.0  # so large that the uppermost Gauss point lies a stencil below the surface
-
-    def field(p):
-        return point_compliance(p, RUBBER)
-
-    sigma = stress(field, radius * n, RUBBER)
-    carried = radius**2 * np.einsum("nijq,nj,n->iq", sigma, n, area)
-    assert np.allclose(carried, -np.eye(3), atol=1e-7)
-    surface = np.array([[3.5, 0.5, 0.0], [0.0, -2.5, 0.0], [-3.0, 4.0, 0.0]])
-    sigma = stress(field, surface, RUBBER, (CENTRAL, CENTRAL, DOWNWARD))
-    assert np.abs(sigma[:, :, 2]).max() < 1e-6 * np.abs(sigma).max()
 
 
 TARGETS = np.array([[1.2, -1.0, 4.0, 3.0], LOAD, [5.0, 5.0, 7.0, 6.0], [2.0, 1.5, 3.0, 3.0], [0.0, 0.0, 0.5, 0.5]])
@@ -191,25 +150,17 @@ def test_rectangles_obey_reciprocity_and_energy_is_positive(mean):
     assert np.abs(skew[..., 0, 2]).max() > 0.01 * np.abs(skew).max()  # it is really there
 
 
-def pushed_block(core, outer, layers, squares):
-    """Means of three squares, the first loaded, on a block with lines 2 mm apart within `core` mm: (3, 3, 3)."""
-    across = np.concatenate([-np.array(outer)[::-1], np.arange(-core, core + 1.0, 2.0), outer])
-    mesh = MeshTet.init_tensor(across, across, np.array(layers, dtype=float))
-    body = taylor_hood(mesh, [USUAL], np.zeros(mesh.nelements, dtype=int))
-    means = sp.kron(patch_integrals(body.basis, squares), sp.eye_array(3), format="csr")  # times area
-    solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray() / 64.0))
-    return (means @ body.displacements(solution)).reshape(3, 3, 3) / np.array([64.0, 16.0, 16.0])[:, None, None]
-
-
 def test_the_response_holds_every_pair_of_electrode_and_pad(tmp_path):
-    """Unequal rows and columns, a shifted pad, and no symmetry to hide a mistaken index behind; read as written."""
+    """Unequal rows and columns, a shifted pad, no symmetry to hide a mistaken index behind; its file gives it back."""
     design = SensorDesign(array=Array(rows=2, cols=3), pad=Pad(size_mm=8.0, offset_x_mm=1.0, offset_y_mm=-2.0))
     material = design.matrix_material
-    write_response(layer_response(design), tmp_path / "r.nc")
+    given = replace(layer_response(design), residual=1e-14, unknowns=7, seconds={"condense": 1.5}, error_estimate=5e-4)
+    write_response(given, tmp_path / "r.nc")
     found = read_response(tmp_path / "r.nc")
     influence = found.influence_mm_per_n
-    assert np.array_equal(influence, layer_response(design).influence_mm_per_n)
-    assert (found.method, found.unknowns, found.residual) == ("layer", 0, 0.0)
+    assert np.array_equal(influence, given.influence_mm_per_n)
+    for name in ("design", "method", "residual", "unknowns", "seconds", "error_estimate", "mesh_hash", "content_hash"):
+        assert getattr(found, name) == getattr(given, name)
     height_mm = design.unit.height_mm
     pairs = layer_mean_compliance(electrode_squares(design)[:, None], pad_squares(design), height_mm, material)
     direct = pairs.reshape(2, 3, 2, 2, 3, 3, 3).transpose(0, 1, 2, 5, 3, 4, 6)
@@ -228,15 +179,14 @@ def test_a_large_array_takes_no_memory_to_speak_of():
 
 def test_what_has_no_answer_is_refused_by_name():
     """Rectangles without area, or so wide for their layer that memory would run out; a layer without height."""
-    with pytest.raises(HalfspaceError, match="a rectangle is empty"):
-        mean_compliance([0.0, 0.0, 0.0, 1.0], LOAD, RUBBER)
-    with pytest.raises(HalfspaceError, match=r"shape \(3,\), expected \(\.\.\., 4\)"):
-        mean_compliance(LOAD[:3], LOAD, RUBBER)
-    with pytest.raises(HalfspaceError, match=r"1\.2e\+03 heights wide, at most 100 are allowed: split it"):
-        layer_mean_compliance(PAD, PAD, 0.01, RUBBER)
-    for height_mm in (0.0, -1.0, np.nan):
-        with pytest.raises(HalfspaceError, match="must be above 0: the layer's thickness"):
-            layer_mean_compliance(PAD, PAD, height_mm, RUBBER)
+    for target, height_mm, says in (
+        ([0.0, 0.0, 0.0, 1.0], 1.0, "a rectangle is empty"),
+        (LOAD[:3], 1.0, r"shape \(3,\), expected \(\.\.\., 4\)"),
+        (PAD, 0.01, r"1\.2e\+03 heights wide, at most 100 are allowed: split it"),
+        (PAD, np.nan, "must be above 0: the layer's thickness"),
+    ):
+        with pytest.raises(HalfspaceError, match=says):
+            layer_mean_compliance(target, PAD, height_mm, RUBBER)
 
 
 def halfspace_spectrum(poisson):
@@ -279,16 +229,6 @@ def test_the_spectrum_tends_to_the_half_space_and_stays_finite(nu):
     assert (longitudinal_and_normal > 0).all()
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.4999])
-def test_a_wide_load_shears_and_squeezes_the_layer_evenly(nu):
-    """1 MPa all over: h/G along x and y, h/(λ+2G) along z, nothing across. 40 heights leave exp(−0.74·20) outside."""
-    material = Material(poisson=nu)
-    lame, G = material.lame_mpa
-    wide, middle = np.array([-200.0, -200.0, 200.0, 200.0]), [-1.0, -3.0, 3.0, 2.0]
-    moved = 400.0**2 * layer_mean_compliance(middle, wide, 10.0, material)
-    assert np.allclose(moved, np.diag([10 / G, 10 / G, 10 / (lame + 2 * G)]), rtol=0, atol=1e-5 * 10 / G)
-
-
 def test_the_mean_agrees_with_a_sum_over_waves():
     """Pads repeated every 20 heights have a discrete spectrum: product of sincs, no half-space, no quadrature.
 
@@ -323,14 +263,14 @@ def test_the_mean_agrees_with_a_sum_over_waves():
 
 
 def test_a_high_layer_is_a_half_space_and_a_far_place_is_still():
-    """The base takes 1/height away, near enough a rigid motion; 40 heights away nothing is left but rounding."""
+    """The base takes 1/height away, near enough a rigid motion; 30 heights away nothing is left but rounding."""
     closed = mean_compliance(PLACES, PAD, USUAL)
     misfit = [np.abs(layer_mean_compliance(PLACES, PAD, h, USUAL) - closed).max() for h in (1e3, 2e3)]
     assert misfit[0] < 0.02 * np.abs(closed).max()
     assert misfit[1] == pytest.approx(misfit[0] / 2, rel=0.02)
-    for far in (29.0, 31.0, 40.0):
-        still = layer_mean_compliance(PAD + 10.0 * far * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
-        assert np.abs(still).max() < 1e-10 * np.abs(closed).max() * 10
+    for far in (290.0, 310.0):
+        still = layer_mean_compliance(PAD + far * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
+        assert np.abs(still).max() < 1e-9 * np.abs(closed).max()
 
 
 def test_wide_pads_on_a_thin_layer_get_points_enough():
@@ -345,20 +285,14 @@ def test_wide_pads_on_a_thin_layer_get_points_enough():
 def test_finite_elements_agree_on_a_wide_slab():
     """A slab of 80 × 80 × 10 mm, its sides 4 heights off: 3 % for a mesh with four edges across the load."""
     squares = np.array([[-4.0, -4.0, 4.0, 4.0], [4.0, -2.0, 8.0, 2.0], [-8.0, -8.0, -4.0, -4.0]])
-    elements = pushed_block(8.0, [14.0, 24.0, 40.0], [0.0, 3.5, 6.0, 8.0, 10.0], squares)
+    outer = np.array([14.0, 24.0, 40.0])
+    across = np.concatenate([-outer[::-1], np.arange(-8.0, 9.0, 2.0), outer])
+    mesh = MeshTet.init_tensor(across, across, np.array([0.0, 3.5, 6.0, 8.0, 10.0]))
+    body = taylor_hood(mesh, [USUAL], np.zeros(mesh.nelements, dtype=int))
+    means = patch_means(body.basis, squares)
+    solution, _ = checked_solve(Factor(body.matrix), body.loads(means[:3].T.toarray()))
+    elements = (means @ body.displacements(solution)).reshape(3, 3, 3)
     for found, expected in zip(elements, layer_mean_compliance(squares, squares[0], 10.0, USUAL), strict=True):
         assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
     closed = mean_compliance(squares, squares[0], USUAL)
     assert np.linalg.norm(elements - closed) > 0.3 * np.linalg.norm(elements)  # the half-space is no such answer
-
-
-def test_response_is_symmetric_and_local():
-    """Units are alike; far ones feel the layer's exponential decay, not the half-space's 1/r (5 % here)."""
-    design = SensorDesign(array=Array(rows=2, cols=6))
-    layer = layer_response(design)
-    assert layer.influence_mm_per_n.shape == (2, 6, 2, 3, 2, 6, 3)
-    assert np.array_equal(layer.influence_mm_per_n[0, 0, ..., 0, 1, :], layer.influence_mm_per_n[1, 4, ..., 1, 5, :])
-    far, own = (np.linalg.norm(layer.influence_mm_per_n[0, col, ..., 0, 0, :]) for col in (5, 0))
-    assert far < 2e-3 * own
-    stiffer = replace(design, matrix_material=Material(young_mpa=12.2))
-    assert np.allclose(2 * layer_response(stiffer).influence_mm_per_n, layer.influence_mm_per_n, rtol=1e-12)

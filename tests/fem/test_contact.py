@@ -1,6 +1,5 @@
 """Contact by shape against closed forms and NGSolve, and its compliance against the array's response."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from fem.contact import (
 )
 from fem.contact.indentation import OPEN, STICK
 from fem.contact.surface import Patch, PatchCompliance
-from geometry.design import Array, Material, SensorDesign, Unit
+from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import pad_squares
 
@@ -122,8 +121,6 @@ def test_forces_and_displacements_are_reciprocal(pair: SurfaceCompliance, degree
     compliance = PatchCompliance(pair, Patch((-12.0, -7.5), (15.0, 5.0), 20, 12), degree)
     f, g = np.random.default_rng(0).normal(size=(2, 3, 12, 20))
     assert (f * compliance.moved_mm(g)).sum() == pytest.approx((g * compliance.moved_mm(f)).sum(), rel=2e-5)
-    alone = f * np.array([0.0, 0.0, 1.0])[:, None, None]
-    assert compliance.moved_mm(f[2:]) == pytest.approx(compliance.moved_mm(alone)[2:], rel=1e-5)
 
 
 def test_units_share_the_whole_force_and_moments_are_about_its_centre(pair: SurfaceCompliance):
@@ -180,21 +177,22 @@ def test_stl_of_a_box_is_a_flat_punch_and_no_solid_is_refused(pair: SurfaceCompl
         ({"slide_mm": (1e3, 0.0)}, "leaves the sensor"),
         ({"at_mm": (float("nan"), 0.0)}, "finite"),
         ({"cells": 8}, "cells=8 must be from 16"),
+        ({"radius_mm": 0.0}, "radius_mm=0"),
     ],
 )
 def test_contacts_that_cannot_be_are_refused(pair: SurfaceCompliance, changes: dict, told: str):
-    with pytest.raises(ContactError, match=told):
-        press(pair, Sphere(5.0), **{"depth_mm": 1.0, **changes})
+    given = {"radius_mm": 5.0, "depth_mm": 1.0, **changes}
+    with pytest.raises((ContactError, ShapeError), match=told):
+        press(pair, Sphere(given.pop("radius_mm")), **given)
 
 
 def test_sensors_that_it_is_no_model_of_are_refused():
-    soft = SensorDesign()
-    stiff = replace(soft, pad=replace(soft.pad, kind="stiff"))
-    for design, told in ((stiff, "stiff plates"), (replace(soft, array=replace(soft.array, rows=20)), "too many")):
+    for design, told in (
+        (SensorDesign(pad=Pad(kind="stiff")), "stiff plates"),
+        (SensorDesign(array=Array(rows=20)), "too many"),
+    ):
         with pytest.raises(DesignError, match=told):
             surface_compliance(design)
-    with pytest.raises(ShapeError, match="radius_mm=0"):
-        Sphere(0.0)
 
 
 def test_height_map_is_empty_outside_its_box_and_beside_holes():

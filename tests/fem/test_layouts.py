@@ -8,20 +8,28 @@ import pytest
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response
+from fem.conduction import reduced
 from fem.conduction.potentials import unit_conductances
-from fem.conduction.reduced import reduced_conduction
+from fem.finite import conducted
 from fem.finite.samples import SampleSolver
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import FileFormatError
 from geometry.layout import pillar_shares, pillar_volumes, rest_lengths
-from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars
-from tests.fem.layouts import FOUR
+from geometry.wiring import crossings
+from tests.fem.scenes import FOUR
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
 DESIGN = replace(PAPERS, unit=UNIT)
 SETTINGS = ResponseSettings(tolerance=5e-2)
 pytestmark = pytest.mark.usefixtures("shared_cache")
+
+
+@pytest.fixture
+def few_potentials(monkeypatch):
+    """Conduction reduced to the potentials of a quarter of the usual deformations: at rest it is as exact."""
+    monkeypatch.setattr(reduced, "SNAPSHOTS", 7)
+    monkeypatch.setattr(conducted, "reduced_conduction", reduced.reduced_conduction.__wrapped__)
 
 
 def test_lengths_volumes_and_wires_are_those_of_four_pillars():
@@ -33,9 +41,6 @@ def test_lengths_volumes_and_wires_are_those_of_four_pillars():
     shared = 3 * 4 * np.sqrt(2)  # w² h·ow/(2s) at each of three joints; edges between lines leave 1e-3
     assert union == pytest.approx(pillar_volumes(UNIT).sum() - shared, rel=1e-3)
     assert crossings(1, 1, FOUR).tolist() == [[0, 0], [1, 0], [1, 1], [2, 1]]
-    values = np.random.default_rng(0).random((2, 3, 2, 4))
-    sent = crossings_from_pillars(values, FOUR)
-    assert (sent.take(crossing_of_pillar(3, 2, FOUR), axis=-1) == values).all()
 
 
 def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path):
@@ -63,7 +68,7 @@ def test_derivatives_have_every_electrode():
     assert four[:, :, :, :2] == pytest.approx(of_paper, abs=1e-9)
 
 
-def test_samples_at_finite_strain_have_every_electrode_and_pillar():
+def test_samples_at_finite_strain_have_every_electrode_and_pillar(few_potentials):
     lone = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     force_n = 144.0 * np.array([[[0.1, 0.05, -0.5]]])
     of_paper, found = (SampleSolver(replace(lone, unit=unit)).displacements(force_n) for unit in (Unit(), UNIT))
@@ -81,13 +86,13 @@ def test_samples_at_finite_strain_have_every_electrode_and_pillar():
     assert change[:2] == pytest.approx(theirs[[0, 2]], rel=1e-3)
 
 
-def test_conduction_of_four_pillars():
+def test_conduction_of_four_pillars(few_potentials):
     """NGSolve, order 4 on three levels toward edges, finds 2.58964, 4.18831, 2.66317 and 3.81533 ρ/mm."""
     found = unit_conductances(UNIT)
     assert found.matrix_mm.shape == (5, 5)
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
-    reduced = reduced_conduction(UNIT)
-    at_rest = reduced.conductances(np.broadcast_to(np.eye(3), (len(reduced.points_mm), 3, 3)))
+    few = conducted.reduced_conduction(UNIT)
+    at_rest = few.conductances(np.broadcast_to(np.eye(3), (len(few.points_mm), 3, 3)))
     assert at_rest == pytest.approx(found.matrix_mm, rel=1e-9)

@@ -49,12 +49,6 @@ def test_the_closed_form_refuses_stiff_pads():
         solve_response(STIFF, ResponseSettings(method="layer"))
 
 
-def test_stiff_pads_may_not_touch():
-    """Between two plates that touch the rubber could not follow both."""
-    with pytest.raises(DesignError, match="stiff pads may not touch"):
-        replace(STIFF, pad=Pad(kind="stiff", size_mm=STIFF.array.pitch_mm))
-
-
 def on_electrodes(design, forces_n, tolerance):
     """A scene with a plate on every unit under forces (n_units, 3), its probes all electrodes."""
     loads = [

@@ -10,7 +10,7 @@ from fem.boxes.boxes import Boxes
 from fem.factor import whole
 from fem.plates import turns
 from fem.rubber.body import RubberBody
-from fem.rubber.law import LAWS, Law, cofactors
+from fem.rubber.law import LAWS, Law
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.system import System
 from geometry.design import Material
@@ -115,13 +115,6 @@ def test_forces_are_slopes_of_the_energy(lean, poisson, model):
     step = 1e-5
     slope = (block.energy_mj(u + step * v) - block.energy_mj(u - step * v)) / (2 * step)
     assert np.isclose((forces[0] * v).sum(), slope, rtol=1e-6)  # of the difference quotient
-
-
-def test_cofactors_are_the_volume_times_the_inverse_s_transpose():
-    F = np.random.default_rng(5).normal(size=(3, 3, 7))
-    matrices = F.transpose(2, 0, 1)
-    expected = np.linalg.det(matrices)[:, None, None] * np.linalg.inv(matrices).transpose(0, 2, 1)
-    assert np.allclose(cofactors(F).transpose(2, 0, 1), expected)
 
 
 MIDDLE = (2.0 + 4 * LEAN[0], 2.25 + 4 * LEAN[1])

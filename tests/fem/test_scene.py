@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fem.scene.loads import DeadLoad, FollowerLoad, SceneError, StiffLoad
-from fem.scene.scene import Block, Inclusion, Pillar, Prism, Sensor
+from fem.scene.scene import Block, Inclusion, Pillar, Prism
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material
 from tests.fem.scenes import ARRAY, BLOCK, EXAMPLES, PILLAR
@@ -29,25 +29,10 @@ def test_the_example_scenes_are_scenes(path):
     assert read_scene(path).probes
 
 
-def test_whole_numbers_and_defaults_are_taken():
-    text = BLOCK.replace("[30.0, 30.0, 10.0]", "[30, 30, 10]").replace("[solve]\ntolerance = 2e-3", "")
-    scene = scene_from_toml(text)
-    assert scene.body == Block(size_mm=(30.0, 30.0, 10.0))
-    assert scene.tolerance == 1e-3
-
-
-def test_a_unit_is_its_design_as_one_unit():
-    unit = scene_from_toml(ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5"))
-    assert isinstance(unit.body, Sensor)
-    assert (unit.body.design.n_units, len(unit.body.pillars)) == (1, 3)
-    assert unit.top_mm == (-7.5, -7.5, 7.5, 7.5)
-
-
-def test_a_common_material_fills_the_rubbers_that_the_design_leaves_open():
-    body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\n").body
-    assert isinstance(body, Sensor)
-    assert body.design.matrix_material == Material(young_mpa=2.0, poisson=0.4)
-    assert body.design.pillar_material == Material(young_mpa=61.0)  # [design] gives its own
+def test_a_common_material_fills_the_rubbers_and_the_model_that_the_design_leaves_open():
+    body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\nmodel = 'neo-hookean'\n").body
+    assert body.design.matrix_material == Material(young_mpa=2.0, poisson=0.4, model="neo-hookean")
+    assert body.design.pillar_material == Material(young_mpa=61.0, model="neo-hookean")  # modulus by [design]
 
 
 def test_kinds_of_loads_and_a_model_are_read_as_written():
@@ -70,36 +55,19 @@ def test_kinds_of_loads_and_a_model_are_read_as_written():
     assert scene.plate_rectangles_mm.tolist() == [[3.0, 3.0, 7.0, 7.0]]
 
 
-def test_a_common_model_fills_the_rubbers_that_state_none():
-    body = scene_from_toml(ARRAY + "[material]\nyoung_mpa = 2.0\npoisson = 0.4\nmodel = 'neo-hookean'\n").body
-    assert body.design.pillar_material == Material(young_mpa=61.0, model="neo-hookean")
-
-
 SWAPS = [
     ("[body]\n", "spam = 1\n[body]\n", "unknown key 'spam'"),
-    ('kind = "block"', 'kind = "ball"', "[body]: kind='ball' is unknown; it must be one of block, pillar, unit, array"),
     ('kind = "block"', "", "[body]: kind is missing"),
     ("size_mm = [30.0, 30.0, 10.0]", "", "the key 'size_mm' is missing in [body]"),
     ("[30.0, 30.0, 10.0]", "[30.0, 30.0]", "must be 3 finite numbers"),
     ("[30.0, 30.0, 10.0]", "[30.0, 30.0, 0.0]", "must be above 0"),
-    ("[30.0, 30.0, 10.0]", "[30.0, -30.0, 10.0]", "must be above 0"),
     ("[30.0, 30.0, 10.0]", "[30.0, nan, 10.0]", "must be 3 finite numbers"),
-    ("[30.0, 30.0, 10.0]", "[30.0, true, 10.0]", "must be 3 finite numbers"),
-    ("[30.0, 30.0, 10.0]", "'30'", "must be 3 finite numbers"),
     ("[30.0, 30.0, 10.0]", "[1e300, 30.0, 10.0]", "at most 1e+06"),
     ("young_mpa = 6.1", "young_mpa = '6.1'", "[material]: young_mpa='6.1' must be a finite number"),
-    ("young_mpa = 6.1", "young_mpa = 0", "[material]: young_mpa=0 must be above 0"),
-    ("young_mpa = 6.1", "young_mpa = true", "must be a finite number"),
-    ("young_mpa = 6.1", "", "the key 'young_mpa' is missing in [material]"),
-    ("poisson = 0.49", "poisson = 0.5", "poisson=0.5 must be from 0 to below 0.5"),
-    ("poisson = 0.49", "poisson = -0.1", "poisson=-0.1 must be from 0"),
     ("[material]\nyoung_mpa = 6.1\npoisson = 0.49", "", "the table [material] is missing"),
     ("[[load]]", "[load]", "'load' must be an array of tables, each written [[load]]"),
     ("[body]", "[[body]]", "'body' must be one table, written [body]"),
-    ("[solve]", "[[solve]]", "'solve' must be one table"),
     ("traction_mpa", "pressure_mpa", "unknown key 'pressure_mpa' in [[load]] 1; known are center_mm, size_mm"),
-    ("traction_mpa = [0.0, 0.0, -1.0]", "", "the key 'traction_mpa' is missing in [[load]] 1"),
-    ("poisson = 0.49", "poisson = 0.49\nmodel = 'ogden'", "[material]: model='ogden' must be one of linear"),
     ("traction_mpa = [0", "kind = 'rigid'\ntraction_mpa = [0", "[[load]] 1: kind='rigid' is unknown; it must be one"),
     ("traction_mpa = [0", "kind = 'stiff'\ntraction_mpa = [0", "unknown key 'traction_mpa' in [[load]] 1 of kind"),
     ("traction_mpa = [0.0, 0.0, -1.0]", "kind = 'follower'", "the key 'pressure_mpa' is missing in [[load]] 1 of kind"),
@@ -107,32 +75,22 @@ SWAPS = [
     ("[[load]]", "[[load]]\nkind = 'stiff'\ncenter_mm = [9, 9]\nsize_mm = [4, 4]\nforce_n = [0, 0, -1]\n[[load]]",
      "loads 1 and 2 share a stiff plate's rectangle"),
     ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = -1.0", "traction_mpa=-1 must be 3 finite numbers"),
-    ("traction_mpa = [0.0, 0.0, -1.0]", "traction_mpa = [0.0, 0.0, inf]", "must be 3 finite numbers"),
     ("size_mm = [10.0, 10.0]", "size_mm = [10.0, 0.0]", "[[load]] 1: size_mm=[10.0, 0.0] must be above 0"),
     ("size_mm = [10.0, 10.0]", "size_mm = [31.0, 10.0]", "load 1 covers x -0.5 to 30.5, y 10 to 20 mm, not wholly on"),
     ("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [25.001, 15.0]\nsize_mm = [10", "load 1 covers x 20.001"),
     ("center_mm = [15.0, 15.0]\nsize_mm = [8", "center_mm = [15.0, -15.0]\nsize_mm = [8", "probe 'patch' covers"),
     ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0, 10.1]", "probe 'point' at [15, 15, 10.1] mm is in"),
-    ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0]", "position_mm=[15.0, 15.0] must be 3 finite"),
     ("position_mm = [15.0, 15.0, 5.0]", "center_mm = [1.0, 1.0]", "[[probe]] 2: a probe of kind 'point' takes"),
     ('name = "point"', 'name = "patch"', "two probes have the name 'patch'"),
-    ('name = "point"', "", "the key 'name' is missing in [[probe]] 2"),
     ('name = "point"', "name = 7", "name=7 must be a word"),
     ('kind = "mean"', 'kind = "median"', "kind='median' must be 'mean' or 'point'"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [29.5, 15.0, 10.0]", "inclusion 1 reaches from [9, 13.5, 0] to [30.5"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 10.5]", "outside the block [0, 0, 0] to [30, 30, 10]"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 0.0]", "top_mm=[20.0, 15.0, 0.0] must lie above base"),
-    ("base_mm = [10.0, 15.0, 0.0]", "base_mm = [10.0, 15.0, -1.0]", "inclusion 1 reaches"),
-    ("section_mm = [2.0, 3.0]", "section_mm = [2.0, 0.0]", "section_mm=[2.0, 0.0] must be above 0"),
     ("tolerance = 2e-3", "tolerance = 0", "tolerance=0 must be a number above 0 and below 1"),
-    ("tolerance = 2e-3", "tolerance = -1e-3", "tolerance=-0.001 must be"),
     ("tolerance = 2e-3", "tolerance = 1", "tolerance=1 must be"),
-    ("tolerance = 2e-3", "tolerance = nan", "tolerance=nan must be"),
     ("tolerance = 2e-3", "tolerance = '1e-3'", "tolerance='1e-3' must be"),
-    ("tolerance = 2e-3", "tolerance = true", "tolerance=True must be"),
-    ("tolerance = 2e-3", "mesh = 3", "unknown key 'mesh' in [solve]; known are tolerance"),
     ("[body]", "[body", "not valid TOML"),
-    ("30.0, 30.0, 10.0", "9" * 5000, "not valid TOML"),
     ('kind = "block"', 'kind = "array"', "unknown key 'inclusion' in a scene of kind array; known are body"),
 ]  # fmt: skip
 
@@ -149,16 +107,6 @@ def test_nonsense_is_refused_in_one_line(given, written, says):
     assert len(message) < 300
 
 
-def test_a_scene_without_probes_is_refused():
-    with pytest.raises(SceneError, match=r"no probe.*add a \[\[probe\]\]"):
-        scene_from_toml(BLOCK[: BLOCK.index("[[probe]]")])
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SceneError, match=r"nowhere\.toml: no such file"):
-        read_scene(tmp_path / "nowhere.toml")
-
-
 def test_a_point_beside_an_oblique_pillar_is_in_the_air():
     """At half height the pillar is around x = 5: there is air above its base and below its top."""
     probe = '[[probe]]\nname = "p"\nkind = "point"\nposition_mm = [{}, 0.0, 5.0]\n'
@@ -168,13 +116,9 @@ def test_a_point_beside_an_oblique_pillar_is_in_the_air():
             scene_from_toml(PILLAR + probe.format(x))
 
 
-@pytest.mark.parametrize(
-    ("base", "top", "says"),
-    [([0, 0, 1], [0, 0, 9], "must lie on the clamped base"), ([0, 0, 0], [0, 0, -9], "must lie above base_mm")],
-)
-def test_a_pillar_stands_on_the_base(base, top, says):
-    with pytest.raises(SceneError, match=says):
-        Pillar(section_mm=(1, 1), base_mm=base, top_mm=top)
+def test_a_pillar_stands_on_the_base():
+    with pytest.raises(SceneError, match="must lie on the clamped base"):
+        Pillar(section_mm=(1, 1), base_mm=(0, 0, 1), top_mm=(0, 0, 9))
 
 
 def inclusion(x: float, to: float, z: tuple[float, float] = (0.0, 10.0)) -> Inclusion:
@@ -220,12 +164,6 @@ def test_overlap_agrees_with_points_in_both():
         assert one.cuts(other, 1e-9) if both else not one.cuts(other, 0.5)
         seen.append(both)
     assert 10 < sum(seen) < 40
-
-
-def test_overlapping_inclusions_are_refused_by_number():
-    second = BLOCK[BLOCK.index("[[inclusion]]") : BLOCK.index("[[load]]")].replace("[10.0, 15.0, 0.0]", "[18, 15, 0]")
-    with pytest.raises(SceneError, match="inclusions 1 and 2 overlap"):
-        scene_from_toml(BLOCK + second)
 
 
 def test_loads_that_cancel_are_no_load():

@@ -6,7 +6,7 @@ from skfem import MeshTet
 
 from fem.tetrahedra.scene_mesh import bisected
 from geometry.mesh import boundary_faces, cell_volumes
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 
 def turned(mesh: MeshTet) -> np.ndarray:
@@ -46,13 +46,3 @@ def _flatness(mesh: MeshTet) -> np.ndarray:
     corners = mesh.p.T[mesh.t.T]
     longest = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3).max(axis=(1, 2))
     return np.abs(cell_volumes(mesh.p.T, mesh.t.T)) / longest**3
-
-
-def test_nothing_or_everything_may_be_marked():
-    """Nothing changes, or every cell is halved at least."""
-    mesh = box_mesh((2, 2, 2), (1.0, 1.0, 1.0), disorder=0.2)
-    assert np.array_equal(bisected(mesh, np.zeros(0, dtype=int)).t, mesh.t)
-    volumes = np.abs(cell_volumes(mesh.p.T, mesh.t.T))
-    finer = bisected(mesh, np.arange(mesh.nelements))
-    assert finer.nelements >= 2 * mesh.nelements
-    assert np.abs(cell_volumes(finer.p.T, finer.t.T)).max() <= volumes.max() / 2 + 1e-12

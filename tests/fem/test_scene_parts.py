@@ -38,15 +38,6 @@ def mean_on_top(part, centre, reach):
     return part.stress_mpa[near & (part.points_mm[:, 2] == part.points_mm[:, 2].max()), 2].mean()
 
 
-def test_a_block_without_load_is_drawn_at_rest():
-    """Nothing attracts grid lines there, not even with a probe at a point."""
-    block = Block(size_mm=(10.0, 10.0, 5.0))
-    scene = Scene(body=block, material=Material(), probes=(Probe(name="a", kind="point", position_mm=(5.0, 5.0, 5.0)),))
-    body = solve_scene_parts(scene, stress=True)["body"]
-    assert not body.displacement_mm.any()
-    assert not body.stress.any()
-
-
 def test_the_stress_of_a_block_meets_its_load():
     parts = solve_scene_parts(BLOCK, stress=True)
     assert set(parts) == {"body"}

@@ -21,8 +21,7 @@ from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
-from tests.fem.boxes import box_mesh
-from tests.fem.scenes import BLOCK, PILLAR, on_tetrahedra, pressed_block
+from tests.fem.scenes import BLOCK, PILLAR, box_mesh, on_tetrahedra, pressed_block
 
 
 def solved(scene: Scene, field: bool = False) -> Solution:

@@ -13,7 +13,7 @@ from fem.tetrahedra.patch import patch_means
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh
-from tests.fem.boxes import box_mesh
+from tests.fem.scenes import box_mesh
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2))
 
@@ -67,22 +67,13 @@ def test_pads_obey_reciprocity_and_energy_is_positive():
     assert np.isclose(stored, force @ compliance @ force / 2, rtol=1e-11)
 
 
-def test_units_far_away_feel_less():
-    design = SensorDesign(array=Array(rows=1, cols=4))
-    response = meshed_response(design, structured(design, (20, 5, 3)))
-    on_first = np.linalg.norm(response.influence_mm_per_n[0, :, :, :, 0, 0, :].reshape(4, -1), axis=1)
-    assert (np.diff(on_first) < 0).all()
-    assert on_first[3] < 0.02 * on_first[0]
-
-
-@pytest.mark.parametrize("young_mpa", [6.1, 3.05])
-def test_a_uniform_load_is_the_sum_of_its_pads(young_mpa):
+def test_a_uniform_load_is_the_sum_of_its_pads():
     """Touching pads that tile the slab load it like one large one: with ν = 0 it is compressed by u_z = −p h / E."""
-    rubber = Material(young_mpa=young_mpa, poisson=1e-6)
+    rubber = Material(poisson=1e-6)
     design = replace(PAIR, pad=Pad(size_mm=15.0), pillar_material=rubber, matrix_material=rubber)
     tiled = meshed_response(design, structured(design, (6, 3, 2)))
     under_1_mpa = tiled.influence_mm_per_n[..., 2].sum(axis=(4, 5)) * -(15.0**2)
-    assert np.allclose(under_1_mpa[..., 2], -10.0 / young_mpa, rtol=1e-5)
+    assert np.allclose(under_1_mpa[..., 2], -10.0 / rubber.young_mpa, rtol=1e-5)
     assert np.abs(under_1_mpa[..., :2]).max() < 1e-5
 
 

@@ -1,7 +1,7 @@
 """The design's defaults are the paper's sensor, and every nonsense value is refused in one clear line."""
 
 import re
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +12,7 @@ from geometry.mould import Mould
 NAN, INF = float("nan"), float("inf")
 
 
-def test_defaults_are_the_papers_sensor_and_frozen():
+def test_defaults_are_the_papers_sensor():
     design = SensorDesign()
     unit, array, pad = design.unit, design.array, design.pad
     assert (unit.span_mm, unit.height_mm, unit.pillar_width_mm, unit.electrode_mm) == (10.0, 10.0, 2.0, 2.0)
@@ -22,12 +22,8 @@ def test_defaults_are_the_papers_sensor_and_frozen():
     assert (design.n_units, design.slab_mm, design.is_homogeneous) == (36, (90.0, 90.0, 10.0), True)
     assert not SensorDesign(matrix_material=Material(young_mpa=1.0)).is_homogeneous
     assert unit.footprint_mm == pytest.approx(10 + 2 * 2**0.5, rel=1e-15)  # at 45°, but for rounding
-    # cols run along x, rows along y; whole numbers are kept as floats, or one design would have two hashes
+    # cols run along x, rows along y
     assert SensorDesign(array=Array(rows=2, cols=3, pitch_mm=20.0)).slab_mm == (60.0, 40.0, 10.0)
-    assert repr(Array(pitch_mm=15)) == repr(Array(pitch_mm=15.0))
-    assert hash(SensorDesign()) == hash(SensorDesign())
-    with pytest.raises(FrozenInstanceError):
-        design.unit.span_mm = 3.0
 
 
 def test_lame_constants_are_those_of_hooke():
@@ -78,6 +74,7 @@ REFUSED = [
     (Mould, {"clearance_mm": -0.1}, "clearance_mm=-0.1 must be 0 or more"),
     (SensorDesign, {"array": Array(pitch_mm=12.8)}, "pitch_mm=12.8 is smaller than the unit.*to at least 12.83"),
     (SensorDesign, {"pad": Pad(size_mm=15.1)}, OFF.format(15.1)),
+    (SensorDesign, {"pad": Pad(kind="stiff", size_mm=15.0)}, ".*stiff pads may not touch"),
     *((SensorDesign, {"pad": Pad(**offset)}, OFF.format(12)) for offset in OFFSETS),
     (SensorDesign, {"matrix_material": Material(model="neo-hookean")}, "pillar_material is linear.*the same model"),
 ]  # fmt: skip

@@ -26,10 +26,11 @@ from geometry import (
 from geometry.design_file import read_tolerances, whole_design
 from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
-from tests.fem.layouts import FOUR
+from tests.fem.scenes import FOUR
 
 lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
+conductions = st.builds(Electrics, model=st.just("conduction"), elastoresistance_along=st.floats(-10.0, 10.0))
 
 
 @st.composite
@@ -51,13 +52,15 @@ def designs(draw) -> SensorDesign:
         pad=Pad(size_mm=share * pitch_mm, offset_x_mm=draw(offsets), offset_y_mm=draw(offsets)),
         pillar_material=draw(materials),
         matrix_material=draw(materials),
+        electrics=draw(st.just(Electrics()) | conductions),
     )
 
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(designs())
 def test_every_design_comes_back_to_the_last_bit(design):
-    assert design_from_toml(design_to_toml(design)) == design
+    text = design_to_toml(design)
+    assert design_from_toml(text) == whole_design(text, "a file") == design
 
 
 def stated_keys(kind):
@@ -65,11 +68,9 @@ def stated_keys(kind):
     return {spec.name: spec for spec in fields(kind) if spec.name != "layout"}
 
 
-def test_written_file_holds_every_key_with_its_meaning_and_comes_back(tmp_path):
-    path = tmp_path / "new folder" / "design.toml"
-    design = SensorDesign(array=Array(rows=2, pitch_mm=17.3), matrix_material=Material(young_mpa=0.5))
+def test_written_file_holds_every_key_with_its_meaning(tmp_path):
+    path, design = tmp_path / "new folder" / "design.toml", SensorDesign()
     write_design(design, path)
-    assert read_design(path) == design
     text = path.read_text()
     table, lines = tomllib.loads(text), [line.partition("# ") for line in text.splitlines()]
     for spec in fields(design):
@@ -94,10 +95,7 @@ REFUSED = {
     "[arrays]\nrows = 2\n": "unknown key 'arrays'; known are " + ", ".join(stated_keys(SensorDesign)),
     '"a\\nb" = 1\n': r"unknown key 'a\nb'; known are ",
     "[array]\npitch_mm = 5.0\n": "pitch_mm=5 is smaller than the unit",
-    "[array]\nrows = 2.5\n": "in [array]: rows=2.5 must be a whole number",
-    "[unit]\nheight_mm = nan\n": "in [unit]: height_mm=nan must be a finite number",
     "[unit]\nheight_mm = 'tall'\n": "in [unit]: height_mm='tall' must be a finite number",
-    "[pillar_material]\npoisson = 0.5\n": "in [pillar_material]: poisson=0.5 must be from 0 to below",
     "[matrix_material]\npoisson = 0.5\n": "in [matrix_material]: poisson=0.5 must be from 0 to below",
     "unit = 3\n": "'unit' must be one table, written [unit], not 3",
     "resistivity_ohm_mm = -1\n": "resistivity_ohm_mm=-1 must be above 0",
@@ -123,8 +121,6 @@ def test_what_is_no_design_is_refused_in_one_line_that_names_file_and_place(text
 
 def test_files_that_cannot_be_designs_are_refused(tmp_path):
     path = tmp_path / "my.toml"
-    with pytest.raises(DesignError, match=r"my\.toml: no such file: write one with 'tripillar design'"):
-        read_design(path)
     for content, says in ((b"\xff\xfe\x00\x80", "not a text file"), (b"# " + b"x" * 2_000_000, "larger than 2 MB")):
         path.write_bytes(content)
         with pytest.raises(DesignError, match=rf"my\.toml: {says}"):
@@ -152,14 +148,12 @@ def test_what_a_file_leaves_out_is_the_papers_if_it_says_so():
 
 
 def test_electrics_are_optional_and_leave_older_files_and_hashes_alone():
-    """Eq. 1 is the default, and does not count in hashes; conduction and its coefficients come back from a file."""
+    """Eq. 1 is the default, and does not count in hashes."""
     text = design_to_toml(SensorDesign())
     before = text[: text.index("[electrics]")] + text[text.index("[pillar_material]") :]
     assert whole_design(before, "an older file") == SensorDesign()
     assert "electrics" not in stated(SensorDesign())
-    design = SensorDesign(electrics=Electrics(model="conduction", elastoresistance_along=-1.5))
-    assert whole_design(design_to_toml(design), "a file") == design
-    assert digest(design) != digest(SensorDesign())
+    assert digest(SensorDesign(electrics=Electrics(model="conduction"))) != digest(SensorDesign())
 
 
 def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):
@@ -169,11 +163,10 @@ def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):
     path.write_text(text + '[tolerance]\n"unit.height_mm" = 0.05\n"pad.size_mm" = 0\n', encoding="utf-8")
     assert read_design(path) == design
     assert read_tolerances(path) == usual_deviations(design) | {"unit.height_mm": 0.05, "pad.size_mm": 0.0}
-    wrong = {
-        '"unit.depth_mm" = 0.05': "unknown key 'unit.depth_mm' in .tolerance.",
-        '"unit.height_mm" = -1': "must be a sta",
-    }
-    for line, says in wrong.items():
+    for line, says in (
+        ('"unit.depth_mm" = 0.05', "unknown key 'unit.depth_mm'"),
+        ('"unit.height_mm" = -1', "must be a sta"),
+    ):
         path.write_text(f"{text}[tolerance]\n{line}\n", encoding="utf-8")
         for read in (read_design, read_tolerances):
             with pytest.raises(DesignError, match=says):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from geometry import Array, DesignError, Pad, SensorDesign, Unit
 from geometry.layout import (
@@ -24,6 +25,7 @@ from geometry.layout import (
     unit_centres,
     upper_electrodes,
 )
+from geometry.prism import pillar_prisms, prisms_at, slab_prism
 
 EXACT = 1e-14  # rounding
 
@@ -41,14 +43,6 @@ def test_papers_unit_in_the_orders_of_the_file_contract():
     assert pillar_sections(Unit()) == pytest.approx(np.array([[2, 2], [wide, 2], [2, wide]]), rel=EXACT)
 
 
-def test_pillars_end_under_their_electrodes_with_the_volume_of_section_times_height(design):
-    """Cavalieri: the second route to V = S·l."""
-    tops = upper_electrodes(design.unit)[list(design.unit.layout.pillar_top)]
-    assert np.array_equal(pillar_ends(design.unit)[:, 1], tops)
-    by_sections = pillar_sections(design.unit).prod(axis=1) * design.unit.height_mm
-    assert pillar_volumes(design.unit) == pytest.approx(by_sections, rel=EXACT)
-
-
 def test_units_run_along_x_first_with_their_electrodes_as_squares():
     design = SensorDesign(array=Array(rows=2, cols=3, pitch_mm=16.0))
     squares = electrode_squares(design).reshape(6, 2, 4)
@@ -59,20 +53,27 @@ def test_units_run_along_x_first_with_their_electrodes_as_squares():
             assert squares[k, e].tolist() == [x + ex - 1, y + ey - 1, x + ex + 1, y + ey + 1]
 
 
-def test_pads_are_squares_about_their_offset_and_the_papers_cover_both_electrodes():
+def test_pads_are_squares_about_their_offset():
     design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(size_mm=4.0, offset_x_mm=-5.0, offset_y_mm=2.0))
     assert pad_squares(design).tolist() == [[-14.5, 0.0, -10.5, 4.0], [0.5, 0.0, 4.5, 4.0]]
-    pads, electrodes = (squares(SensorDesign()).reshape(36, -1, 4) for squares in (pad_squares, electrode_squares))
-    assert (electrodes[..., :2] >= pads[..., :2]).all()
-    assert (electrodes[..., 2:] <= pads[..., 2:]).all()
 
 
-def test_everything_is_centred_and_lies_on_its_own_share_of_the_slab(design):
-    centres = unit_centres(design)
-    assert centres.sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-11)  # rounding of 36 sums
-    for squares in (pad_squares(design), electrode_squares(design)):
-        corners = squares.reshape(len(centres), -1, 2) - centres[:, None]
-        assert np.abs(corners).max() <= design.array.pitch_mm / 2 + 1e-12
+def test_points_inside_pillars_are_those_inside_their_hulls(design):
+    """A point is inside a convex body if it is behind all faces of the hull of its corners, whatever unit it is of."""
+    prisms = pillar_prisms(design)
+    assert len(prisms) == 3 * design.n_units
+    x, y, h = design.slab_mm
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-x / 2, -y / 2, -0.2 * h], [x / 2, y / 2, 1.2 * h], (100_000, 3))
+    expected = np.zeros(len(points), dtype=np.int64)
+    hulls = [trimesh.convex.convex_hull(prism.corners()) for prism in prisms[:3]]
+    for unit, centre in enumerate(unit_centres(design) - unit_centres(design)[0]):
+        for k, hull in enumerate(hulls, start=1):
+            depth = (points - [*centre, 0.0]) @ hull.face_normals.T - (hull.face_normals * hull.triangles[:, 0]).sum(1)
+            expected[(depth <= 0).all(axis=1)] = 3 * unit + k  # the last wins
+    assert (expected > 0).sum() > 100
+    assert np.array_equal(prisms_at(points, prisms), expected)
+    assert slab_prism(design).volume_mm3 == pytest.approx(x * y * h)
 
 
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)

@@ -43,13 +43,13 @@ def meshed(request, tmp_path_factory):
     """A design and its mesh, made once for all tests that only look at it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRIPILLAR_CACHE", str(tmp_path_factory.mktemp("cache")))
-        mesh, path, cached = sensor_mesh(request.param, COARSE)
+        mesh, _, cached = sensor_mesh(request.param, COARSE)
         assert not cached
-        yield request.param, mesh, path
+        yield request.param, mesh
 
 
 def test_every_cell_is_of_one_region_and_regions_have_the_volumes_of_their_closed_forms(meshed):
-    design, mesh, _ = meshed
+    design, mesh = meshed
     pillars = 0.0 if design.is_homogeneous else design.n_units * union_mm3(design.unit)
     slab, volumes = np.prod(design.slab_mm), mesh.region_volumes()
     assert volumes == pytest.approx([slab - pillars, pillars], rel=1e-4)  # wedges between pillars are not put back
@@ -63,7 +63,7 @@ def test_every_cell_is_of_one_region_and_regions_have_the_volumes_of_their_close
 
 def test_boundary_lies_exactly_on_the_six_sides_of_the_slab(meshed):
     """Each side is covered once: its triangles, by their coordinates alone, add up to its area."""
-    design, mesh, _ = meshed
+    design, mesh = meshed
     x, y, h = design.slab_mm
     triangles = mesh.points_mm[boundary_faces(mesh.cells)]
     found = np.zeros(len(triangles), dtype=bool)
@@ -77,24 +77,11 @@ def test_boundary_lies_exactly_on_the_six_sides_of_the_slab(meshed):
     assert found.all()
 
 
-def test_another_look_finds_the_same_mesh_in_the_cache(meshed, monkeypatch):
-    design, mesh, path = meshed
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(path.parent))
-    again, same_path, cached = sensor_mesh(design, COARSE)
-    assert (same_path, cached, path.name) == (path, True, f"mesh-{mesh.cache_key}.vtu")
-    assert (again.content_hash, again.cache_key) == (mesh.content_hash, mesh.cache_key)
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_the_cache_key_depends_on_what_shapes_the_mesh_alone():
     """Another rubber or soft pad finds the same mesh; a plate, unit, pitch, edge or one rubber more does not."""
     stiff = Material(young_mpa=10.0)
-    same = [
-        replace(ONE, resistivity_ohm_mm=1.0),
-        replace(ONE, pad=replace(ONE.pad, size_mm=5.0)),
-        replace(ONE, pillar_material=stiff, matrix_material=stiff),
-    ]
-    assert {mesh_cache_key(design, COARSE) for design in same} == {mesh_cache_key(ONE, COARSE)}
+    same = replace(ONE, resistivity_ohm_mm=1.0, pad=Pad(size_mm=5.0), pillar_material=stiff, matrix_material=stiff)
+    assert mesh_cache_key(same, COARSE) == mesh_cache_key(ONE, COARSE)
     others = [
         (ONE, COARSE),
         (SOFT, COARSE),
@@ -107,17 +94,15 @@ def test_the_cache_key_depends_on_what_shapes_the_mesh_alone():
     assert len({mesh_cache_key(*each) for each in others}) == len(others)
 
 
-def test_remeshing_keeps_the_volume_and_leaves_no_trace(tmp_path, monkeypatch, capfd):
-    """A broken cache file is replaced. The mesher by itself prints, and drops a file where it stands."""
+def test_a_mesh_is_found_again_and_leaves_no_trace(tmp_path, monkeypatch, capfd):
+    """The mesher by itself prints, and drops a file where it stands."""
     here, cache = tmp_path / "here", tmp_path / "cache"
     here.mkdir()
     monkeypatch.chdir(here)
     first, path, _ = sensor_mesh(ONE, COARSE)
-    path.write_bytes(path.read_bytes()[:-500])
-    second, same_path, cached = sensor_mesh(ONE, COARSE)
-    assert (same_path, cached, second.cache_key) == (path, False, first.cache_key)
-    assert second.region_volumes() == pytest.approx(first.region_volumes(), rel=1e-9)
-    assert read_mesh(path).content_hash == second.content_hash
+    again, same_path, cached = sensor_mesh(ONE, COARSE)
+    assert (same_path, cached, path.name) == (path, True, f"mesh-{first.cache_key}.vtu")
+    assert (again.content_hash, again.cache_key) == (first.content_hash, first.cache_key)
     assert (list(here.iterdir()), list(cache.iterdir()), Path.cwd()) == ([], [path], here)
     assert capfd.readouterr().out == ""
 
@@ -141,14 +126,6 @@ def cube(tets: int = 5) -> TetMesh:
     turned = cell_volumes(points, cells) < 0
     cells[turned] = cells[turned][:, [1, 0, 2, 3]]
     return TetMesh(points, cells, np.zeros(tets, dtype=np.int64))
-
-
-def test_volumes_are_signed_by_the_order_of_corners_and_summed_by_region():
-    assert sorted(cell_volumes(cube(5).points_mm, cube(5).cells)) == pytest.approx([1 / 6] * 4 + [1 / 3])
-    assert cell_volumes(cube(6).points_mm, cube(6).cells) == pytest.approx([1 / 6] * 6)
-    assert cell_volumes(CORNER, np.array([[0, 1, 2, 3], [0, 2, 1, 3]])) == pytest.approx([1 / 6, -1 / 6])
-    assert replace(cube(), region=REGION).region_volumes() == pytest.approx([2 / 3, 1 / 3])
-    assert cube().region_volumes().tolist() == pytest.approx([1.0, 0.0])
 
 
 @pytest.mark.parametrize(("tets", "inner"), [(5, 4), (6, 6)])
@@ -224,25 +201,19 @@ def test_volumes_further_off_than_the_tolerance_are_refused_by_name():
 
 
 def test_written_mesh_comes_back_to_the_last_bit_and_foreign_or_damaged_ones_are_refused(tmp_path, capfd):
-    """Before VTK reads them, which crashes on some damage; also one without regions."""
-    import pyvista as pv
-
+    """Before VTK reads them, which crashes on some damage."""
     path, mesh = tmp_path / "cube.vtu", replace(cube(), region=REGION, cache_key="0123456789abcdef")
     with pytest.raises(FileFormatError, match=r"cube\.vtu: no such file"):
         read_mesh(path)
-    pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm).save(path)
-    contents = [path.read_bytes(), b"", b"hello\n" * 20, b"<?xml version='1.0'?><VTKFile/>"]
     write_mesh(mesh, path)
     again = read_mesh(path)
     assert (again.content_hash, again.cache_key) == (mesh.content_hash, mesh.cache_key)
     assert os.listdir(tmp_path) == ["cube.vtu"]
     whole = path.read_bytes()
-    for content in contents + [whole[: int(share * len(whole))] for share in (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)]:
+    for content in (b"", b"<?xml version='1.0'?><VTKFile/>", whole[: len(whole) // 50], whole[:-100]):
         path.write_bytes(content)
-        with pytest.raises(FileFormatError) as caught:
+        with pytest.raises(FileFormatError, match="states no hash of its content, damaged or of an earlier version"):
             read_mesh(path)
-        said = "states no hash of its content, damaged or of an earlier version: delete it to mesh again."
-        assert str(caught.value) == f"{path}: {said}"
     assert capfd.readouterr().out == ""
 
 
@@ -287,30 +258,15 @@ REGULAR = np.array([[1.0, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 SHAPES = {
     "regular": ([REGULAR], 1.0, 1.0, np.degrees(np.arccos(1 / 3))),
     "corner of a cube": ([CORNER], 0.5**0.5, 0.5**0.5, np.degrees(np.arccos(3**-0.5))),
-    "small": ([1e-3 * CORNER], 0.5**0.5, 0.5**0.5, np.degrees(np.arccos(3**-0.5))),
-    "both": ([REGULAR, CORNER], 0.5**0.5, (1 + 0.5**0.5) / 2, np.degrees(np.arccos(3**-0.5))),
+    "both, one small": ([REGULAR, 1e-3 * CORNER], 0.5**0.5, (1 + 0.5**0.5) / 2, np.degrees(np.arccos(3**-0.5))),
 }
-
-
-def quality(*shapes: np.ndarray):
-    cells = np.arange(4 * len(shapes)).reshape(-1, 4)
-    return mesh_quality(TetMesh(np.vstack(shapes), cells, np.zeros(len(cells), dtype=np.int64)))
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_quality_of_tetrahedra_known_by_heart(name):
     shapes, worst, mean, angle = SHAPES[name]
-    found = quality(*shapes)
+    cells = np.arange(4 * len(shapes)).reshape(-1, 4)
+    found = mesh_quality(TetMesh(np.vstack(shapes), cells, np.zeros(len(cells), dtype=np.int64)))
     assert found.cells == len(shapes)
     measured = (found.worst_scaled_jacobian, found.mean_scaled_jacobian, found.smallest_dihedral_deg)
     assert measured == pytest.approx((worst, mean, angle), rel=1e-9)
-
-
-@pytest.mark.parametrize("height", [1e-2, 1e-4])
-def test_a_sliver_is_near_zero_and_a_cell_inside_out_negative(height):
-    """Four corners of a square, one diagonal lifted by ε of the side: worth about ε, folded by about ε."""
-    sliver = np.array([[0.0, 0, 0], [1, 0, height], [1, 1, 0], [0, 1, height]])
-    measured = quality(sliver[outward(sliver, np.array([[0, 1, 2, 3]]))[0]])
-    assert 0 < measured.worst_scaled_jacobian < 3 * height
-    assert 0 < measured.smallest_dihedral_deg < np.degrees(3 * height)
-    assert quality(CORNER[[1, 0, 2, 3]]).worst_scaled_jacobian < 0

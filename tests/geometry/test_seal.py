@@ -12,7 +12,6 @@ from geometry.storage.seal import (
     MARK,
     opened_json,
     require_intact,
-    say_made_anew,
     sealed,
     sealed_json,
 )
@@ -60,11 +59,3 @@ def test_json_is_hashed_as_what_it_holds_not_as_it_is_laid_out():
 def test_what_is_no_json_object_is_a_value_error(text):
     with pytest.raises(ValueError, match=r"."):
         opened_json(text)
-
-
-def test_a_damaged_file_is_named_in_one_line_a_missing_one_is_not(tmp_path, caplog):
-    say_made_anew(tmp_path / "none")
-    assert not caplog.records
-    (tmp_path / "a").write_text("x")
-    say_made_anew(tmp_path / "a")
-    assert caplog.messages == [f"{tmp_path / 'a'} is damaged or of an earlier version: it is made anew."]

@@ -66,14 +66,6 @@ def test_damaged_surfaces_are_refused(kind, says):
         check_surface(broken, union_mm3(UNIT), "unit")
 
 
-def test_pillars_that_overlap_instead_of_being_one_body_are_refused():
-    pillars = [surface_from_solid(pillar) for pillar in pillar_solids(UNIT)]
-    heap = trimesh.util.concatenate(pillars)
-    check_surface(heap, sum(pillar.volume for pillar in pillars), "heap")  # closed, outward: only the volume tells
-    with pytest.raises(GeometryError, match="encloses"):
-        check_surface(heap, union_mm3(UNIT), "heap")
-
-
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
 def test_written_surface_passes_the_same_check_when_read(design, tmp_path, suffix):
     solid = array_solid(design)

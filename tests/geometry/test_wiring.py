@@ -8,7 +8,7 @@ import pytest
 
 from geometry.layout import SONG2018
 from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars, pillar_of_crossing
-from tests.fem.layouts import FOUR
+from tests.fem.scenes import FOUR
 
 PAGE = Path(__file__).parents[2] / "docs" / "frames.md"
 
