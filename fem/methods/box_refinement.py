@@ -162,7 +162,7 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
         for start, end in zip(low, high, strict=True)
     ]
-    shells = _shells(_patches(scene, plan), stops, widest)
+    shells = _shells(_patches(scene, plan), stops, widest, slack)
     inner += [shell for shell, _ in shells]
     around = [{float(side[axis]): margin for shell, margin in shells for side in shell} for axis in range(3)]
     x, y, z = (AxisTree(line, own, shell) for line, own, shell in zip(lines, stops, around, strict=True))
@@ -206,9 +206,14 @@ def _fold(low: FloatArray, high: FloatArray, plan: Plan) -> None:
         high[axis] = place + ends.max()
 
 
-def _shells(patches: list[Solid], stops: list[FloatArray], widest: float) -> list[tuple[Solid, float]]:
-    """Boxes around patches smaller than the first boxes, and their margins, which grow by `SHELL_RATIO`."""
-    found = []
+def _shells(
+    patches: list[Solid], stops: list[FloatArray], widest: float, slack: float
+) -> list[tuple[Solid, float]]:
+    """Boxes around patches smaller than the first boxes, and their margins, which grow by `SHELL_RATIO`.
+
+    No two faces are less than the slack apart: those of different patches may differ by rounding.
+    """
+    found, known = [], [list(own) for own in stops]
     for low, high in patches:
         side = float((high - low)[:2].min())
         margin = 0.0 if side < SMALL * widest else widest
@@ -217,6 +222,8 @@ def _shells(patches: list[Solid], stops: list[FloatArray], widest: float) -> lis
             for axis in range(3):
                 for end in (one, two):
                     end[axis] = _nearest(stops[axis], end[axis], NEAR * margin)
+                    end[axis] = _nearest(np.array(known[axis]), end[axis], slack)
+                    known[axis].append(end[axis])
             found.append(((one, two), margin))
             margin = max(SHELL_RATIO * margin, side)
     return found
