@@ -183,18 +183,6 @@ class CondensedCell:
         """
         return self._image(self.ports.exchanged, (twins[:, None] * 3 + np.array([1, 0, 2])).ravel())
 
-    def mirrored(self, axis: int, twins: NDArray[np.int64]) -> "CondensedCell":
-        """The cell that this one becomes in the mirror x = 0 or y = 0, by its axis; `twins` as in `exchanged`."""
-        dofs, signs = self.ports.image(axis, (1, 1))
-        turned = np.tile([sign(component, axis, (1, 1)) for component in range(3)], len(twins))
-        image = self._image(dofs, (twins[:, None] * 3 + np.arange(3)).ravel())
-        return replace(
-            image,
-            stiffness=signs[:, None] * image.stiffness * signs,
-            transfer=signs[:, None] * image.transfer * turned,
-            compliance=turned[:, None] * image.compliance * turned,
-        )
-
     def seeing(self, rectangles: NDArray[np.int64]) -> "CondensedCell":
         """The same cell with some of its rectangles, by number."""
         return self._image(np.arange(len(self.stiffness)), (rectangles[:, None] * 3 + np.arange(3)).ravel())

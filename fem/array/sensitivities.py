@@ -20,7 +20,6 @@ from fem.array.meshed import BoxCell, cell_lines, cell_mirrors, functionals, pad
 from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import PADS, electrode_means, expanded, influence_range
-from fem.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError, FileFormatError
@@ -40,10 +39,8 @@ TRUNCATION = (
 )
 DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
-Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
 PILLARS_YOUNG = "pillar_material.young_mpa"
 SCALES = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that the others and B itself tell
-OFF_X, OFF_Y = "pad.offset_x_mm", "pad.offset_y_mm"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,14 +145,11 @@ def cell_changes(
     progress("cell")
     cell = _condensed(design, design, different)
     nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
-    cells: dict[str, Sides] = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
+    cells = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
     for name in sides:
         if name not in cells:
             progress(f"cell, {name}")
-            if name == OFF_X and len(cell_mirrors(design)) == 2:
-                cells |= _off_the_middle(design, *sides[name][0])
-            else:
-                cells[name] = [(_condensed(design, side, functionals(side)), by) for side, by in sides[name]]
+            cells[name] = [(_condensed(design, side, functionals(side)), by) for side, by in sides[name]]
     changes = {name: _slope(*[*cells[name], (nominal, 0.0)][:2]) for name in sides}
     return nominal, changes
 
@@ -194,27 +188,6 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
     shares = None if shares is None else np.stack([1 - shares, shares])
     rubbers = [side.matrix_material, side.pillar_material]
     return condense(BoxCell.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
-
-
-def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:
-    """Cells of one rubber with a plate off the middle along x and along y, to either side.
-
-    All are images of one, whose plate is off along x: in x = 0, with x and y exchanged, and both. Its electrodes are
-    seen at their places in each.
-    """
-    pad, *electrodes = functionals(off_x)
-    exchanged = np.array(electrodes)[:, [1, 0, 3, 2]]
-    places = [each for own in (np.array(electrodes), exchanged) for each in (own, flipped_rectangles(own, QUARTER[:1]))]
-    seen, number = np.unique(np.vstack([pad, *places]), axis=0, return_inverse=True)
-    cell = _condensed(design, off_x, seen)
-    own, image, across, both = np.column_stack([np.full(4, number[0]), number[1:].reshape(4, -1)])
-    return {
-        OFF_X: [(cell.seeing(own), by), (cell.mirrored(0, image), -by)],
-        OFF_Y: [
-            (cell.exchanged(across), by),
-            (cell.mirrored(0, both).exchanged(np.arange(len(both))), -by),
-        ],
-    }
 
 
 def write_sensitivities(sensitivities: ResponseSensitivities, path: Path) -> None:
