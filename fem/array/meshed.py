@@ -350,7 +350,7 @@ def design_interior(
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)
         progress("cell")
         body, degree = TetCell(tetrahedra, plate), MESH_DEGREE
-        elements = Elements.of_basis(tetrahedra.basis, tetrahedra.region)
+        elements = tetrahedra.elements
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)

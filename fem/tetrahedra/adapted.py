@@ -22,7 +22,6 @@ from fem.tetrahedra.indicator import (
     largest_contributors,
     probe_indicators,
     residuals,
-    uniform_tractions,
 )
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from fem.tetrahedra.patch import patch_integrals
@@ -136,14 +135,11 @@ class AdaptedTetrahedra:
         watch.spent("solve")
 
         n = len(body.free)
-
-        def residuals_of(u: FloatArray, p: FloatArray, traction: FloatArray, rectangles: FloatArray) -> FloatArray:
-            pressing = uniform_tractions(rectangles, traction) if len(rectangles) else None
-            return residuals(body, u, p, pressing, plates)
-
-        of_answer = residuals_of(u[:, 0], x[n:, 0], scene.tractions_mpa, scene.load_rectangles_mm)
+        loaded, seen = scene.load_rectangles_mm, scene.probe_rectangles_mm
+        of_answer = residuals(body, u[:, 0], x[n:, 0], loaded, scene.tractions_mpa, plates)
         of_duals = [
-            residuals_of(z[:, k], y[n:, k], shapes[k], scene.probe_rectangles_mm) for k in range(duals.shape[1])
+            residuals(body, own, pressure, seen, tractions, plates)
+            for own, pressure, tractions in zip(z.T, y[n:].T, shapes, strict=True)
         ]
         watch.spent("assemble")
         indicators = probe_indicators(of_answer, of_duals, scales)
@@ -155,7 +151,7 @@ class AdaptedTetrahedra:
             unknowns=matrix.shape[0],
             indicators=indicators,
             field=lambda: Field(
-                mesh=Elements.of_basis(body.basis, body.region),
+                mesh=body.elements,
                 displacement_mm=u.reshape(-1, 3),
                 material=self.materials,
             ),

@@ -6,8 +6,6 @@ a constant times the sum over the elements of the product of two such residuals:
 unit load on the probe (Becker and Rannacher, Acta Numerica 10, 2001).
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from skfem import MeshTet
 
@@ -18,29 +16,14 @@ from geometry.layout import FloatArray
 MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
 SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
 
-Traction = Callable[[FloatArray], FloatArray]  #: points (..., 3) on the top face to tractions (..., 3) [MPa]
-
-
-def corner_gradients(body: TaylorHood, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gradient of a displacement (n_displacement,) at the corners of elements, where linear ones are known by.
-
-    Returns
-    -------
-    array, shape (m, 4, 3, 3): entry [e, v, i, j] is ∂ⱼuᵢ at corner v
-    array, shape (m, 4, 3): gradients of the barycentric coordinates [1/mm]
-    """
-    gradient = np.stack([body.at_corners.interpolate(component).grad for component in u.reshape(-1, 3).T])
-    inverse = body.basis.mapping.invA.transpose(2, 0, 1)  # ∂ξ/∂x, (m, 3, 3)
-    slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-    return np.ascontiguousarray(gradient.transpose(2, 3, 0, 1)), slopes
-
 
 def residuals(
     body: TaylorHood,
     u: FloatArray,
     pressure: FloatArray,
-    traction: Traction | None,
-    plates: FloatArray | None = None,
+    rectangles: FloatArray,
+    tractions_mpa: FloatArray,
+    plates: FloatArray,
 ) -> FloatArray:
     """Squared residual of an answer in each element, in units of energy.
 
@@ -51,9 +34,11 @@ def residuals(
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
         Corner pressures of the mixed form [MPa].
-    traction : function, optional
-        On the top face; None where nothing loads it.
-    plates : array, shape (k, 4), optional
+    rectangles : array, shape (n, 4)
+        Of the top face, under uniform loads, which add up where they overlap.
+    tractions_mpa : array, shape (n, 3)
+        Of these loads.
+    plates : array, shape (k, 4)
         Rectangles of the top face that follow stiff plates, whose tractions nobody knows.
 
     Returns
@@ -62,7 +47,8 @@ def residuals(
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
-    gradient, slopes = corner_gradients(body, u)
+    elements = body.elements
+    gradient = elements.corner_gradients(u.reshape(-1, 3))
     divergence = np.trace(gradient, axis1=2, axis2=3)
     p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
@@ -70,8 +56,8 @@ def residuals(
         stress[..., i, i] += p
 
     corners = points[cells]
-    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
-    unbalanced = np.einsum("evij,evj->ei", stress, slopes)
+    volumes = elements.volumes_mm3
+    unbalanced = np.einsum("evij,evj->ei", stress[:, 1:] - stress[:, :1], elements.inverse_jacobian)
     squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
     squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
 
@@ -98,16 +84,17 @@ def residuals(
     outward = triangles[outer].mean(axis=1) - corners[element].mean(axis=1)
     missing = tractions(0, outer) * np.sign((outward * normal[outer]).sum(axis=1))[:, None, None]
     misfit = _integral_of_square(missing, areas[outer])
-    if traction is not None:
-        top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
+    top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
+    if len(rectangles):
         weights = _middles(SUBDIVISION)
         places = np.einsum("qv,fvi->fqi", weights, triangles[outer][top])
         found = np.einsum("qv,fvi->fqi", weights, missing[top])
-        misfit[top] = ((found - traction(places)) ** 2).sum(axis=2).mean(axis=1) * areas[outer][top]
+        misfit[top] = ((found - _tractions_at(places, rectangles, tractions_mpa)) ** 2).sum(axis=2).mean(
+            axis=1
+        ) * areas[outer][top]
     middle = triangles[outer].mean(axis=1)
-    for x0, y0, x1, y1 in () if plates is None else plates:
-        on_top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
-        misfit[on_top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
+    for x0, y0, x1, y1 in plates:
+        misfit[top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
     return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
 
 
@@ -155,17 +142,13 @@ def largest_contributors(indicators: FloatArray, share: float) -> IntArray:
     return order[: int(np.searchsorted(running, share * running[-1])) + 1]
 
 
-def uniform_tractions(rectangles: FloatArray, tractions_mpa: FloatArray) -> Traction:
-    """The traction of uniform loads on rectangles (n, 4), which add up where they overlap."""
-
-    def traction(points: FloatArray) -> FloatArray:
-        total = np.zeros(points.shape)
-        for (x0, y0, x1, y1), value in zip(rectangles, tractions_mpa, strict=True):
-            x, y = points[..., 0], points[..., 1]
-            total[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)] += value
-        return total
-
-    return traction
+def _tractions_at(points: FloatArray, rectangles: FloatArray, tractions_mpa: FloatArray) -> FloatArray:
+    """The sum of uniform loads on rectangles at points (..., 3) of the top face, of the same shape [MPa]."""
+    total = np.zeros(points.shape)
+    x, y = points[..., 0], points[..., 1]
+    for (x0, y0, x1, y1), value in zip(rectangles, tractions_mpa, strict=True):
+        total[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)] += value
+    return total
 
 
 def cell_sizes(mesh: MeshTet) -> FloatArray:
