@@ -30,8 +30,7 @@ from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import TaylorHood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import bonded
+from fem.tetrahedra.patch import bonded, patch_integrals
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 

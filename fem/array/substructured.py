@@ -5,7 +5,7 @@ tetrahedra. Either way the array itself is never meshed. A refined cell is kept 
 that spare arrays of the same cell its mesh and its condensation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -277,14 +277,9 @@ def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatA
     if (small_rows, small_cols) == (rows, cols):
         return influence
     whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
-    for i in range(rows):
-        i_small = _representative(i, rows, small_rows)
-        i0, i1 = max(0, i - min(radius, i_small)), min(rows, i + min(radius, small_rows - 1 - i_small) + 1)
-        for j in range(cols):
-            j_small = _representative(j, cols, small_cols)
-            j0, j1 = max(0, j - min(radius, j_small)), min(cols, j + min(radius, small_cols - 1 - j_small) + 1)
-            di, dj = i_small - i, j_small - j
-            whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
+    for i, i_small, i_seen, i_own in _alike(rows, small_rows, radius):
+        for j, j_small, j_seen, j_own in _alike(cols, small_cols, radius):
+            whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]
     return whole
 
 
@@ -313,3 +308,11 @@ def _representative(index: int, count: int, small: int) -> int:
     """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
     middle = small // 2
     return index if index <= middle else max(middle, small - (count - index))
+
+
+def _alike(count: int, small: int, radius: int) -> Iterator[tuple[int, int, slice, slice]]:
+    """Units of a row of `count`, the one of a row of `small` that each is like, and the units of both within reach."""
+    for index in range(count):
+        like = _representative(index, count, small)
+        before, after = min(radius, like), min(radius, small - 1 - like) + 1
+        yield index, like, slice(index - before, index + after), slice(like - before, like + after)

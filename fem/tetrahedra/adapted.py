@@ -24,8 +24,7 @@ from fem.tetrahedra.indicator import (
     residuals,
 )
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import bonded
+from fem.tetrahedra.patch import bonded, patch_integrals
 from fem.tetrahedra.scene_mesh import bisected, mesh_scene, prism_of_cells
 from geometry.layout import FloatArray
 
