@@ -240,7 +240,7 @@ class DesignCell:
 
     def __init__(self, design: SensorDesign, rectangles: FloatArray, plate: FloatArray | None = None) -> None:
         self.design, self.rectangles, self.plate = design, rectangles, plate
-        self.meshing_s = 0.0  #: by the clock
+        self.seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)  #: by the clock
         self._bodies: list[TaylorHood] = []
         self._indicators: list[FloatArray] = []  #: of all meshes but the last
         self._cells: dict[float, CondensedCell] = {}
@@ -273,7 +273,7 @@ class DesignCell:
                 self._indicators.append(mesh.solve(Stopwatch()).indicators)
                 mesh.refine(self._indicators[-1], np.inf)
             self._bodies.append(mesh.body)
-        self.meshing_s += perf_counter() - start
+        self.seconds["mesh"] += perf_counter() - start
         return self._bodies[level]
 
     def condensed(self, level: int, degree: int) -> CondensedCell:
