@@ -4,12 +4,6 @@ Goes in: a unit and a field of deformation gradients. Comes out: conductances be
 estimate of their error. Open `potentials.py` first.
 """
 
-from fem.conduction.potentials import Conductances, Deformation, Piezoresistivity, pulled_back, unit_conductances
+from fem.conduction.potentials import unit_conductances
 
-__all__ = [
-    "Conductances",
-    "Deformation",
-    "Piezoresistivity",
-    "pulled_back",
-    "unit_conductances",
-]
+__all__ = ["unit_conductances"]

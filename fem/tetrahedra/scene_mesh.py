@@ -14,7 +14,6 @@ from skfem import MeshTet
 
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Scene
-from fem.tetrahedra.indicator import cell_sizes
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface
@@ -131,6 +130,12 @@ def wanted_edges(outline: Prism, prisms: Sequence[Prism], edge_mm: float) -> tup
             break
         box = bisected(box, coarse)
     return box, wanted(box.p.T)
+
+
+def cell_sizes(mesh: MeshTet) -> FloatArray:
+    """Edge of the cube with six times the volume of each tetrahedron, shape (m,) [mm]."""
+    corners = mesh.p.T[mesh.t.T]
+    return np.cbrt(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])))
 
 
 PAIRS = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])  #: edges of a tetrahedron, in scikit-fem's order

@@ -13,9 +13,8 @@ from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.adapted import with_edges_across
+from fem.tetrahedra.adapted import largest_contributors, residuals, with_edges_across
 from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.indicator import largest_contributors, residuals
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
