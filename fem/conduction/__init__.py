@@ -4,6 +4,6 @@ Goes in: a unit and a field of deformation gradients. Comes out: conductances be
 estimate of their error. Open `potentials.py` first.
 """
 
-from fem.conduction.potentials import unit_conductances
+from fem.conduction.potentials import Piezoresistivity, unit_conductances
 
-__all__ = ["unit_conductances"]
+__all__ = ["Piezoresistivity", "unit_conductances"]
