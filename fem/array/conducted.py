@@ -7,7 +7,6 @@ flows.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,9 +14,9 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
 from fem.array.response import ConductedPillars
 from fem.array.substructured import MAX_TESTED, PADS, expanded, influence_range, reduced, representatives
-from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.potentials import (
     Conductor,
+    Piezoresistivity,
     extrapolation,
     pillars_per_mm,
     second_derivatives,
@@ -74,15 +73,15 @@ def conducted_pillars(
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
-    modes = _Modes.of(interior, conductors[0], design)
+    amplitudes, parts = _modes(interior, conductors[0], design)
     first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0])
-    gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, modes.amplitudes)
+    gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
     n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
-    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, modes.functionals, electrodes]), PADS)
+    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), PADS)
     seen = seen.reshape(*seen.shape[:2], -1)
     accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
     rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
@@ -163,34 +162,27 @@ def _components(
     return np.vstack([lead, others]), np.concatenate([[1.0], np.where(value[kept] < 0, -1.0, 1.0)])
 
 
-@dataclass(frozen=True, eq=False)
-class _Modes:
-    """Displacement gradients that loads excite most where current flows."""
+def _modes(interior: CellInterior, conductor: Conductor, design: SensorDesign) -> tuple[FloatArray, FloatArray]:
+    """Displacement gradients that loads excite most where current flows.
 
-    amplitudes: FloatArray  #: of the cell, (n_amplitudes, MODES)
-    functionals: FloatArray  #: part of each mode in any amplitudes, (MODES, n_amplitudes)
-
-    @classmethod
-    def of(cls, interior: CellInterior, conductor: Conductor, design: SensorDesign) -> "_Modes":
-        """Principal components under usual loads of an array of at most 3 × 3 units, energy weighted by current."""
-        mesh = conductor.mesh
-        some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
-        slopes = conductor.at_rest.gradients[some]
-        weight = mesh.weight_mm3[some] * np.sum(
-            [np.linalg.norm(slopes[..., i], axis=1) * np.linalg.norm(slopes[..., j], axis=1)
-             for i, j in mesh.pairs], axis=0)  # fmt: skip
-        n = interior.cell.stiffness.shape[0] + 3
-        gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
-        rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
-        gram = rows.T @ rows
-        size = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-        snapshots = CoupledArray(interior.cell, *size).seen(np.eye(n), PADS)[0] * [SHEAR, SHEAR, 1.0]
-        value, vector = np.linalg.eigh(gram)
-        value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
-        to_energy = np.sqrt(value)[:, None] * vector.T
-        excited = to_energy @ snapshots.swapaxes(0, 1).reshape(n, -1)
-        main = np.linalg.svd(excited, full_matrices=False)[0][:, :MODES]
-        return cls(vector / np.sqrt(value) @ main, main.T @ to_energy)
+    Principal components under usual loads of an array of at most 3 × 3 units, energy weighted by current. Returns the
+    cell's amplitudes in each mode (n_amplitudes, MODES), and the part of each mode in any amplitudes, transposed.
+    """
+    mesh = conductor.mesh
+    some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
+    size = np.linalg.norm(conductor.at_rest.gradients[some], axis=1)
+    weight = mesh.weight_mm3[some] * sum(size[:, i] * size[:, j] for i, j in mesh.pairs)
+    n = interior.cell.stiffness.shape[0] + 3
+    gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
+    rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
+    shape = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
+    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), PADS)[0] * [SHEAR, SHEAR, 1.0]
+    value, vector = np.linalg.eigh(rows.T @ rows)
+    value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
+    to_energy = np.sqrt(value)[:, None] * vector.T
+    excited = to_energy @ snapshots.swapaxes(0, 1).reshape(n, -1)
+    main = np.linalg.svd(excited, full_matrices=False)[0][:, :MODES]
+    return vector / np.sqrt(value) @ main, main.T @ to_energy
 
 
 def _first_derivatives(

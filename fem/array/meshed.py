@@ -30,8 +30,7 @@ from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
 from fem.tetrahedra.elements import Elements
 from fem.tetrahedra.mixed import TaylorHood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import bonded
+from fem.tetrahedra.patch import bonded, patch_integrals
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
@@ -108,15 +107,6 @@ class BoxCell:
         found[self.system.free] = np.arange(3 * len(self.system.free)).reshape(-1, 3)
         return found
 
-    @property
-    def is_square(self) -> bool:
-        """True if the body stays the same when x and y are exchanged."""
-        boxes, law = self.system.body.boxes, self.system.body.law
-        moduli = [part.reshape(boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
-        plates = [load.size_mm[0] == load.size_mm[1] for load in self.system.whole_loads]
-        same = np.array_equal(*boxes.lines[:2]) and all(plates)
-        return same and all(np.array_equal(part, part.swapaxes(0, 1)) for part in moduli)
-
     @cached_property
     def _tangent(self) -> FloatArray:
         return self.system.rest_tangent()
@@ -146,11 +136,10 @@ class TetCell:
     plate: FloatArray | None = None  #: rectangle (4,) of its top that a plate is bonded to
     mirrors: tuple[Mirror, ...] = ()
     definite: bool = False
-    is_square: bool = False
 
     @property
     def points_mm(self) -> FloatArray:
-        return self.body.basis.doflocs.T
+        return self.body.points_mm
 
     @cached_property
     def _tied(self) -> sp.csr_matrix:
@@ -251,7 +240,7 @@ class DesignCell:
 
     def __init__(self, design: SensorDesign, rectangles: FloatArray, plate: FloatArray | None = None) -> None:
         self.design, self.rectangles, self.plate = design, rectangles, plate
-        self.meshing_s = 0.0  #: by the clock
+        self.seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)  #: by the clock
         self._bodies: list[TaylorHood] = []
         self._indicators: list[FloatArray] = []  #: of all meshes but the last
         self._cells: dict[float, CondensedCell] = {}
@@ -284,7 +273,7 @@ class DesignCell:
                 self._indicators.append(mesh.solve(Stopwatch()).indicators)
                 mesh.refine(self._indicators[-1], np.inf)
             self._bodies.append(mesh.body)
-        self.meshing_s += perf_counter() - start
+        self.seconds["mesh"] += perf_counter() - start
         return self._bodies[level]
 
     def condensed(self, level: int, degree: int) -> CondensedCell:
@@ -350,7 +339,7 @@ def design_interior(
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)
         progress("cell")
         body, degree = TetCell(tetrahedra, plate), MESH_DEGREE
-        elements = Elements.of_basis(tetrahedra.basis, tetrahedra.region)
+        elements = tetrahedra.elements
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)

@@ -17,17 +17,13 @@ import numpy as np
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import BoxCell, cell_lines, cell_mirrors, functionals, pad_plate
-from fem.array.response import INFLUENCE_DIMS
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import PADS, electrode_means, expanded, influence_range
-from fem.mirrors import QUARTER, flipped_rectangles
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import DesignError, FileFormatError
-from geometry.layout import AXES, FloatArray, pillar_shares
-from geometry.storage.cache import kept
+from geometry.errors import DesignError
+from geometry.layout import FloatArray, pillar_shares
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
-from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
 VERSION = 4  #: raise when the same design gives other derivatives, so that cached ones are not reused
@@ -38,12 +34,9 @@ EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
 TRUNCATION = (
     1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
 )
-DIMS = ("parameter", *INFLUENCE_DIMS)
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
-Sides = list[tuple[CondensedCell, float]]  #: cells beside a design's own and by how much one parameter differs
 PILLARS_YOUNG = "pillar_material.young_mpa"
 SCALES = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that the others and B itself tell
-OFF_X, OFF_Y = "pad.offset_x_mm", "pad.offset_y_mm"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,7 +50,6 @@ class ResponseSensitivities:
     parameters: tuple[str, ...]  #: keys of the design, see `geometry.tolerances`; those alone that bend the body
     deviation: FloatArray  #: (k,): standard deviation of each before anything is measured, in its key's unit
     influence_mm_per_n: FloatArray  #: (k, rows, cols, n_upper, 3, rows, cols, 3): ∂B/∂θ [mm/N per the key's unit]
-    cache_key: str = ""  #: hash of what it was made from
 
     @property
     def values(self) -> FloatArray:
@@ -93,24 +85,25 @@ def response_sensitivities(
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = digest("sensitivities", VERSION, response_cache_key(design, settings))
 
-    def make() -> ResponseSensitivities:
+    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
+
+    def make() -> dict[str, FloatArray]:
         response, _, _ = array_response(design, settings, progress)
-        deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
         derivatives = _derivatives(design, deviations, progress)
         by_scale = -response.influence_mm_per_n
         if PILLARS_YOUNG in derivatives:
             by_scale = by_scale - value_of(design, PILLARS_YOUNG) * derivatives[PILLARS_YOUNG]
         derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
-        return ResponseSensitivities(
-            design=design,
-            parameters=tuple(deviations),
-            deviation=np.array(list(deviations.values())),
-            influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
-            cache_key=cache_key,
-        )
+        return {name: derivatives[name] for name in deviations}
 
-    found, path, reused = kept("sensitivities.nc", cache_key, make, read_sensitivities, write_sensitivities)
-    return replace(found, design=design), path, reused
+    derivatives, path, reused = kept("sensitivities.npz", cache_key, make, read_arrays, write_arrays)
+    found = ResponseSensitivities(
+        design=design,
+        parameters=tuple(deviations),
+        deviation=np.array(list(deviations.values())),
+        influence_mm_per_n=np.stack([derivatives[name] for name in deviations]),
+    )
+    return found, path, reused
 
 
 def _derivatives(
@@ -148,14 +141,11 @@ def cell_changes(
     progress("cell")
     cell = _condensed(design, design, different)
     nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
-    cells: dict[str, Sides] = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
+    cells = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
     for name in sides:
         if name not in cells:
             progress(f"cell, {name}")
-            if name == OFF_X and len(cell_mirrors(design)) == 2:
-                cells |= _off_the_middle(design, *sides[name][0])
-            else:
-                cells[name] = [(_condensed(design, side, functionals(side)), by) for side, by in sides[name]]
+            cells[name] = [(_condensed(design, side, functionals(side)), by) for side, by in sides[name]]
     changes = {name: _slope(*[*cells[name], (nominal, 0.0)][:2]) for name in sides}
     return nominal, changes
 
@@ -194,58 +184,3 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
     shares = None if shares is None else np.stack([1 - shares, shares])
     rubbers = [side.matrix_material, side.pillar_material]
     return condense(BoxCell.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
-
-
-def _off_the_middle(design: SensorDesign, off_x: SensorDesign, by: float) -> dict[str, Sides]:
-    """Cells of one rubber with a plate off the middle along x and along y, to either side.
-
-    All are images of one, whose plate is off along x: in x = 0, with x and y exchanged, and both. Its electrodes are
-    seen at their places in each.
-    """
-    pad, *electrodes = functionals(off_x)
-    exchanged = np.array(electrodes)[:, [1, 0, 3, 2]]
-    places = [each for own in (np.array(electrodes), exchanged) for each in (own, flipped_rectangles(own, QUARTER[:1]))]
-    seen, number = np.unique(np.vstack([pad, *places]), axis=0, return_inverse=True)
-    cell = _condensed(design, off_x, seen)
-    own, image, across, both = np.column_stack([np.full(4, number[0]), number[1:].reshape(4, -1)])
-    return {
-        OFF_X: [(cell.seeing(own), by), (cell.mirrored(0, image), -by)],
-        OFF_Y: [
-            (cell.exchanged(across), by),
-            (cell.mirrored(0, both).exchanged(np.arange(len(both))), -by),
-        ],
-    }
-
-
-def write_sensitivities(sensitivities: ResponseSensitivities, path: Path) -> None:
-    """Write a file of derivatives, whole or not at all."""
-    import xarray as xr
-
-    coordinates = {
-        "parameter": list(sensitivities.parameters),
-        "electrode": list(sensitivities.design.unit.layout.upper_names),
-        "axis": list(AXES),
-        "load_axis": list(AXES),
-    }
-    variables = {
-        "influence_mm_per_n": (DIMS, sensitivities.influence_mm_per_n, {"units": "mm/N per unit of the parameter"}),
-        "deviation": ("parameter", sensitivities.deviation),
-    }
-    attributes = {"design": design_to_toml(sensitivities.design), "recipe": sensitivities.cache_key}
-    write_netcdf(xr.Dataset(variables, coords=coordinates, attrs=attributes), path)
-
-
-def read_sensitivities(path: Path) -> ResponseSensitivities:
-    """Read a file of `write_sensitivities`; `FileFormatError` if it is missing, damaged or foreign."""
-    made_by = "tripillar identify"
-    data = read_netcdf(path, {"influence_mm_per_n": DIMS, "deviation": ("parameter",)}, made_by)
-    try:
-        return ResponseSensitivities(
-            design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
-            parameters=tuple(str(name) for name in data["parameter"].values),
-            deviation=data["deviation"].to_numpy(),
-            influence_mm_per_n=data["influence_mm_per_n"].to_numpy(),
-            cache_key=str(data.attrs["recipe"]),
-        )
-    except KeyError as error:
-        raise FileFormatError(f"{path}: {error} is missing: give a file made by '{made_by}'.") from None

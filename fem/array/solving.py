@@ -58,7 +58,7 @@ def array_response(
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
-    settings = _checked(design, settings)
+    settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)
 
     def make() -> ArrayResponse:
@@ -74,8 +74,17 @@ def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
 
 
-def _checked(design: SensorDesign, settings: ResponseSettings | None) -> ResponseSettings:
-    """The settings that a design is solved with; a `DesignError` where there is no such answer."""
+def solve_response(
+    design: SensorDesign,
+    settings: ResponseSettings | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+    cached: bool = False,
+) -> ArrayResponse:
+    """Response of a sensor, computed anew. Parameters and errors as in `array_response`.
+
+    With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
+    arrays of another size are made of the cell.
+    """
     settings, model = (settings or ResponseSettings()).suited(design), design.matrix_material.model
     if model != "linear":
         raise DesignError(
@@ -89,21 +98,6 @@ def _checked(design: SensorDesign, settings: ResponseSettings | None) -> Respons
         )
     if settings.method != "cells" and design.pad.kind == "stiff":
         raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
-    return settings
-
-
-def solve_response(
-    design: SensorDesign,
-    settings: ResponseSettings | None = None,
-    progress: Callable[[str], None] = lambda step: None,
-    cached: bool = False,
-) -> ArrayResponse:
-    """Response of a sensor, computed anew. Parameters and errors as in `array_response`.
-
-    With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
-    arrays of another size are made of the cell.
-    """
-    settings = _checked(design, settings)
     if design.electrics.is_conduction:
         plain = replace(design, electrics=Electrics())
         solve = (lambda *asked: array_response(*asked)[0]) if cached else solve_response

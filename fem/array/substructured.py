@@ -5,8 +5,8 @@ tetrahedra. Either way the array itself is never meshed. A refined cell is kept 
 that spare arrays of the same cell its mesh and its condensation.
 """
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TypeVar
@@ -34,6 +34,7 @@ class RefinedCell:
     cell: CondensedCell
     error_estimate: float  #: of any block of such an array, relative to the loaded unit's own
     steps: tuple[str, ...]  #: one line a stage of refinement
+    seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
 
 
 def write_refined(refined: RefinedCell, path: Path) -> None:
@@ -107,9 +108,8 @@ def response_by_cells(
     """
     radius = influence_range(design, TRUNCATION * tolerance)
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
-    seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)
-    refined = refined_cell(design, tolerance, cached, progress, seconds)
-    start = perf_counter()
+    refined = refined_cell(design, tolerance, cached, progress)
+    seconds, start = dict.fromkeys(("mesh", "condense", "couple"), 0.0) | refined.seconds, perf_counter()
     progress(f"coupling {rows} × {cols}")
     influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, electrode_means(design))
     seconds["couple"] += perf_counter() - start
@@ -147,14 +147,12 @@ def refined_cell(
     tolerance: float,
     cached: bool = False,
     progress: Callable[[str], None] = lambda step: None,
-    seconds: dict[str, float] | None = None,
 ) -> RefinedCell:
     """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
 
-    Parameters and errors as of `response_by_cells`; seconds of meshing, condensing and coupling are added to `seconds`.
+    Parameters and errors as of `response_by_cells`.
     The error is estimated on an array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood.
     """
-    spent = dict.fromkeys(("mesh", "condense", "couple"), 0.0) if seconds is None else seconds
 
     def make() -> RefinedCell:
         steps = []
@@ -167,7 +165,7 @@ def refined_cell(
         for stage in cell_stages(design, tolerance):
             coarse, fine, degree = stage
             progress(f"cell, level {fine:g}")
-            cell, _, (of_levels, of_ports) = cell_of_stage(source, stage, answer, block_error, spent)
+            cell, _, (of_levels, of_ports) = cell_of_stage(source, stage, answer, block_error)
             estimate = of_levels + of_ports
             steps.append(
                 f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
@@ -176,7 +174,7 @@ def refined_cell(
             )
             if estimate <= tolerance:
                 break
-        return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps))
+        return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps), seconds=source.seconds)
 
     if not cached:
         return make()
@@ -200,20 +198,18 @@ def cell_of_stage(
     stage: Stage,
     answer: Callable[[CondensedCell], Answer],
     difference: Callable[[Answer, Answer], float],
-    seconds: dict[str, float],
 ) -> tuple[CondensedCell, Answer, tuple[float, float]]:
     """A cell condensed at the levels of a stage, an answer by it, and the estimated errors of levels and ports.
 
     Parameters
     ----------
     source : DesignCell
+        The times of condensing and coupling are added to its own.
     stage : (coarse level, fine level, degree of the ports)
     answer : function
         What is asked of an array of cells.
     difference : function
         How far one answer is from another, relative.
-    seconds : dict
-        Times of meshing, condensing and coupling are added to it.
 
     Notes
     -----
@@ -222,9 +218,10 @@ def cell_of_stage(
     """
     coarse, fine, degree = stage
     design = source.design
-    start, meshed_before = perf_counter(), source.meshing_s
+    start, meshed_before = perf_counter(), source.seconds["mesh"]
     one, two = source.condensed(coarse, COMPARED_DEGREE), source.condensed(fine, degree)
-    condensed, meshing = perf_counter(), source.meshing_s - meshed_before
+    condensed = perf_counter()
+    source.seconds["condense"] += condensed - start - (source.seconds["mesh"] - meshed_before)
     factor = source.error_factor(coarse, fine)
     cell = two.extrapolated(one, factor) if design.is_homogeneous else two
     if not cell.is_definite:
@@ -238,9 +235,7 @@ def cell_of_stage(
     of_ports = difference(answer(cell.of_degree(degree - 1)), found)
     if not design.is_homogeneous:
         of_ports *= MESH_PORTS
-    spent = {"mesh": meshing, "condense": condensed - start - meshing, "couple": perf_counter() - condensed}
-    for name, own_seconds in spent.items():
-        seconds[name] = seconds.get(name, 0.0) + own_seconds
+    source.seconds["couple"] += perf_counter() - condensed
     return cell, found, (of_levels, of_ports)
 
 
@@ -277,14 +272,9 @@ def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatA
     if (small_rows, small_cols) == (rows, cols):
         return influence
     whole = np.zeros((rows, cols, *influence.shape[2:4], rows, cols, 3))
-    for i in range(rows):
-        i_small = _representative(i, rows, small_rows)
-        i0, i1 = max(0, i - min(radius, i_small)), min(rows, i + min(radius, small_rows - 1 - i_small) + 1)
-        for j in range(cols):
-            j_small = _representative(j, cols, small_cols)
-            j0, j1 = max(0, j - min(radius, j_small)), min(cols, j + min(radius, small_cols - 1 - j_small) + 1)
-            di, dj = i_small - i, j_small - j
-            whole[i0:i1, j0:j1, :, :, i, j] = influence[i0 + di : i1 + di, j0 + dj : j1 + dj, :, :, i_small, j_small]
+    for i, i_small, i_seen, i_own in _alike(rows, small_rows, radius):
+        for j, j_small, j_seen, j_own in _alike(cols, small_cols, radius):
+            whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]
     return whole
 
 
@@ -313,3 +303,11 @@ def _representative(index: int, count: int, small: int) -> int:
     """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
     middle = small // 2
     return index if index <= middle else max(middle, small - (count - index))
+
+
+def _alike(count: int, small: int, radius: int) -> Iterator[tuple[int, int, slice, slice]]:
+    """Units of a row of `count`, the one of a row of `small` that each is like, and the units of both within reach."""
+    for index in range(count):
+        like = _representative(index, count, small)
+        before, after = min(radius, like), min(radius, small - 1 - like) + 1
+        yield index, like, slice(index - before, index + after), slice(like - before, like + after)

@@ -18,8 +18,7 @@ from fem.array.meshed import lone_unit
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
 from fem.factor import Factor, checked_solve
-from fem.tetrahedra.patch import patch_means
-from fem.tetrahedra.plate import bonded
+from fem.tetrahedra.patch import bonded, patch_means
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings

@@ -4,13 +4,6 @@ Goes in: a unit and a field of deformation gradients. Comes out: conductances be
 estimate of their error. Open `potentials.py` first.
 """
 
-from fem.conduction.conductivity import Piezoresistivity, pulled_back
-from fem.conduction.potentials import Conductances, Deformation, unit_conductances
+from fem.conduction.potentials import Piezoresistivity, unit_conductances
 
-__all__ = [
-    "Conductances",
-    "Deformation",
-    "Piezoresistivity",
-    "pulled_back",
-    "unit_conductances",
-]
+__all__ = ["Piezoresistivity", "unit_conductances"]

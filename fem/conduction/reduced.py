@@ -12,9 +12,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from fem.boxes.lagrange import gauss_points
-from fem.conduction.conductivity import Piezoresistivity, pulled_back
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, unit_conductances
+from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections
 

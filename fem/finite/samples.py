@@ -16,8 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.conduction.conductivity import Piezoresistivity
-from fem.conduction.potentials import pillars_per_mm
+from fem.conduction.potentials import Piezoresistivity, pillars_per_mm
 from fem.conduction.reduced import ACROSS, ALONG, REDUCED_ERROR, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign

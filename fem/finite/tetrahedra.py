@@ -17,8 +17,7 @@ from fem.following import FollowingFaces
 from fem.plates import Plates
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.plate import nodes_under
+from fem.tetrahedra.patch import nodes_under, patch_integrals
 from geometry.layout import FloatArray
 
 

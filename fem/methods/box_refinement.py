@@ -206,9 +206,7 @@ def _fold(low: FloatArray, high: FloatArray, plan: Plan) -> None:
         high[axis] = place + ends.max()
 
 
-def _shells(
-    patches: list[Solid], stops: list[FloatArray], widest: float, slack: float
-) -> list[tuple[Solid, float]]:
+def _shells(patches: list[Solid], stops: list[FloatArray], widest: float, slack: float) -> list[tuple[Solid, float]]:
     """Boxes around patches smaller than the first boxes, and their margins, which grow by `SHELL_RATIO`.
 
     No two faces are less than the slack apart: those of different patches may differ by rounding.

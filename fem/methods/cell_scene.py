@@ -104,7 +104,6 @@ def solve_by_cells(scene: Scene) -> Solution:
     rectangles = np.array(list(local))
     forces = newtons.reshape(design.n_units, -1, 1)
 
-    seconds = {"mesh": 0.0, "condense": 0.0, "couple": 0.0}
     source = DesignCell(design, rectangles, pad_plate(design))
 
     def answer(cell: CondensedCell) -> tuple[dict[str, FloatArray], float, float]:
@@ -117,13 +116,13 @@ def solve_by_cells(scene: Scene) -> Solution:
     steps: list[str] = []
     for stage in cell_stages(design, scene.tolerance):
         cell, (means, energy, residual), errors = cell_of_stage(
-            source, stage, answer, lambda one, other: largest_error(one[0], other[0]), seconds
+            source, stage, answer, lambda one, other: largest_error(one[0], other[0])
         )
         estimate = sum(errors)
         steps.append(f"cells of level {stage[1]:g}, ports of degree {stage[2]}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break
-    spent = {"mesh": seconds["mesh"], "factor": seconds["condense"], "solve": seconds["couple"]}
+    spent = dict(zip(("mesh", "factor", "solve"), source.seconds.values(), strict=True))
     return Solution(
         probes=means,
         energy_mj=energy,

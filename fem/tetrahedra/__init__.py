@@ -1,4 +1,4 @@
-"""Tetrahedra, where rubbers meet on leaning faces: `scene_mesh.py` (a scene's mesh and its refinement), `mixed.py`
+"""Tetrahedra, where rubbers meet on leaning faces: `scene_mesh.py` (a scene's mesh, its refinement), `mixed.py`
 (elements filled with rubber of any law), `elements.py` (points in elements), `patch.py` (integrals over rectangles of
-the top), `plate.py` (rigid plates on it), `indicator.py` (where an answer errs).
+the top, rigid plates on them), `adapted.py` (solves on meshes that are refined where the answer errs).
 """

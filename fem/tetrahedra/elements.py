@@ -98,11 +98,20 @@ class Elements:
         """Linear functions of the corners at places (k, 3) in 0..1, shape (k, 4)."""
         return np.column_stack([1 - local.sum(axis=1), local])
 
+    @cached_property
+    def _corner_slopes(self) -> FloatArray:
+        """Derivatives of an element's functions at its corners, (m, 4, k, 3) [1/mm]."""
+        return shape_gradients(self.element, self.element.doflocs[:4].T) @ self.inverse_jacobian[:, None]
+
     def corner_slopes(self) -> list[sp.csr_matrix]:
         """Derivatives along x, y and z at elements' corners, from nodal values, (4 m, n)."""
         m = len(self.nodes)
-        slopes = shape_gradients(self.element, self.element.doflocs[:4].T) @ self.inverse_jacobian[:, None]
-        return [self._rows(np.repeat(np.arange(m), 4), slopes[..., axis].reshape(4 * m, -1)) for axis in range(3)]
+        slopes = self._corner_slopes.reshape(4 * m, -1, 3)
+        return [self._rows(np.repeat(np.arange(m), 4), slopes[..., axis]) for axis in range(3)]
+
+    def corner_gradients(self, u: FloatArray) -> FloatArray:
+        """∂ⱼuᵢ at elements' corners, [e, v, i, j], of displacements (n, 3): shape (m, 4, 3, 3)."""
+        return u[self.nodes].swapaxes(1, 2)[:, None] @ self._corner_slopes
 
     def _rows(self, found: NDArray[np.int64], values: FloatArray) -> sp.csr_matrix:
         rows = np.repeat(np.arange(len(found)), values.shape[1])

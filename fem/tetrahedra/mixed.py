@@ -24,6 +24,7 @@ from skfem import Basis, ElementTetP1, ElementTetP2, MeshTet
 
 from fem.factor import whole
 from fem.rubber.law import LAWS, Law, Strain
+from fem.tetrahedra.elements import Elements
 from geometry.design import Material
 from geometry.layout import FloatArray
 
@@ -48,6 +49,11 @@ class TaylorHood:
     @property
     def mesh(self) -> MeshTet:
         return self.basis.mesh
+
+    @cached_property
+    def elements(self) -> Elements:
+        """The same elements, to find points and their functions in."""
+        return Elements.of_basis(self.basis, self.region)
 
     @cached_property
     def corners(self) -> IntArray:
@@ -106,12 +112,6 @@ class TaylorHood:
     def slopes(self) -> FloatArray:
         """∂φ/∂X at the points of integration, (m, q, 10, 3) [1/mm]."""
         return np.stack([functions[0].grad for functions in self.basis.basis]).transpose(2, 3, 0, 1)
-
-    @cached_property
-    def at_corners(self) -> Basis:
-        """The same functions at the corners of elements, where gradients, which are linear, are known by."""
-        corners = ElementTetP2().doflocs[:4].T
-        return Basis(self.mesh, ElementTetP2(), quadrature=(corners, np.full(4, 1 / 24)))
 
     @cached_property
     def _of_pressure(self) -> FloatArray:

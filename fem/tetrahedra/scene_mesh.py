@@ -14,10 +14,9 @@ from skfem import MeshTet
 
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Scene
-from fem.tetrahedra.indicator import cell_sizes
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
-from geometry.mesh import MeshTask, cached_mesh, prism_surface, tetrahedralized
+from geometry.mesh import MeshTask, cached_mesh, prism_surface
 from geometry.prism import Prism, prisms_at
 from geometry.storage.files import digest
 
@@ -31,7 +30,7 @@ WEDGE_SHARE = 0.02  #: the same where prisms cut each other, whose wedges are ro
 VOLUME_TOLERANCE = 1e-9  #: relative, of prisms that cut no other: a mesh with a corner cut off is made again
 
 
-def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tuple[MeshTet, bool]:
+def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
     """A coarse mesh of a scene's body whose faces follow the prisms inside it and the outlines of stiff plates.
 
     Parameters
@@ -39,8 +38,6 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     scene : Scene
     prisms : sequence of Prism
         Those that need a region of their own; they may cut each other.
-    cached : bool
-        Take the mesh from the cache if it is there, and leave it there.
 
     Returns
     -------
@@ -58,12 +55,9 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism], cached: bool = True) -> tu
     extents = np.array([[*prism.section_mm, prism.height_mm] for prism in parts])
     cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(parts[1:], 2))
     envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
-    if cached:
-        shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in parts]
-        key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))
-        mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates))
-    else:
-        mesh, kept = tetrahedralized(scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates)), False
+    shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in parts]
+    key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))
+    mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates))
     # scikit-fem keeps points as (3, n)
     return MeshTet(np.ascontiguousarray(mesh.points_mm.T), np.ascontiguousarray(mesh.cells.T)), kept
 
@@ -138,6 +132,12 @@ def wanted_edges(outline: Prism, prisms: Sequence[Prism], edge_mm: float) -> tup
     return box, wanted(box.p.T)
 
 
+def cell_sizes(mesh: MeshTet) -> FloatArray:
+    """Edge of the cube with six times the volume of each tetrahedron, shape (m,) [mm]."""
+    corners = mesh.p.T[mesh.t.T]
+    return np.cbrt(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])))
+
+
 PAIRS = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])  #: edges of a tetrahedron, in scikit-fem's order
 
 
@@ -203,8 +203,5 @@ def bisected(mesh: MeshTet, marked: IntArray) -> MeshTet:
         for half, corner in zip(halves, PAIRS[which].T, strict=True):
             half[each, corner] = middle[place[cut][each, which]]
         cells = halves.reshape(-1, 4)
-    return _contiguous(points, np.vstack(finished))
-
-
-def _contiguous(points: NDArray[np.float64], cells: NDArray[np.int64]) -> MeshTet:
-    return MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T.astype(np.int32)))
+    cells = np.vstack(finished).astype(np.int32)
+    return MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))

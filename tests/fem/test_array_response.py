@@ -83,10 +83,8 @@ def test_estimates_cover_errors_over_designs(varied):
     def answer(cell):
         return CoupledArray(cell, 2, 2).influence(range(3), range(3, 9))[0]
 
-    cells = [
-        cell_of_stage(DesignCell(design, functionals(design), pad_plate(design)), stage, answer, block_error, {})
-        for stage in ((1, 2, 6), (2, 3, 7))
-    ]
+    source = DesignCell(design, functionals(design), pad_plate(design))
+    cells = [cell_of_stage(source, stage, answer, block_error) for stage in ((1, 2, 6), (2, 3, 7))]
     (_, coarse, of_coarse), (_, fine, of_fine) = cells
     error, estimate = block_error(coarse, fine), sum(of_coarse)
     assert error < estimate < 10 * error

@@ -11,9 +11,8 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import design_interior
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response
-from fem.conduction.conductivity import Piezoresistivity
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, pillars_per_mm, second_derivatives
+from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares

@@ -8,9 +8,8 @@ import pytest
 from fem.array import sensitivities
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
-from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.design import Array, Pad, SensorDesign
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of, with_values
-from tests.fem.scenes import FOUR
 
 SETTINGS = ResponseSettings(tolerance=5e-2)
 PAIR = SensorDesign(array=Array(rows=1, cols=2))
@@ -43,19 +42,6 @@ def test_derivatives_are_differences_of_whole_solves(design):
     )
     expected = np.tensordot(list(moved.values()), found.influence_mm_per_n, axes=1)
     assert np.linalg.norm((above - below) / 2 - expected) < 0.05 * np.linalg.norm(expected)
-
-
-@pytest.mark.parametrize("unit", [Unit(), Unit(layout=FOUR)], ids=["paper", "four pillars"])
-def test_a_plate_off_its_middle_has_images(monkeypatch, unit):
-    """Of four cells with a plate off along x or y, to either side, one is condensed: the others are as if they were."""
-    monkeypatch.setattr(sensitivities, "LEVEL", 1)
-    monkeypatch.setattr(sensitivities, "DEGREE", 2)
-    stiff = replace(STIFF, unit=unit)
-    sides = [changed(stiff, f"pad.offset_{axis}_mm", by) for axis in "xy" for by in (0.1, -0.1)]
-    images = [cell for cells in sensitivities._off_the_middle(stiff, sides[0], 0.1).values() for cell, _ in cells]
-    for side, image in zip(sides, images, strict=True):
-        direct = sensitivities._condensed(stiff, side, sensitivities.functionals(side))
-        assert np.allclose(image.free_compliance, direct.free_compliance, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["soft", "stiff"])

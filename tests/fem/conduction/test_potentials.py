@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from fem.conduction.conductivity import Piezoresistivity, pulled_back
 from fem.conduction.meshes import Hexahedra, joined
 from fem.conduction.potentials import (
     Conductor,
+    Piezoresistivity,
     pillars_per_mm,
+    pulled_back,
     strain_derivatives,
     unit_conductances,
     unit_conductors,
