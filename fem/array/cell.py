@@ -72,6 +72,20 @@ class PortModes:
         modes = np.concatenate([edges.ravel(), faces[:, : degree - 1, :degree].ravel()])
         return (modes[:, None] * 3 + np.arange(3)).ravel()
 
+    def renumbered(self, edges: list[int], faces: list[int], component: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Degrees of freedom (n_modes·3,) in another order of edges, faces and components."""
+        of_edges = np.arange(4 * self.per_edge).reshape(4, -1)[edges]
+        of_faces = 4 * self.per_edge + np.arange(4 * self.per_face).reshape(4, -1)[faces]
+        modes = np.concatenate([of_edges.ravel(), of_faces.ravel()])
+        return (modes[:, None] * 3 + component).ravel()
+
+    @property
+    def exchanged(self) -> NDArray[np.int64]:
+        """Number of the degree of freedom that each one becomes when x and y are exchanged, shape (n_modes·3,)."""
+        edges = [EDGES.index((sy, sx)) for sx, sy in EDGES]
+        faces = [FACES.index((1 - axis, sign)) for axis, sign in FACES]
+        return self.renumbered(edges, faces, np.array([1, 0, 2]))
+
     def image(self, axis: int, parity: Parity) -> tuple[NDArray[np.int64], FloatArray]:
         """Number of the degree of freedom that each one becomes in the mirror across x = 0 or y = 0, and its sign.
 
@@ -84,10 +98,7 @@ class PortModes:
         along = np.repeat([np.ones_like(odd) if normal == axis else odd for normal, _ in FACES], self.up, axis=1)
         signs[4 * self.per_edge :] *= along.reshape(-1, 1)
         signs *= [sign(component, axis, parity) for component in range(3)]
-        of_edges = np.arange(4 * self.per_edge).reshape(4, -1)[edges]
-        of_faces = 4 * self.per_edge + np.arange(4 * self.per_face).reshape(4, -1)[faces]
-        modes = np.concatenate([of_edges.ravel(), of_faces.ravel()])
-        return (modes[:, None] * 3 + np.arange(3)).ravel(), signs.ravel()
+        return self.renumbered(edges, faces, np.arange(3)), signs.ravel()
 
     def of_parity(self, parity: Parity) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Displacements of a parity, (n_modes·3, m), and how much of each any displacement has, (m, n_modes·3)."""
@@ -165,10 +176,24 @@ class CondensedCell:
         compliance = self.compliance + share * (self.compliance - coarser.compliance)
         return replace(self, stiffness=stiffness, transfer=transfer, compliance=compliance)
 
+    def exchanged(self, twins: NDArray[np.int64]) -> "CondensedCell":
+        """The cell that this one becomes when x and y are exchanged.
+
+        `twins` (k,) is the number of the rectangle of this cell that becomes each rectangle of the other.
+        """
+        return self._image(self.ports.exchanged, (twins[:, None] * 3 + np.array([1, 0, 2])).ravel())
+
     def seeing(self, rectangles: NDArray[np.int64]) -> "CondensedCell":
         """The same cell with some of its rectangles, by number."""
-        seen = (rectangles[:, None] * 3 + np.arange(3)).ravel()
-        return replace(self, transfer=self.transfer[:, seen], compliance=self.compliance[np.ix_(seen, seen)])
+        return self._image(np.arange(len(self.stiffness)), (rectangles[:, None] * 3 + np.arange(3)).ravel())
+
+    def _image(self, dofs: NDArray[np.int64], seen: NDArray[np.int64]) -> "CondensedCell":
+        return replace(
+            self,
+            stiffness=self.stiffness[np.ix_(dofs, dofs)],
+            transfer=self.transfer[np.ix_(dofs, seen)],
+            compliance=self.compliance[np.ix_(seen, seen)],
+        )
 
     def of_degree(self, degree: int) -> "CondensedCell":
         """The same cell with port modes up to a lower degree along sides and upwards, at no cost."""
@@ -203,28 +228,36 @@ def condense(
     the side faces, which follow the port modes Φ, and I the others, pressures and plates included.
 
     Of a quarter, a displacement splits into four parities, each a problem with its own conditions on the mirror planes
-    (`fem.mirrors`); four quarters cost far less than one whole.
+    (`fem.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity (−1, 1)
+    is (1, −1) with x and y exchanged, and need not be solved.
     """
-    copies = 2 ** len(body.mirrors)
+    k, copies = len(rectangles), 2 ** len(body.mirrors)
+    square = copies == 4 and inside is None and body.is_square
+    if square:
+        rectangles = np.vstack([rectangles, rectangles[:, [1, 0, 3, 2]]])
     area_mm2 = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)
     means = [
         body.integrals(flipped_rectangles(rectangles, flipped)).toarray() / area_mm2[:, None]
         for flipped, _ in images(body.mirrors, (1, 1))
     ]
-    parts = []
+    parts = {}
     for parity in parities(body.mirrors):
+        if square and parity == (-1, 1):
+            continue
         forces = np.zeros((len(rectangles), 3, len(body.points_mm), 3))  # all images of a rectangle, on the part
         for (_, signs), mean in zip(images(body.mirrors, parity), means, strict=True):
             for axis in range(3):
                 forces[:, axis, :, axis] += signs[axis] * mean
         loads = body.gathered(forces.reshape(-1, *forces.shape[2:]), parity)
-        parts.append(_eliminated(body, ports, loads, parity, copies, inside))
+        parts[parity] = _eliminated(body, ports, loads, parity, copies, inside)
+    if square:
+        parts[-1, 1] = parts[1, -1].exchanged(twins=np.roll(np.arange(2 * k), k))
     return replace(
-        parts[0],
-        stiffness=np.sum([part.stiffness for part in parts], axis=0),
-        transfer=np.sum([part.transfer for part in parts], axis=0),
-        compliance=np.sum([part.compliance for part in parts], axis=0),
-        residual=max(part.residual for part in parts),
+        next(iter(parts.values())),
+        stiffness=np.sum([part.stiffness for part in parts.values()], axis=0),
+        transfer=np.sum([part.transfer for part in parts.values()], axis=0)[:, : 3 * k],
+        compliance=np.sum([part.compliance for part in parts.values()], axis=0)[: 3 * k, : 3 * k],
+        residual=max(part.residual for part in parts.values()),
     )
 
 

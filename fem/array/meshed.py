@@ -107,6 +107,15 @@ class BoxCell:
         found[self.system.free] = np.arange(3 * len(self.system.free)).reshape(-1, 3)
         return found
 
+    @property
+    def is_square(self) -> bool:
+        """True if the body stays the same when x and y are exchanged."""
+        boxes, law = self.system.body.boxes, self.system.body.law
+        moduli = [part.reshape(boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
+        plates = [load.size_mm[0] == load.size_mm[1] for load in self.system.whole_loads]
+        same = np.array_equal(*boxes.lines[:2]) and all(plates)
+        return same and all(np.array_equal(part, part.swapaxes(0, 1)) for part in moduli)
+
     @cached_property
     def _tangent(self) -> FloatArray:
         return self.system.rest_tangent()
@@ -136,10 +145,11 @@ class TetCell:
     plate: FloatArray | None = None  #: rectangle (4,) of its top that a plate is bonded to
     mirrors: tuple[Mirror, ...] = ()
     definite: bool = False
+    is_square: bool = False
 
     @property
     def points_mm(self) -> FloatArray:
-        return self.body.points_mm
+        return self.body.basis.doflocs.T
 
     @cached_property
     def _tied(self) -> sp.csr_matrix:

@@ -57,8 +57,18 @@ def test_parities_of_a_part_are_the_whole_cell(planes, plate):
     assert_same(found, condense(BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER, plate), PORTS, RECTANGLES))
 
 
+def test_a_square_cell_spares_a_parity(cell, monkeypatch):
+    """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
+    solved, matrix = [], BoxCell.matrix
+    monkeypatch.setattr(BoxCell, "is_square", False)
+    monkeypatch.setattr(BoxCell, "matrix", lambda body, parity: solved.append(parity) or matrix(body, parity))
+    four = condense(BoxCell.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
+    assert solved == parities(QUARTER)
+    assert_same(cell, four, 1e-12)
+
+
 @pytest.mark.parametrize("y", [X, np.array([0.0, 2.0, 6.0, HALF])], ids=["rubbers", "lines"])
-def test_a_cell_may_differ_in_x_and_y(y):
+def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
     """Against the whole cell, whose mirror images the four quarters are; boxes hold two rubbers, evenly mixed."""
     rubbers = [*RUBBER, Material(young_mpa=0.5)]
     share = np.broadcast_to(np.arange(9).reshape(3, 3, 1) / 9, (3, 3, len(UP) - 1))
@@ -66,6 +76,7 @@ def test_a_cell_may_differ_in_x_and_y(y):
     share = np.concatenate([share[::-1], share])
     share = np.concatenate([share[:, ::-1], share], axis=1)
     whole = BoxCell.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
+    assert not quarter.is_square
     assert_same(condense(quarter, PORTS, RECTANGLES), condense(whole, PORTS, RECTANGLES))
 
 
@@ -83,6 +94,20 @@ def test_the_inside_belongs_to_the_condensed_cell(plate):
     seen = np.einsum("kn,mni->mki", means.toarray(), moved).reshape(len(moved), -1)
     assert np.allclose(seen[:n], cell.transfer, rtol=0, atol=1e-12)
     assert np.allclose(seen[n:], cell.compliance, rtol=0, atol=1e-12)
+
+
+def test_exchanging_x_and_y_twice_changes_nothing(cell):
+    """A square cell of square rectangles is its own exchange, but for which corner the second one lies in."""
+    swap = PORTS.exchanged
+    assert np.array_equal(swap[swap], np.arange(PORTS.n_modes * 3))
+    twice = cell.exchanged(np.arange(2)).exchanged(np.arange(2))
+    assert np.array_equal(twice.stiffness, cell.stiffness)
+    assert np.array_equal(twice.transfer, cell.transfer)
+    points = np.array([[HALF, 2.0, 3.0], [-1.0, -HALF, 5.0], [HALF, HALF, 10.0]])
+    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
+    here = PORTS.values(points) @ q.reshape(-1, 3)
+    there = PORTS.values(points[:, [1, 0, 2]]) @ q[swap].reshape(-1, 3)
+    assert np.allclose(there, here[:, [1, 0, 2]], rtol=0, atol=1e-14)
 
 
 def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
