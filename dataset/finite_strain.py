@@ -30,7 +30,7 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-METHOD = 4  #: raise when the same settings give other samples
+METHOD = 5  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled
@@ -43,7 +43,7 @@ class Group:
 
     traction_mpa: FloatArray  #: (GROUP, k, 3)
     displacement_mm: FloatArray  #: (GROUP, k, 2, 3)
-    error_estimate: FloatArray  #: (GROUP,): relative, of the displacements
+    error_estimate: FloatArray  #: (GROUP,): relative, of the displacements, the linear response's error included
     iterations: NDArray[np.int64]  #: (GROUP,)
     redrawn: NDArray[np.int64]  #: (GROUP,): draws that passed the cap
     unsolved: NDArray[np.int64]  #: (GROUP,): draws that had no answer below the cap, drawn again as well
@@ -92,7 +92,7 @@ class GroupSolver:
 
     def __init__(self, response: ArrayResponse, settings: DatasetSettings) -> None:
         require_finite(response.design)
-        self.design, self.cap = response.design, settings.cap
+        self.design, self.cap, self._linear_error = response.design, settings.cap, response.error_estimate
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
         self._solver = SampleSolver(self.design, influence, unwanted=self._is_far)
@@ -127,7 +127,8 @@ class GroupSolver:
             over = self._strain(found.displacement_mm) > settings.cap
             redrawn[waiting] += over
             unsolved[waiting] += ~over & ~found.settled
-            displacement[waiting], estimate[waiting] = found.displacement_mm, found.error_estimate
+            displacement[waiting] = found.displacement_mm
+            estimate[waiting] = np.hypot(found.error_estimate, self._linear_error)
             iterations[waiting] = found.iterations
             ratio[waiting], ratio_error[waiting] = found.resistance_ratio, found.ratio_error
             waiting = waiting[over | ~found.settled]
