@@ -260,6 +260,19 @@ def test_patches_down_to_a_millionth_of_the_body_sink_as_on_a_half_space(side_mm
     assert solution.error_estimate <= scene.tolerance
 
 
+def test_small_patches_that_touch_share_their_line():
+    """2.0 + 0.05 and 2.1 − 0.05 mm differ by rounding: a box between them would be 5e-16 mm wide."""
+    sides = [{"center_mm": (x, 4.0), "size_mm": (0.1, 0.1)} for x in (2.0, 2.1)]
+    scene = Scene(
+        body=Block(size_mm=(9.0, 8.0, 4.0)),
+        material=Material(young_mpa=1.0, poisson=0.45),
+        loads=tuple(DeadLoad(**side, traction_mpa=(0.0, 0.0, -1.0)) for side in sides),
+        probes=tuple(Probe(name=str(number), kind="mean", **side) for number, side in enumerate(sides)),
+    )
+    low, high = first_mesh(scene, make_plan(scene)).corners
+    assert (high - low).min() > 0.01
+
+
 def test_no_line_runs_through_the_body():
     """Edges of a region in one corner split no box in the other."""
     inclusion = Inclusion(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 3.0, 8.0), section_mm=(2.0, 2.0))
