@@ -162,7 +162,8 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
         for start, end in zip(low, high, strict=True)
     ]
-    shells = _shells(_patches(scene, plan), stops, widest, slack)
+    known = [[*own, *line] for own, line in zip(stops, lines, strict=True)]
+    shells = _shells(_patches(scene, plan), stops, known, widest, slack)
     inner += [shell for shell, _ in shells]
     around = [{float(side[axis]): margin for shell, margin in shells for side in shell} for axis in range(3)]
     x, y, z = (AxisTree(line, own, shell) for line, own, shell in zip(lines, stops, around, strict=True))
@@ -206,12 +207,14 @@ def _fold(low: FloatArray, high: FloatArray, plan: Plan) -> None:
         high[axis] = place + ends.max()
 
 
-def _shells(patches: list[Solid], stops: list[FloatArray], widest: float, slack: float) -> list[tuple[Solid, float]]:
+def _shells(
+    patches: list[Solid], stops: list[FloatArray], known: list[list[float]], widest: float, slack: float
+) -> list[tuple[Solid, float]]:
     """Boxes around patches smaller than the first boxes, and their margins, which grow by `SHELL_RATIO`.
 
-    No two faces are less than the slack apart: those of different patches may differ by rounding.
+    Faces less than the slack from `known` places, to which they are added, or from each other, are one.
     """
-    found, known = [], [list(own) for own in stops]
+    found = []
     for low, high in patches:
         side = float((high - low)[:2].min())
         margin = 0.0 if side < SMALL * widest else widest

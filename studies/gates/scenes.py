@@ -144,6 +144,10 @@ NEEDLE = """
 kind = "block"
 size_mm = [100.0, 0.01, 0.01]
 
+[material]
+young_mpa = 6.1
+poisson = 0.49
+
 [[load]]
 center_mm = [50.0, 0.005]
 size_mm = [100.0, 0.01]
