@@ -5,7 +5,8 @@ error (`solve_scene`), or the influence matrix of the array (`array_response`): 
 electrode. The rooms, in the order of the data: `scene/` (a scene and its file), `methods/` (open `solving.py` and
 `plan.py` first: how a scene is solved), `array/` (open `solving.py` first: the response of an array), `contact/` (open
 `indentation.py` first: rigid shapes pressed into it), `boxes/` and `tetrahedra/` (elements), `rubber/` (what fills
-them), `factor.py` (factorisations and checked solves), `field.py` (displacement and stress anywhere), `pictures/`.
+them), `system.py` (their equations under loads), `factor.py` (factorisations and checked solves), `field.py`
+(displacement and stress anywhere), `pictures/`.
 """
 
 from fem.array.response import ArrayResponse, read_response, write_response
