@@ -10,7 +10,7 @@ from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response
 from fem.conduction import reduced
 from fem.conduction.potentials import unit_conductances
-from fem.finite import conducted
+from fem.finite import samples as finite_samples
 from fem.finite.samples import SampleSolver
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.errors import FileFormatError
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("shared_cache")
 def few_potentials(monkeypatch):
     """Conduction reduced to the potentials of a quarter of the usual deformations: at rest it is as exact."""
     monkeypatch.setattr(reduced, "SNAPSHOTS", 7)
-    monkeypatch.setattr(conducted, "reduced_conduction", reduced.reduced_conduction.__wrapped__)
+    monkeypatch.setattr(finite_samples, "reduced_conduction", reduced.reduced_conduction.__wrapped__)
 
 
 def test_lengths_volumes_and_wires_are_those_of_four_pillars():
@@ -93,6 +93,6 @@ def test_conduction_of_four_pillars(few_potentials):
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
-    few = conducted.reduced_conduction(UNIT)
+    few = finite_samples.reduced_conduction(UNIT)
     at_rest = few.conductances(np.broadcast_to(np.eye(3), (len(few.points_mm), 3, 3)))
     assert at_rest == pytest.approx(found.matrix_mm, rel=1e-9)
