@@ -12,9 +12,10 @@ import numpy as np
 from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
-from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_blocks, pillar_columns, rowwise
+from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_blocks, pillar_columns, readable_columns, rowwise
 from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.posterior import Found, Posterior
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig
@@ -44,6 +45,7 @@ class Decoupler:
     output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
     design: SensorDesign | None  #: the sensor of the training data; None if they did not say
     inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
+    posterior: Posterior | None = None  #: of a sensor at finite strain: the network's answer is its start and prior
     calibration: Calibration | None = None  #: gains and offsets of this very sensor; None for one as designed
     resting: Resting | None = None  #: readings at rest; None without a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
@@ -74,8 +76,8 @@ class Decoupler:
 
         Notes
         -----
-        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. A sample gives the
-        same bits alone and in any batch.
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain that
+        is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
         columns = self.columns(resistance_ohm)
         n = len(columns)
@@ -137,6 +139,10 @@ class Decoupler:
         if self.uncertainty is None:
             raise SampleError("this model knows no uncertainty: train it again.")
         found, columns = self.uncertainty, self.columns(resistance_ohm)
+        shape = (-1, self.rows, self.cols, len(self.component.axes))
+        if self.posterior is not None:
+            covariance = self.refined(columns).covariance_n2
+            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(shape), weights.T @ covariance @ weights
         own_n2, (scale, _) = self._own_variance(columns)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
         for chunk, factors in self._error_factors(columns, found.noise, found.bits):
@@ -144,7 +150,6 @@ class Decoupler:
             by_error = (weights[None] * scale[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
         covariance += np.einsum("no,oi,oj->nij", own_n2 * scale**2, weights, weights, optimize=True)
-        shape = (-1, self.rows, self.cols, len(self.component.axes))
         return (np.sqrt(variance) * scale).reshape(shape), covariance
 
     def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -195,6 +200,9 @@ class Decoupler:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
         found = self.uncertainty
         assert found is not None
+        if self.posterior is not None:
+            deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm).covariance_n2))
+            return deviation_n, 2.0 * deviation_n
         own_n2, (one, two) = self._own_variance(columns_ohm)
         deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.noise, found.bits))
         return deviation_n * one, deviation_n * two
@@ -241,9 +249,9 @@ class Decoupler:
         assert self.ensemble is not None
         assert self.inverse is not None
         modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
-        effective_n = self.inverse.effective(modelled)
-        slopes = self.inverse.forward.linear.relative_slopes(effective_n)
-        return self.ensemble.differences(effective_n, slopes, columns_ohm)
+        force_n = self.inverse.forces(modelled)
+        slopes = self.inverse.forward.relative_slopes(force_n)
+        return self.ensemble.differences(force_n, slopes, columns_ohm)
 
     @property
     def is_identified(self) -> bool:
@@ -323,6 +331,20 @@ class Decoupler:
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
+        return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
+
+    def refined(self, columns_ohm: FloatArray) -> Found:
+        """What the posterior makes of resistances (n, n_in) [Ω] and of the network's answers."""
+        assert self.posterior is not None
+        assert self.uncertainty is not None
+        readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
+        settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
+        modelled = settled if self.calibration is None else self.calibration.modelled(settled)
+        noise, bits = self.uncertainty.noise, self.uncertainty.bits
+        return self.posterior.found(modelled, self.first_answers(columns_ohm), noise, bits, readable)
+
+    def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
+        """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:

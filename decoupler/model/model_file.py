@@ -11,7 +11,8 @@ from safetensors.numpy import save
 
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
-from decoupler.inverse.effective_forces import N_FEATURES, OWN, EffectiveForces
+from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.strain_maps import N_AXES, N_FEATURES, OWN, StrainMaps
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -41,16 +42,25 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "input_half_range": ("input_scaling.half_range", ("seen",)),
     "output_centre": ("output_scaling.centre", ("out",)),
     "output_half_range": ("output_scaling.half_range", ("out",)),
-    "influence": ("inverse.forward.influence", ("out", "components electrodes")),
-    "top": ("inverse.forward.top", ("in",)),
-    "rest_mm": ("inverse.forward.rest_mm", ("components", "in")),
-    "sign": ("inverse.forward.sign", ("components", "in")),
-    "ohm_per_mm2": ("inverse.forward.ohm_per_mm2", ("in",)),
-    "finite_influence": ("inverse.forward.correction.influence", ("out", "electrodes along 3")),
-    "finite_near": ("inverse.forward.correction.near", ("units", "neighbours")),
-    "finite_sizes": ("inverse.forward.correction.sizes", ("own",)),
-    "finite_weights": ("inverse.forward.correction.weights", ("finite features", "3")),
-    "finite_misfit_n": ("inverse.forward.correction.misfit_n", ("3",)),
+    **{
+        f"{prefix}{name}": (f"{owner}.forward.{name}", shape)
+        for prefix, owner in (("", "inverse"), ("finite_", "posterior"))
+        for name, shape in (
+            ("influence", ("out", "components electrodes")),
+            ("top", ("in",)),
+            ("rest_mm", ("components", "in")),
+            ("sign", ("components", "in")),
+            ("ohm_per_mm2", ("in",)),
+        )
+    },
+    "maps_influence": ("posterior.forward.maps.influence", ("out", "electrodes along 3")),
+    "maps_near": ("posterior.forward.maps.near", ("units", "neighbours")),
+    "maps_sizes": ("posterior.forward.maps.sizes", ("own",)),
+    "maps_weights": ("posterior.forward.maps.weights", ("finite features", "forces and pillars")),
+    "maps_misfit": ("posterior.forward.maps.misfit", ("forces and pillars",)),
+    "maps_growth": ("posterior.forward.maps.growth", ("2",)),
+    "to_state": ("posterior.to_state", ("out + 1", "out")),
+    "precision": ("posterior.precision", ("out", "out")),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
@@ -144,7 +154,7 @@ def read_model(path: Path) -> Decoupler:
     sizes = _sizes(decoupler)
     for name, array in _arrays(decoupler).items():
         shape = tuple(sizes[size] for size in _ARRAYS[name][1])
-        kind = "i" if name in ("top", "finite_near") else "b" if name == "dead" else "f"
+        kind = "i" if name.endswith(("top", "_near")) else "b" if name == "dead" else "f"
         if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
@@ -153,7 +163,7 @@ def read_model(path: Path) -> Decoupler:
     for name in arrays.keys() & _NOT_BELOW_0:
         if arrays[name].min(initial=0.0) < 0:
             raise FileFormatError(f"{path}: {name} holds {arrays[name].min():g}, must not be below 0: {_MEND}.")
-    if decoupler.inverse is not None and not _holds_pillars(decoupler.inverse.forward):
+    if not all(_holds_pillars(part.forward) for part in (decoupler.inverse, decoupler.posterior) if part is not None):
         raise FileFormatError(f"{path}: its pillars stand on electrodes that it does not hold: {_MEND}.")
     return decoupler
 
@@ -222,7 +232,8 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     component, rows, cols, hidden = decoupler.component, decoupler.rows, decoupler.cols, decoupler.network.hidden
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
-    forward = None if decoupler.inverse is None else decoupler.inverse.forward
+    model = decoupler.inverse or decoupler.posterior
+    forward = None if model is None else model.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
     if decoupler.ensemble is not None:
         electrodes = n_in  # an identified sensor has an influence for each pillar
@@ -236,6 +247,9 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "in": n_in,
         "in + 1": n_in + 1,
         "out": n_out,
+        "out + 1": n_out + 1,
+        "2": 2,
+        "forces and pillars": N_AXES + len(component.pillars),
         "hidden": hidden,
         "seen": seen,
         "seen + 1": seen + 1,
@@ -254,7 +268,7 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
 
 def _holds_pillars(forward: ForwardModel) -> bool:
     n_electrodes = forward.influence.shape[1] // len(forward.rest_mm)
-    near = np.zeros(1) if forward.correction is None else forward.correction.near
+    near = np.zeros(1) if forward.maps is None else forward.maps.near
     stands = (forward.top >= 0) & (forward.top < n_electrodes)
     return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
 
@@ -276,13 +290,14 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        return {field: arrays[name] for field, name in mine.items() if name in arrays or name != "sign"}
+        return {field: arrays[name] for field, name in mine.items() if name in arrays or field != "sign"}
 
-    inverse = uncertainty = least_squares = None
+    inverse = posterior = uncertainty = least_squares = None
     if network.feature == "inverse":
-        correction = EffectiveForces(**held("inverse.forward.correction")) if "finite_weights" in arrays else None
-        forward = ForwardModel(**held("inverse.forward"), correction=correction)
-        inverse = ModelInverse(forward=forward, **held("inverse"))
+        inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
+    if "maps_weights" in arrays:
+        maps = StrainMaps(**held("posterior.forward.maps"))
+        posterior = Posterior(forward=ForwardModel(**held("posterior.forward"), maps=maps), **held("posterior"))
     if "inverse_matrix" in arrays:
         uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")
@@ -299,6 +314,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         output_weights=arrays["output_weights"],
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
+        posterior=posterior,
         calibration=Calibration(**held("calibration")) if "gain" in arrays else None,
         resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
         dead=dead,

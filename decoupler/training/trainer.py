@@ -34,7 +34,7 @@ from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
-from decoupler.training.finite_strain import as_at_finite_strain
+from decoupler.training.finite_strain import DRAWS, HIDDEN, drawn_samples, refined, with_strain_maps
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
@@ -109,6 +109,14 @@ def train(
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     given, data = data, drawn(data, seed)
     parts, network, training = suited_training(data, component, network, training, response)
+    if data.is_finite.any() and parts.name == "all" and response is not None:
+        data = data[data.is_finite]
+        at_strain = with_strain_maps(response, parts, data)
+        drawn_data, to_state = drawn_samples(at_strain, data, DRAWS, seed)
+        net = train(drawn_data, parts.name, NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
+        recipe = model_cache_key(given, parts.name, network, training, response)
+        made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
+        return replace(refined(net, at_strain, to_state, drawn_data), made_from=made_from)
     data = distinct(data, parts)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
@@ -119,8 +127,6 @@ def train(
     if network.feature == "inverse":
         readable = readable_columns(parts, data.dead, columns_ohm.shape[1])
         forward = explaining(response, parts, columns_ohm, force_n, readable)
-        assert response is not None
-        forward, force_n = as_at_finite_strain(forward, response, data, parts, columns_ohm, force_n)
     untrained = _untrained(data, parts, network, columns_ohm, force_n, forward)
     known = network.feature == "inverse" and network.net == "skip"
     columns_ohm, force_n, n_light = (
@@ -162,9 +168,6 @@ def train(
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(trained, output_weights=output_weights)
     uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light, matrix)
-    if forward is not None and forward.correction is not None:  # errors on its own samples say too little
-        unseen_n2 = np.tile(forward.correction.misfit_n**2, len(uncertainty.misfit_n2) // 3)
-        uncertainty = replace(uncertainty, misfit_n2=np.maximum(uncertainty.misfit_n2, unseen_n2))
     return replace(
         trained,
         uncertainty=uncertainty,

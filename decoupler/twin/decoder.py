@@ -7,7 +7,7 @@ import numpy as np
 
 from dataset.measurement import reading_deviation
 from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.effective_forces import EffectiveForces
+from decoupler.inverse.strain_maps import StrainMaps as EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
@@ -80,7 +80,7 @@ def decoder_of(
 
     light_n = light_loads(loads_n, generator)
     effective_n = np.concatenate([loads_n, light_n])
-    force_n = effective_n if correction is None else correction.actual(effective_n)
+    force_n = effective_n if correction is None else correction.forces(effective_n)
     columns = read(effective_n)
     readable = readable_columns(component, dead, columns.shape[1])
     errors = columns / calibration.shown(forward.resistances(effective_n)) - 1.0

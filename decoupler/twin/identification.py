@@ -10,7 +10,7 @@ import numpy as np
 from dataset.samples import SampleError
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.effective_forces import EffectiveForces
+from decoupler.inverse.strain_maps import StrainMaps as EffectiveForces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
