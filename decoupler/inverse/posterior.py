@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
 from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
 MAX_STEPS = 12  #: damped Gauss-Newton steps; five are usual
 FIRST_DAMPING = 1e-3  #: relative to the diagonal
 LAST_DAMPING = 1e6  #: at which a sample comes no nearer
+UNREAD = 1e12  #: factor of the variance of a pillar that is not read
 GAINED = 1e-3  #: fall of the cost below which a sample has ended
 FREEDOM = 4.0  #: degrees of freedom of the readings' errors (Student's t): the maps' have wide tails
+INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)  #: of a reading about its mean, over that of a normal one
 CHUNK = 32  #: samples whose derivatives are in memory together
 
 
@@ -39,6 +42,21 @@ class Posterior:
     forward: ForwardModel  #: of the array at finite strain
     to_state: FloatArray  #: (Q + 1, Q): to first order from forces to states, the constant last [N]
     precision: FloatArray  #: (Q, Q): inverse covariance of the first answers' errors [1/N²]
+    loads_n: FloatArray  #: (m, Q): some loads that the forward model has seen
+    specimen: Specimen | None = None  #: what is not known of this sensor; None for one as designed
+    misfit: float = 0.0  #: of a reading beyond what is known, over its rest
+
+    def squares_variance(self, state_n: FloatArray) -> FloatArray:
+        """Variance of the squares of lengths by what maps and specimen miss, (n, Q) [N] -> (n, P) [mm⁴]."""
+        maps = self.forward.maps
+        assert maps is not None
+        rest = self.forward.linear.lengths(np.zeros((1, self.forward.n_forces))) ** 2
+        return maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1) + (self.misfit * rest) ** 2
+
+    def squares_factors(self, state_n: FloatArray) -> FloatArray:
+        """U of the covariance U Uᵀ of the squares by what is not known of a specimen, (n, P, ·) [mm²]."""
+        assert self.specimen is not None
+        return self.specimen.derivatives(self.forward, state_n) @ self.specimen.factor
 
     def found(
         self, resistance_ohm: FloatArray, first_n: FloatArray, noise: float, bits: int | None, read: NDArray[np.bool_]
@@ -59,9 +77,9 @@ class Posterior:
         Notes
         -----
         Over states G, with y(G) and F(G) as `ForwardModel.at_states` has them, it minimises
-        Σ (ν + 1) ln(1 + (y − y(G))²/(ν σ²)) + (F₀ − F(G))ᵀ P (F₀ − F(G)) by Levenberg's steps, each with the weights
-        that the last one left. σ is that of reading and maps together. A sample gives the same bits alone and in any
-        batch.
+        Σ (ν + 1) ln(1 + r²/ν) + (F₀ − F(G))ᵀ P (F₀ − F(G)) by Levenberg's steps, each with the weights that the last
+        one left, where r are the residuals y − y(G) made independent and of variance 1 by the covariance of readings,
+        maps and specimen together. A sample gives the same bits alone and in any batch.
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(first_n), CHUNK)]
         found = [self._found(resistance_ohm[part], first_n[part], noise, bits, read) for part in parts]
@@ -75,9 +93,15 @@ class Posterior:
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
         state = (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
-        misfit = maps.misfit_variance(state)
-        variance = (reading_deviation(resistance_ohm, noise, bits) / c) ** 2 + misfit[..., N_AXES:].reshape(n, -1)
-        given = _Given(y=resistance_ohm / c, weight=read / variance, first_n=first_n, precision=self.precision)
+        variance = (reading_deviation(resistance_ohm, noise, bits) / c) ** 2 + self.squares_variance(state)
+        variance = np.where(read, variance, UNREAD * variance)
+        if self.specimen is None:
+            whiten = np.eye(len(read)) / np.sqrt(variance)[:, None]
+        else:
+            factors = self.squares_factors(state)
+            covariance = factors @ factors.swapaxes(1, 2) + variance[:, None] * np.eye(len(read))
+            whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        given = _Given(y=resistance_ohm / c, whiten=whiten, first_n=first_n, precision=self.precision)
         here = _Point.of(self.forward, state, given)
         damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
         for _ in range(MAX_STEPS):
@@ -92,9 +116,9 @@ class Posterior:
             on = on[~((better & (gain < GAINED)) | (damping[on] > LAST_DAMPING))]
             if not len(on):
                 break
-        H, _ = here.normal(self.precision)
+        H, _ = replace(here, weight=np.full_like(here.weight, INFORMATION)).normal(self.precision)
         covariance = here.by_force @ np.linalg.solve(H, here.by_force.swapaxes(1, 2))
-        covariance[:, np.arange(Q), np.arange(Q)] += misfit[..., :N_AXES].reshape(n, Q)
+        covariance[:, np.arange(Q), np.arange(Q)] += maps.misfit_variance(here.state)[..., :N_AXES].reshape(n, Q)
         return Found(force_n=here.force_n, covariance_n2=covariance, chi2=here.chi2 / read.sum())
 
 
@@ -110,7 +134,7 @@ class _Given(_Samples):
     """What is known of n samples."""
 
     y: FloatArray  #: measured squares of lengths, (n, P) [mm²]
-    weight: FloatArray  #: one over their variance, (n, P) [1/mm⁴]
+    whiten: FloatArray  #: what makes their errors independent and of variance 1, (n, P, P) [1/mm²]
     first_n: FloatArray  #: (n, Q)
     precision: FloatArray  #: (Q, Q), of all samples
 
@@ -122,9 +146,9 @@ class _Point(_Samples):
     state: FloatArray  #: (n, Q)
     cost: FloatArray  #: (n,)
     chi2: FloatArray  #: (n,)
-    missing: FloatArray  #: y − y(G), (n, P)
+    missing: FloatArray  #: y − y(G), whitened, (n, P)
     weight: FloatArray  #: of its squares, (n, P)
-    by_state: FloatArray  #: (n, P, Q)
+    by_state: FloatArray  #: whitened, (n, P, Q)
     off_n: FloatArray  #: F₀ − F(G), (n, Q)
     by_force: FloatArray  #: ∂F/∂G, (n, Q, Q)
     force_n: FloatArray  #: (n, Q)
@@ -132,16 +156,16 @@ class _Point(_Samples):
     @classmethod
     def of(cls, forward: ForwardModel, state: FloatArray, given: _Given) -> Self:
         y, by_state, force_n, by_force = forward.at_states(state)
-        missing, off_n = given.y - y, given.first_n - force_n
-        squares = given.weight * missing**2
+        missing, off_n = (given.whiten @ (given.y - y)[..., None])[..., 0], given.first_n - force_n
+        squares = missing**2
         held = ((off_n[:, None] @ given.precision)[:, 0] * off_n).sum(axis=1)
         return cls(
             state=state,
             cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
             chi2=squares.sum(axis=1) + held,
             missing=missing,
-            weight=given.weight * (FREEDOM + 1.0) / (FREEDOM + squares),
-            by_state=by_state,
+            weight=(FREEDOM + 1.0) / (FREEDOM + squares),
+            by_state=given.whiten @ by_state,
             off_n=off_n,
             by_force=by_force,
             force_n=force_n,

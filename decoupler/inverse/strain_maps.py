@@ -33,15 +33,29 @@ _SLOPES[np.arange(N_PAIRS), _PAIRS[0], _PAIRS[1]] += 1.0
 _SLOPES[np.arange(N_PAIRS), _PAIRS[1], _PAIRS[0]] += 1.0
 #: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
 _WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + N_PAIRS, 8 * OWN, 8 * N_PAIRS
-N_FEATURES = OWN * _WITH_OWN + len(_PRESSING) * _WITH_PRESSING + _ALONE
+_ENDS = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE])
+N_CURVED = int(_ENDS[-1])  #: features of the second and third order
+N_FEATURES = N_CURVED + 1 + 9 * OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
+
+
+#: products of three, each once: numbers of the first and of the pair of the others
+_TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T
+#: features that tell specimens apart: of the first order, and products of a pad's own o alone
+FEW = np.concatenate(
+    [
+        np.arange(N_CURVED, N_FEATURES),
+        _PAIRS[0] * _WITH_OWN + _PAIRS[1],
+        _TRIPLES[0] * _WITH_OWN + 9 * OWN + _TRIPLES[1],
+    ]
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StrainMaps:
     """χ and ρ of an array of k units, each a sum of products of o, the `OWN` numbers of a pad and of its neighbours.
 
-    All products are of the second or the third order, so that at rest and under light loads the array is linear. A pad
-    has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
+    For a design all products are of the second or the third order, so that at rest and under light loads the array is
+    linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
     """
 
     influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `ForwardModel`, on its electrodes [mm/N]
@@ -69,9 +83,10 @@ class StrainMaps:
         """χ and ρ of each pad, (n, 3 k) [N] -> (n, k, m); the same bits alone and in any batch."""
         n, k = len(state_n), len(self.near)
         o, around, pairs, pairs_around = self._parts(state_n)
-        with_own, with_pressing, alone = self._maps
+        with_own, with_pressing, alone, first = self._maps
         z = np.concatenate([o, around, pairs], axis=2)
         found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, -1)
+        found += first[0] + rowwise(z[..., : 9 * OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
         for factor, values, matrix in ((o, z, with_own), (pairs[..., _PRESSING], around, with_pressing)):
             mapped = rowwise(values.reshape(n * k, -1), matrix).reshape(n, k, factor.shape[2], -1)
             found += (factor[..., None] * mapped).sum(axis=2)
@@ -87,9 +102,18 @@ class StrainMaps:
                 (o[..., :, None] * z[..., None, :]).reshape(shape),
                 (pairs[..., _PRESSING, None] * around[..., None, :]).reshape(shape),
                 pairs_around,
+                np.ones((*o.shape[:2], 1)),
+                o,
+                around,
             ],
             axis=2,
         )
+
+    def few(self, state_n: FloatArray) -> FloatArray:
+        """The features `FEW` of each pad, (n, 3 k) [N] -> (n, k, 292)."""
+        o, around, pairs, _ = self._parts(state_n)
+        triples = o[..., _TRIPLES[0]] * pairs[..., _TRIPLES[1]]
+        return np.concatenate([np.ones((*o.shape[:2], 1)), o, around, pairs, triples], axis=2)
 
     def own(self, state_n: FloatArray) -> FloatArray:
         """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
@@ -114,14 +138,14 @@ class StrainMaps:
         """χ and ρ (n, k, m) and their derivatives by the state, (n, k, m, 3 k)."""
         n, k = len(state_n), len(self.near)
         o, around, pairs, pairs_around = self._parts(state_n)
-        with_own, with_pressing, alone = self._maps
+        with_own, with_pressing, alone, first = self._maps
         m = self.weights.shape[1]
         z = np.concatenate([o, around, pairs], axis=2)
         pressing = pairs[..., _PRESSING]
         by_factor = (z @ with_own).reshape(n, k, OWN, m)
         by_pressing = (around @ with_pressing).reshape(n, k, -1, m)
         values = (o[..., None] * by_factor).sum(axis=2) + (pressing[..., None] * by_pressing).sum(axis=2)
-        values += pairs_around @ alone
+        values += pairs_around @ alone + first[0] + z[..., : 9 * OWN] @ first[1:]
         by_z = (o @ self._of_own).reshape(n, k, m, -1)
         by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
         slopes = (o @ _SLOPES.transpose(2, 0, 1).reshape(OWN, -1)).reshape(n, k, N_PAIRS, OWN)  # of the pairs by o
@@ -131,7 +155,7 @@ class StrainMaps:
         around_slopes = np.concatenate([slopes, np.zeros((n, 1, N_PAIRS, OWN))], axis=1)[:, self.near]
         alone_of = alone.reshape(8, N_PAIRS, m).swapaxes(1, 2)
         by_around = by_around + (alone_of @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
-        by_o = np.concatenate([by_own, by_around], axis=3)  # (n, k, m, 81)
+        by_o = np.concatenate([by_own, by_around], axis=3) + first[1:].T  # (n, k, m, 81)
         return values, by_o @ self._by_force
 
     def states(self, force_n: FloatArray) -> FloatArray:
@@ -147,14 +171,22 @@ class StrainMaps:
         Damped Newton steps. Where a column nearly gives way, χ can miss the forces that it bears by as much as its
         misfit: there the G whose forces are nearest counts.
         """
-        found = np.array(force_n, dtype=np.float64)
-        for start in range(0, len(found), CHUNK):
-            part = slice(start, start + CHUNK)
-            found[part] = self._solved(found[part])
+        found, there_are = self.nearest_states(force_n)
+        if not there_are.all():
+            raise SampleError(
+                f"no deformation that the model knows bears forces of up to {np.abs(force_n).max():.4g} N on a pad: "
+                "they are beyond its samples at finite strain. Train on samples of such forces."
+            )
         return found
 
-    def _solved(self, force_n: FloatArray) -> FloatArray:
-        found, enough = force_n.copy(), CONVERGED * max(np.abs(force_n).max(initial=0.0), 1.0)
+    def nearest_states(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """The same without a refusal: states (n, 3 k) [N], and where there are some, (n,)."""
+        parts = [self._solved(force_n[start : start + CHUNK]) for start in range(0, max(len(force_n), 1), CHUNK)]
+        states, there_are = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return states, there_are
+
+    def _solved(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        found, enough = np.array(force_n, dtype=np.float64), CONVERGED * max(np.abs(force_n).max(initial=0.0), 1.0)
         misfit, J = self._misfit(force_n, found)
         damping = np.full(len(found), FIRST_DAMPING)
         for _ in range(MAX_STEPS):
@@ -169,12 +201,7 @@ class StrainMaps:
             found[on[better]], misfit[on[better]], J[on[better]] = trial[better], after[better], J_after[better]
             damping[on] *= np.where(better, 0.1, 10.0)
         left = np.sqrt((misfit.reshape(len(misfit), -1, N_AXES) ** 2).mean(axis=1))
-        if (left > BEYOND * self.misfit_n + enough).any():
-            raise SampleError(
-                f"no deformation that the model knows bears forces of up to {np.abs(force_n).max():.4g} N on a pad: "
-                "they are beyond its samples at finite strain. Train on samples of such forces."
-            )
-        return found
+        return found, (left <= BEYOND * self.misfit_n + enough).all(axis=1)
 
     def _misfit(self, force_n: FloatArray, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Forces less those that act (n, 3 k) [N], and derivatives of the latter (n, 3 k, 3 k)."""
@@ -183,29 +210,26 @@ class StrainMaps:
         return force_n - state_n - values[..., :N_AXES].reshape(state_n.shape), J
 
     @cached_property
-    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Weights as matrices: from z (126, 9 m), from neighbours' o (72, 15 m), from neighbours' pairs (360, m)."""
-        ends = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING])
-        own, pressing, alone = np.split(self.weights, ends)
+    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Weights as matrices: of z (126, 9 m), of neighbours' o (72, 15 m), of their pairs (360, m), of the rest (82, m)."""
+        own, pressing, alone, first = np.split(self.weights, _ENDS)
         m = self.weights.shape[1]
         with_own, with_pressing = (
             np.ascontiguousarray(part.reshape(-1, size, m).swapaxes(0, 1).reshape(size, -1))
             for part, size in ((own, _WITH_OWN), (pressing, _WITH_PRESSING))
         )
-        return with_own, with_pressing, alone
+        return with_own, with_pressing, alone, first
 
     @cached_property
     def _of_own(self) -> FloatArray:
         """From o to the derivatives by z, (9, m · 126)."""
-        own = self.weights[: OWN * _WITH_OWN].reshape(OWN, _WITH_OWN, -1)
+        own = self.weights[: _ENDS[0]].reshape(OWN, _WITH_OWN, -1)
         return np.ascontiguousarray(own.swapaxes(1, 2).reshape(OWN, -1))
 
     @cached_property
     def _of_pressing(self) -> FloatArray:
         """From pressing pairs to the derivatives by neighbours' o, (15, m · 72)."""
-        start = OWN * _WITH_OWN
-        pressing = self.weights[start : start + len(_PRESSING) * _WITH_PRESSING]
-        pressing = pressing.reshape(len(_PRESSING), _WITH_PRESSING, -1)
+        pressing = self.weights[_ENDS[0] : _ENDS[1]].reshape(len(_PRESSING), _WITH_PRESSING, -1)
         return np.ascontiguousarray(pressing.swapaxes(1, 2).reshape(len(_PRESSING), -1))
 
     @cached_property

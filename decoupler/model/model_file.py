@@ -12,7 +12,8 @@ from safetensors.numpy import save
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.strain_maps import N_AXES, N_FEATURES, OWN, StrainMaps
+from decoupler.inverse.specimen import Specimen
+from decoupler.inverse.strain_maps import FEW, N_AXES, N_FEATURES, OWN, StrainMaps
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -61,6 +62,10 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "maps_growth": ("posterior.forward.maps.growth", ("2",)),
     "to_state": ("posterior.to_state", ("out + 1", "out")),
     "precision": ("posterior.precision", ("out", "out")),
+    "loads_n": ("posterior.loads_n", ("loads", "out")),
+    "specimen_changes": ("posterior.specimen.changes", ("parameters", "few", "forces and pillars")),
+    "specimen_unknowns": ("posterior.specimen.unknowns", ("unknowns",)),
+    "specimen_factor": ("posterior.specimen.factor", ("unknowns", "unknowns")),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
@@ -119,6 +124,8 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "design_hash": decoupler.design_hash,
         "made_from": decoupler.made_from,
     }
+    if decoupler.posterior is not None:
+        header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
         header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
@@ -233,6 +240,7 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
     model = decoupler.inverse or decoupler.posterior
+    specimen = None if decoupler.posterior is None else decoupler.posterior.specimen
     forward = None if model is None else model.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
     if decoupler.ensemble is not None:
@@ -249,6 +257,10 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "out": n_out,
         "out + 1": n_out + 1,
         "2": 2,
+        "few": len(FEW),
+        "loads": 0 if decoupler.posterior is None else len(decoupler.posterior.loads_n),
+        "parameters": 0 if specimen is None else len(specimen.changes),
+        "unknowns": 0 if specimen is None else specimen.n_unknowns(n_in),
         "forces and pillars": N_AXES + len(component.pillars),
         "hidden": hidden,
         "seen": seen,
@@ -297,7 +309,11 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
     if "maps_weights" in arrays:
         maps = StrainMaps(**held("posterior.forward.maps"))
-        posterior = Posterior(forward=ForwardModel(**held("posterior.forward"), maps=maps), **held("posterior"))
+        specimen = Specimen(**held("posterior.specimen")) if "specimen_factor" in arrays else None
+        forward = ForwardModel(**held("posterior.forward"), maps=maps)
+        posterior = Posterior(
+            forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior")
+        )
     if "inverse_matrix" in arrays:
         uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")

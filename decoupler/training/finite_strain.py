@@ -13,9 +13,10 @@ from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.strain_maps import N_AXES, N_FEATURES, OWN, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
 from decoupler.twin.usual_loads import images_of
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features of root mean square 1
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
+LOADS = 600  #: most loads of samples that a posterior keeps
 DRAWS = 20_000  #: samples that are drawn from the maps to train the network that starts
 HIDDEN = 60  #: hidden nodes of that network
 STATE_RIDGE = 1e-3  #: of the linear way from forces to states, over the number of samples
@@ -93,7 +95,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     targets = np.concatenate([part.reshape(len(data), k, -1) for part in missed], axis=2).reshape(len(data) * k, -1)
     A = empty.features(state_n).reshape(-1, N_FEATURES)
     size = np.sqrt((A**2).mean(axis=0))
-    there = size > 0  # not neighbours that no pad has
+    there = (size > 0) & (np.arange(N_FEATURES) < N_CURVED)  # not neighbours that no pad has
     weights, left_out = _ridge(A[:, there] / size[there], targets)
     misfit = np.sqrt((left_out**2).mean(axis=0))
     scaled = np.zeros_like(empty.weights)
@@ -131,81 +133,83 @@ def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
     return weights, left_out
 
 
-def drawn_samples(forward: ForwardModel, data: Samples, count: int, seed: int = 0) -> tuple[Samples, FloatArray]:
-    """Samples drawn from the maps of finite strain, as many as one likes, and the way from forces to states.
+def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
+    """The posterior of a design at finite strain before any network answers first.
+
+    `forward` is as `with_strain_maps` gives it for `data`.
+    """
+    assert forward.maps is not None
+    assert data.displacement_mm is not None
+    state_n = states_of(data.displacement_mm, forward.maps.influence)
+    force_n = data.force_n.reshape(len(data), -1)
+    A = np.column_stack([force_n, np.ones(len(data))])
+    to_state = np.linalg.solve(A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1]), A.T @ state_n)
+    Q = force_n.shape[1]
+    return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:LOADS])
+
+
+def drawn_samples(
+    posterior: Posterior, loads_n: FloatArray, design: SensorDesign | None, noise: float, bits: int | None, seed: int = 0
+) -> Samples:
+    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
 
     Parameters
     ----------
-    forward : ForwardModel
-        As `with_strain_maps` gives it.
-    data : Samples
-        Those that it learned from: the draws are of their loads, readings and range of strain.
-    count : int
-        Of draws; those strained by more than any of the samples are left out.
+    posterior : Posterior
+    loads_n : array, shape (n, 3 k)
+        Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
+        left out, and a tenth is made lighter.
+    design : SensorDesign
+    noise, bits
+        Of the readings.
     seed : int
-
-    Returns
-    -------
-    Samples
-        With forces and resistances as read.
-    array, shape (3 k + 1, 3 k)
-        From forces to states to first order, the constant last.
 
     Notes
     -----
-    A draw's state is the one to which its load leads to first order, with what that leaves of a sample's own; its
-    forces and resistances are then those of that state, whatever load it was drawn for. A tenth are lighter loads.
+    A draw's state is the one to which its load leads to first order, with what that leaves of another's own; its
+    forces and resistances are then those of that state, whatever load it was drawn for.
     """
-    maps, generator = forward.maps, np.random.default_rng(seed)
+    forward, generator = posterior.forward, np.random.default_rng(seed)
+    maps, n = forward.maps, len(loads_n)
     assert maps is not None
-    assert data.displacement_mm is not None
-    rows, cols = data.shape
-    state_n = states_of(data.displacement_mm, maps.influence)
-    force_n = data.force_n.reshape(len(data), -1)
-    A = np.column_stack([force_n, np.ones(len(data))])
-    G = A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1])
-    to_state = np.linalg.solve(G, A.T @ state_n)
-    loads_n = _loads_like(data, count, generator)
-    lighter = np.where(np.arange(count) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, count))[:, None]
-    states = np.column_stack([loads_n, np.ones(count)]) @ to_state
-    states = lighter * (states + (state_n - A @ to_state)[generator.integers(len(data), size=count)])
-    strained = np.concatenate([maps.own(state_n), np.zeros((1, rows * cols, OWN))]).max(axis=(0, 1))
-    low = maps.own(state_n).min(axis=(0, 1))
-    own = maps.own(states)
-    states = states[((own <= BEYOND * strained) & (own >= BEYOND * np.minimum(low, 0.0))).all(axis=(1, 2))]
-    parts = np.array_split(states, max(1, len(states) // CHUNK))
-    values = np.concatenate([maps.values(part) for part in parts])
-    squares = forward.linear.lengths(states) ** 2 + values[..., N_AXES:].reshape(len(states), -1)
-    deviation = np.sqrt(np.concatenate([maps.misfit_variance(part) for part in parts])[..., N_AXES:])
-    squares += deviation.reshape(squares.shape) * generator.standard_normal(squares.shape)
-    possible = (squares > 0).all(axis=1)
-    force_n = (states + values[..., :N_AXES].reshape(states.shape))[possible]
+    known_n = maps.nearest_states(posterior.loads_n)[0]
+    left_n = known_n - np.column_stack([posterior.loads_n, np.ones(len(known_n))]) @ posterior.to_state
+    states = np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
+    own, known = maps.own(states), np.append(maps.own(known_n), np.zeros((1, len(maps.near), OWN)), axis=0)
+    low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
+    states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
+    states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
+    squares, force_n = [], []
+    for part in np.array_split(states, max(1, len(states) // CHUNK)):
+        values = maps.values(part)
+        y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
+        y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
+        if posterior.specimen is not None:
+            factors = posterior.squares_factors(part)
+            y += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
+        squares.append(y)
+        force_n.append(part + values[..., :N_AXES].reshape(part.shape))
+    y, forces = np.concatenate(squares), np.concatenate(force_n)
+    possible = (y > 0).all(axis=1)
+    rows, cols = (design.array.rows, design.array.cols) if design else (1, len(maps.near))
     shape = (-1, rows, cols, N_AXES)
-    ohms = measured((forward.ohm_per_mm2 * squares[possible]).reshape(shape), data.noise, data.bits, generator)
-    return Samples(
-        force_n=force_n.reshape(shape),
-        resistance_ohm=ohms,
-        design=data.design,
-        noise=data.noise,
-        bits=data.bits,
-        dead=data.dead,
-    ), to_state
+    ohms = measured((forward.ohm_per_mm2 * y[possible]).reshape(shape), noise, bits, generator)
+    return Samples(force_n=forces[possible].reshape(shape), resistance_ohm=ohms, design=design, noise=noise, bits=bits)
 
 
-def _loads_like(data: Samples, count: int, generator: np.random.Generator) -> FloatArray:
+def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
     """Loads (count, 3 k) [N]: of the protocol that drew the samples', or images of theirs."""
     protocol, design = PROTOCOLS.get(str(data.made_from.get("protocol"))), data.design
     if protocol is None or design is None:
         return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
-    newtons = protocol.draw(generator, count, design) * design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
-    return newtons.reshape(count, -1)
+    newtons = protocol.draw(np.random.default_rng(seed), count, design) * design.pad.size_mm**2
+    return (newtons * np.array([1.0, 1.0, -1.0])).reshape(count, -1)
 
 
-def refined(net: Decoupler, forward: ForwardModel, to_state: FloatArray, drawn: Samples) -> Decoupler:
+def refined(net: Decoupler, posterior: Posterior, drawn: Samples) -> Decoupler:
     """A network that was trained on draws, with the posterior that takes its answers as start and prior."""
     some = drawn[:JUDGED]
     off_n = net.outputs(net.columns(some.resistance_ohm)) - force_columns(some.force_n, net.component)
     precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n))
-    posterior = Posterior(forward=forward, to_state=to_state, precision=precision)
-    resting = Resting.read_with(forward.at_rest_ohm(), drawn.bits)
-    return replace(net, posterior=posterior, resting=resting)
+    resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.bits)
+    return replace(net, posterior=replace(posterior, precision=precision), resting=resting)

@@ -34,7 +34,15 @@ from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
-from decoupler.training.finite_strain import DRAWS, HIDDEN, drawn_samples, refined, with_strain_maps
+from decoupler.training.finite_strain import (
+    DRAWS,
+    HIDDEN,
+    drawn_samples,
+    loads_like,
+    posterior_of,
+    refined,
+    with_strain_maps,
+)
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
@@ -111,12 +119,12 @@ def train(
     parts, network, training = suited_training(data, component, network, training, response)
     if data.is_finite.any() and parts.name == "all" and response is not None:
         data = data[data.is_finite]
-        at_strain = with_strain_maps(response, parts, data)
-        drawn_data, to_state = drawn_samples(at_strain, data, DRAWS, seed)
+        posterior = posterior_of(with_strain_maps(response, parts, data), data)
+        drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), data.design, data.noise, data.bits)
         net = train(drawn_data, parts.name, NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
         recipe = model_cache_key(given, parts.name, network, training, response)
         made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
-        return replace(refined(net, at_strain, to_state, drawn_data), made_from=made_from)
+        return replace(refined(net, posterior, drawn_data), made_from=made_from)
     data = distinct(data, parts)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")

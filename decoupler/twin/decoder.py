@@ -7,7 +7,6 @@ import numpy as np
 
 from dataset.measurement import reading_deviation
 from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.strain_maps import StrainMaps as EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
@@ -39,7 +38,6 @@ def decoder_of(
     loads_n: FloatArray,
     noise: float,
     bits: int | None,
-    correction: EffectiveForces | None = None,
     design: SensorDesign | None = None,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
@@ -56,8 +54,6 @@ def decoder_of(
         Usual loads, as effective forces [N]; rest and light touches are added.
     noise, bits
         Of the readings that it will take.
-    correction : EffectiveForces, optional
-        From effective forces to those that act; default: they are the same.
     design : SensorDesign, optional
         The design that was meant.
     dead : array, shape (rows, cols, 3), optional
@@ -72,18 +68,17 @@ def decoder_of(
     forward = forward_of(found)
     calibration = Calibration(found.state.gain, found.state.offset_ohm)
 
-    def read(effective_n: FloatArray) -> FloatArray:
-        shown = calibration.shown(forward.resistances(effective_n))
-        drawn = found.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
+    def read(force_n: FloatArray) -> FloatArray:
+        shown = calibration.shown(forward.resistances(force_n))
+        drawn = found.ensemble.drawn(force_n, forward.relative_slopes(force_n), shown)
         drawn += reading_deviation(drawn, noise, bits) * generator.standard_normal(drawn.shape)
         return np.maximum(drawn, MIN_CALIBRATED_OHM)
 
     light_n = light_loads(loads_n, generator)
-    effective_n = np.concatenate([loads_n, light_n])
-    force_n = effective_n if correction is None else correction.forces(effective_n)
-    columns = read(effective_n)
+    force_n = np.concatenate([loads_n, light_n])
+    columns = read(force_n)
     readable = readable_columns(component, dead, columns.shape[1])
-    errors = columns / calibration.shown(forward.resistances(effective_n)) - 1.0
+    errors = columns / calibration.shown(forward.resistances(force_n)) - 1.0
     unsure = float(np.sqrt(np.mean(errors[:, readable] ** 2)))
     rest_ohm = calibration.shown(forward.at_rest_ohm())
     scaling = Scaling.fitted(force_n)
@@ -101,7 +96,7 @@ def decoder_of(
         hidden_weights=np.empty((0, n_forces + 1)),
         output_weights=np.eye(n_forces, n_forces + 1),
         design=design,
-        inverse=replace(inverse, forward=replace(forward, correction=correction)),
+        inverse=inverse,
         calibration=calibration,
         resting=Resting.read_with(rest_ohm, bits),
         dead=dead,

@@ -10,7 +10,6 @@ import numpy as np
 from dataset.samples import SampleError
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.strain_maps import StrainMaps as EffectiveForces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 FOLDS = 5  #: parts of the pairs that are then left out in turn
-MAX_CORRECTED = 100  #: usual loads that are turned into effective ones, a tenth of a second each
 LOADS = 3000  #: usual loads that a decoder is fitted to
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
@@ -56,7 +54,6 @@ def identify(
     sensitivities: "ResponseSensitivities | None" = None,
     component: str | None = None,
     loads_n: FloatArray | None = None,
-    correction: EffectiveForces | None = None,
     draws: int = 32,
     seed: int = 0,
 ) -> Twin:
@@ -75,8 +72,6 @@ def identify(
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
         pairs'. Images of them fill the array.
-    correction : EffectiveForces, optional
-        Of the design at finite strain, see `decoupler.training.finite_strain`; goes with the response.
     draws : int
         Sensors that are drawn from the posterior, for deviations.
     seed : int
@@ -91,12 +86,9 @@ def identify(
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     readings = readings_of(pairs, axes, pillars)
-    if loads_n is None and response is not None and correction is None:
+    if loads_n is None and response is not None:
         loads_n = loads_like(pairs.force_n, axes, response.design, LOADS)
     usual_n = force_columns(pairs.force_n if loads_n is None else loads_n, parts)
-    if correction is not None:
-        readings = replace(readings, force_n=correction.effective(readings.force_n), acting_n=readings.force_n)
-        usual_n = correction.effective(usual_n[:MAX_CORRECTED])
     usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
@@ -118,7 +110,6 @@ def identify(
             usual_n,
             pairs.noise,
             pairs.bits,
-            correction,
             design,
             dead if dead.any() else None,
             {"identified_on": pairs.content_hash, "pairs": n},

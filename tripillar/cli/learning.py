@@ -313,6 +313,8 @@ def train(
     from tripillar.face import learning as face
 
     several = [read_samples(path, labels_only=True) for path in data]
+    if any(each.is_finite.any() for each in several):  # these learn from displacements, too
+        several = [read_samples(path) for path in data]
     samples = several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
     with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
         model = face.train(

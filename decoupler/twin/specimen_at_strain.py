@@ -1,0 +1,203 @@
+"""A specimen at finite strain from measured pairs: the same unknowns as of a linear one, on the maps of its design."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.changed_designs import on_changed_designs
+from dataset.measurement import reading_deviation
+from dataset.samples import SampleError
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.specimen import SHARED, Specimen
+from decoupler.inverse.strain_maps import FEW, N_AXES
+from decoupler.training.finite_strain import states_of
+from decoupler.twin.expectation import Widths
+from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+
+HELD = 40  #: loads that other designs are solved under
+RIDGE = 3e-4  #: of the changes by parameters, per row, of features of root mean square 1
+ROUNDS = 4  #: of Gauss-Newton over the unknowns
+SHARED_WIDTHS = (3e-4, 1e-3, 3e-3)  #: of corrections that all units share, over the square at rest, at full scale
+MISFITS = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)  #: of a reading beyond what is known, over its rest
+FOLDED = 3.0  #: change of a reading over its rest by one deviation of an unknown, beyond which a pair is near a fold
+
+
+def changes_by_parameters(
+    designed: ForwardModel,
+    response: "ArrayResponse",
+    force_n: FloatArray,
+    progress: Callable[[str], None] = lambda step: None,
+) -> tuple[list[str], FloatArray]:
+    """Uncertain parameters of a design, and what one deviation of each changes in the maps' weights of `FEW`.
+
+    Parameters
+    ----------
+    designed : ForwardModel
+        Of the design at finite strain.
+    response : ArrayResponse
+    force_n : array, shape (m, 3 k)
+        Loads that other designs are solved under [N]; z positive presses.
+
+    Returns
+    -------
+    list of str
+    array, shape (n_parameters, 292, 3 + p)
+
+    Notes
+    -----
+    χ changes by the forces that the design would bear in the other's state, ρ by the squares that it would not show.
+    Both are fitted less what the maps miss of the design itself under the same loads.
+    """
+    maps = designed.maps
+    assert maps is not None
+    m, k = len(force_n), len(maps.near)
+    answers = on_changed_designs(response, force_n.reshape(m, k, N_AXES) * (1.0, 1.0, -1.0), progress)
+    at = {name: states_of(moved, maps.influence) for name, (moved, _, _) in answers.items()}
+    own, changes = designed.at_states(at[""]), []
+    missed = answers[""][1].reshape(m, -1) - own[0]
+    for name in (names := [name for name in answers if name]):
+        _, squares, sound = answers[name]
+        other = designed.at_states(at[name])
+        sound = sound & answers[""][2]
+        force = (own[2] - other[2]).reshape(m, k, -1)[sound]
+        square = (squares.reshape(m, -1) - other[0] - missed).reshape(m, k, -1)[sound]
+        A = maps.few(at[name])[sound].reshape(-1, len(FEW))
+        size = np.sqrt((A**2).mean(axis=0))
+        A = A / np.where(size > 0, size, 1.0)
+        targets = np.concatenate([force, square], axis=2).reshape(len(A), -1)
+        weights = np.linalg.solve(A.T @ A + RIDGE * len(A) * np.eye(len(FEW)), A.T @ targets)
+        changes.append(np.where(size[:, None] > 0, weights / np.where(size > 0, size, 1.0)[:, None], 0.0))
+    return names, np.array(changes).reshape(len(names), len(FEW), -1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inferred:
+    """A specimen as its pairs show it."""
+
+    specimen: Specimen
+    misfit: float  #: of a reading beyond what is known, over its rest
+    excess: float  #: χ² of the readings over their number
+
+
+def infer_specimen(
+    designed: ForwardModel,
+    changes: FloatArray,
+    widths: Widths,
+    young: float,
+    resistance_ohm: FloatArray,
+    force_n: FloatArray,
+    unknown_n: FloatArray,
+    pair: NDArray[np.int64],
+    noise: float,
+    bits: int | None,
+) -> Inferred:
+    """The most probable specimen, and the covariance of its unknowns.
+
+    Parameters
+    ----------
+    designed : ForwardModel
+    changes : array
+        As `changes_by_parameters` gives them, each for a standard deviation.
+    widths : Widths
+        Of resistivity, gain and offset.
+    young : float
+        Standard deviation of the modulus, relative.
+    resistance_ohm : array, shape (n, P)
+        Readings [Ω]; NaN where not read.
+    force_n : array, shape (n, 3 k)
+        Forces [N], z positive presses.
+    unknown_n : array, shape (m, 3 k)
+        Directions in which the forces of pair `pair` (m,) may differ, a standard deviation each [N].
+    noise, bits
+        Of the readings.
+
+    Raises
+    ------
+    SampleError
+        If no pair has a state.
+
+    Notes
+    -----
+    Everything normal, linearised anew in each round. The widths of shared corrections and of the misfit are those of
+    the greatest evidence.
+    """
+    n, P = resistance_ohm.shape
+    rest = np.sqrt((designed.linear.lengths(np.zeros((1, designed.n_forces)))[0]) ** 4)
+    measured = resistance_ohm / designed.ohm_per_mm2 / rest
+    read = np.isfinite(measured)
+    reading = reading_deviation(np.where(read, resistance_ohm, 1.0), noise, bits) / designed.ohm_per_mm2 / rest
+    best: tuple[float, Specimen, float, float] | None = None
+    for shared in SHARED_WIDTHS:
+        specimen = Specimen.as_designed(changes, P)
+        U = len(specimen.unknowns)
+        prior = _prior(specimen, widths, young, shared, P)
+        root = np.linalg.cholesky(prior)
+        latent = np.zeros(len(pair))
+        for _ in range(ROUNDS):
+            gain, offset, *_ = specimen.parts
+            model = specimen.model(designed)
+            acting = force_n.copy()
+            np.add.at(acting, pair, latent[:, None] * unknown_n)
+            assert model.maps is not None
+            state_n, there_are = model.maps.nearest_states(acting)
+            state_n[~there_are] = 0.0
+            y, by_state, _, by_force = model.at_states(state_n)
+            by_n = np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2)
+            X = specimen.derivatives(model, state_n) * (1.0 + gain)[:, None] / rest[:, None]
+            Z = np.zeros((n, P, len(pair)))
+            Z[pair, :, np.arange(len(pair))] = (
+                (by_n[pair] @ unknown_n[..., None])[..., 0] * (1.0 + gain) / rest
+            )
+            there_are &= np.abs(X).max(axis=(1, 2)) < FOLDED
+            if not there_are.any():
+                raise SampleError("no pair has forces that this design bears at finite strain: are they in newtons?")
+            some = read & there_are[:, None]
+            A = np.concatenate([X @ root, Z], axis=2)[some]
+            x = np.concatenate([np.linalg.solve(root, specimen.unknowns), latent])
+            z = (measured - (1.0 + gain) * y / rest - offset)[some] + A @ x
+            maps_variance = model.maps.misfit_variance(state_n)[..., N_AXES:].reshape(n, P) / rest**2
+            known = (reading**2 + maps_variance)[some]
+            found = max((_solved(A, z, known + misfit**2, misfit) for misfit in MISFITS), key=lambda one: one[0])
+            evidence, x, covariance, misfit, excess = found
+            mean = root @ x[:U]
+            spread = root @ covariance[:U, :U] @ root.T
+            factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(prior)))
+            specimen, latent = replace(specimen, unknowns=mean, factor=factor), x[U:]
+        if best is None or evidence > best[0]:
+            best = evidence, specimen, misfit, excess
+    assert best is not None
+    return Inferred(specimen=best[1], misfit=best[2], excess=best[3])
+
+
+def _prior(specimen: Specimen, widths: Widths, young: float, shared: float, n_pillars: int) -> FloatArray:
+    """Covariance of the unknowns before any pair."""
+    deviation = np.ones(len(specimen.unknowns))
+    deviation[:n_pillars] = widths.gain
+    deviation[n_pillars : 2 * n_pillars] = widths.offset
+    deviation[2 * n_pillars] = young
+    deviation[len(deviation) - len(SHARED) * (specimen.changes.shape[2] - N_AXES) :] = shared
+    prior = np.diag(deviation**2)
+    prior[:n_pillars, :n_pillars] += widths.resistivity**2
+    return prior
+
+
+def _solved(
+    A: FloatArray, z: FloatArray, variance: FloatArray, misfit: float
+) -> tuple[float, FloatArray, FloatArray, float, float]:
+    """Evidence, mean and covariance of x in z = A x + errors, x of variance 1 before; the misfit, χ² over the number."""
+    whitened = A / np.sqrt(variance)[:, None]
+    target = z / np.sqrt(variance)
+    M = whitened.T @ whitened + np.eye(A.shape[1])
+    L = np.linalg.cholesky(M)
+    half = np.linalg.solve(L, whitened.T @ target)
+    x = np.linalg.solve(L.T, half)
+    cost = target @ target - half @ half
+    evidence = -0.5 * cost - np.log(L.diagonal()).sum() - 0.5 * np.log(variance).sum()
+    inverse = np.linalg.inv(M)
+    return float(evidence), x, inverse, misfit, float(cost / len(z))
