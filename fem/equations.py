@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.factor import Factor
-from fem.following import FollowingFaces
-from fem.plates import Plates, skew, turns
+from fem.plates import FollowingFaces, Plates, skew, turns
 from fem.rubber.body import RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood

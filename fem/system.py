@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from fem.assembly import Assembly
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor
-from fem.following import FollowingFaces
 from fem.mirrors import (
     Mirror,
     Parity,
@@ -24,7 +23,7 @@ from fem.mirrors import (
     parities,
     vanishing_components,
 )
-from fem.plates import Plates, top_nodes
+from fem.plates import FollowingFaces, Plates, top_nodes
 from fem.rubber.body import RubberBody, Tangent
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
 from fem.scene.scene import Probe

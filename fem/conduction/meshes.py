@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.lagrange import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
+from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
 from fem.tetrahedra.mixed import IntArray
 from geometry.design import Unit
 from geometry.errors import DesignError

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor, whole
-from fem.following import FollowingFaces
-from fem.plates import Plates
+from fem.plates import FollowingFaces, Plates
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.patch import nodes_under, patch_integrals

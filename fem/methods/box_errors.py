@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from fem.boxes.lagrange import lobatto_points
+from fem.boxes.boxes import lobatto_points
 from fem.rubber.body import RubberBody
 from fem.scene.solution import SMALLEST_SHARE
 from geometry.layout import FloatArray

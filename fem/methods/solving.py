@@ -3,10 +3,10 @@
 import numpy as np
 
 from fem.finite.solving import solve_finite
+from fem.methods.adaptive import solve_on_tetrahedra
 from fem.methods.box_refinement import solve_on_boxes
 from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
-from fem.methods.tetrahedral import solve_on_tetrahedra
 from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
 

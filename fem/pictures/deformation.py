@@ -257,23 +257,10 @@ def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) 
 def place(
     camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float, is_parallel: bool = False
 ) -> float:
-    """Put a camera as near as lets all points be seen, with a margin.
+    """Put a camera as near as lets all points (n, 3) be seen, with a margin; width over height of them as seen.
 
-    Parameters
-    ----------
-    camera : pyvista.Camera
-    points_mm : array, shape (n, 3)
-    direction, up : three numbers each
-        From what is seen to the camera, and what is upright in the picture.
-    aspect : float
-        Width over height of the picture.
-    is_parallel : bool
-        Without perspective: what is twice as far is as large.
-
-    Returns
-    -------
-    float
-        Width over height of the points as they are seen.
+    `direction` is from what is seen to the camera, `up` upright in the picture, `aspect` width over height of that. A
+    parallel projection knows no perspective: what is twice as far is as large.
     """
     toward = np.array(direction) / np.linalg.norm(direction)
     right = np.cross(up, toward)
