@@ -88,7 +88,7 @@ class Factor:
             raise ValueError(f"no solver '{solver}': choose pardiso or superlu.")
         self.solver = solver or solver_name()
         self.definite, self.symmetric, self.upper = definite, symmetric, upper
-        self.memory_gb = 0.0  #: of the factor, at the peak [GB]
+        self.memory_gb = 0.0  #: of the factor, at the peak
         self.n_negative: int | None = None  #: eigenvalues of an indefinite K below 0, where the solver counts them
         self._by_degree = by_degree
         self._pardiso: _Pardiso | None = None

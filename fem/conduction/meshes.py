@@ -69,15 +69,9 @@ class Hexahedra:
 
 
 def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
-    """Hexahedra that share the nodes of common faces.
+    """Hexahedra of corners (n_elements, 8, 3), conforming, either orientation, that share the nodes of common faces.
 
-    Parameters
-    ----------
-    corners_mm : array, shape (n_elements, 8, 3)
-        Of conforming elements, either orientation.
-    order : int
-    on_terminals : sequence of functions
-        Points (n, 3) to booleans: those on each terminal.
+    `on_terminals` takes points (n, 3) to booleans: those on each terminal.
     """
     x = lobatto_points(order)
     places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
@@ -111,23 +105,10 @@ class Joint:
 def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) -> Hexahedra:
     """The pillars of a unit in its own frame; terminals are its electrodes, the upper ones first.
 
-    Parameters
-    ----------
-    unit : Unit
-    order : int
-        Of the elements.
-    levels : int
-        Of refinement toward electrodes' edges and crotches, by `RATIO` each.
-    strained : bool
-        Cut the pillars across, too: strain near the edge of a pad varies as much there as in the figure.
+    `levels` are of refinement toward electrodes' edges and crotches, by `RATIO` each. `strained` cuts the pillars
+    across, too: strain near the edge of a pad varies as much there as in the figure. A `DesignError` says that pillars
+    touch that share no electrode, or several oblique ones share one: they are then no swept figures.
 
-    Raises
-    ------
-    DesignError
-        If pillars touch that share no electrode, or several oblique ones share one: they are then no swept figures.
-
-    Notes
-    -----
     Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
     the elements' order, which suits both.
     """
@@ -212,13 +193,8 @@ def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, r
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    slack = 2e-6 * half
-    on_electrode = partial(_within, low=np.array([-e, -e, 0.0]) - slack, high=np.array([e, e, 0.0]) + slack)
-    return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
-
-
-def _within(points: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+    reach = np.array([e, e, 0.0]) + 2e-6 * half
+    return joined(corners.reshape(-1, 8, 3), order, [lambda points: (np.abs(points) <= reach).all(axis=1)])
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:

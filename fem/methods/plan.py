@@ -41,18 +41,9 @@ class Plan:
 
 
 def make_plan(scene: Scene, *, field: bool = False) -> Plan:
-    """Decide how to solve a scene.
+    """Decide how to solve a scene; `field` asks for the displacement of the whole body.
 
-    Parameters
-    ----------
-    scene : Scene
-    field : bool
-        True if the displacement of the whole body is asked for.
-
-    Raises
-    ------
-    SceneError
-        For a tolerance that arrays of soft pillars cannot keep.
+    A `SceneError` refuses a tolerance that arrays of soft pillars cannot keep.
     """
     regions = [entry for entry in scene.regions if entry[1] != scene.material]
     method, mesh = _method(scene, regions, field)

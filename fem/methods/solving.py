@@ -14,17 +14,7 @@ LARGE_SHARE = 0.2  #: of a body's least extent: a probe that moves farther has l
 
 
 def solve_scene(scene: Scene, *, field: bool = False) -> tuple[Solution, Plan]:
-    """Displacement of a scene's probes to its tolerance.
-
-    Parameters
-    ----------
-    scene : Scene
-    field : bool
-        Also return the displacement of the whole body.
-
-    Returns
-    -------
-    Solution and the Plan it followed
+    """Displacement of a scene's probes to its tolerance, with `field` of its whole body, and the plan that it followed.
 
     Raises
     ------
