@@ -45,14 +45,8 @@ class Boxes:
     constraint: sp.csr_matrix | None = None  #: (n, n), values of all nodes from those of the independent ones
 
     @classmethod
-    def between(
-        cls,
-        lines: Sequence[FloatArray],
-        order: int = 2,
-        lean: tuple[float, float] = (0.0, 0.0),
-        region: NDArray[np.int64] | int = 0,
-    ) -> "Boxes":
-        """All boxes between lines along x, y and z [mm]; `region` (nx, ny, nz) or broadcastable to it."""
+    def between(cls, lines: Sequence[FloatArray], order: int = 2, lean: tuple[float, float] = (0.0, 0.0)) -> "Boxes":
+        """All boxes between lines along x, y and z [mm], of region 0."""
         shape = tuple(len(line) - 1 for line in lines)
         low, high = (
             np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -61,8 +55,7 @@ class Boxes:
         start = order * np.indices(shape).reshape(3, -1, 1)
         local = np.indices((order + 1,) * 3).reshape(3, 1, -1)
         nodes = np.ravel_multi_index(tuple(start + local), [order * count + 1 for count in shape])
-        every = np.broadcast_to(np.asarray(region, dtype=np.int64), shape).ravel()
-        return cls(low=low, high=high, order=order, nodes=nodes, region=every, lean=lean)
+        return cls(low=low, high=high, order=order, nodes=nodes, region=np.zeros(len(low), np.int64), lean=lean)
 
     @cached_property
     def size(self) -> FloatArray:
