@@ -19,24 +19,15 @@ from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene, regions_at
 from fem.scene.solution import Solution, largest_error
 from fem.system import System
 from geometry.design import Material
-from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
+from tests.fem.scenes import assert_follows_bernoulli, mean, pressed, pressed_block, slender_oblique_pillar
 
 STEEP = Pillar(section_mm=(3.0, 2.0), base_mm=(1.0, 2.0, 0.0), top_mm=(10.0, 2.0, 6.0))
 
 
-def mean(name, centre, size):
-    return Probe(name=name, kind="mean", center_mm=centre, size_mm=size)
-
-
 def patch(traction=(0.0, 0.0, -1.0), poisson=0.49, centre=(15.0, 15.0), **changes):
     """The 30 × 30 × 10 mm block under a 10 mm patch."""
-    scene = Scene(
-        body=Block(size_mm=(30.0, 30.0, 10.0)),
-        material=Material(poisson=poisson),
-        loads=(DeadLoad(center_mm=centre, size_mm=(10.0, 10.0), traction_mpa=traction),),
-        probes=(mean("patch", centre, (10.0, 10.0)),),
-    )
-    return replace(scene, **changes)
+    rubber = Material(poisson=poisson)
+    return pressed(Block(size_mm=(30.0, 30.0, 10.0)), centre, (10.0, 10.0), traction, material=rubber, **changes)
 
 
 def unfolded(scene: Scene) -> Solution:
@@ -44,18 +35,11 @@ def unfolded(scene: Scene) -> Solution:
     return follow(replace(make_plan(scene), mirrors=()), scene)
 
 
-def pressed(body: Block | Pillar, **kwargs: object) -> Scene:
+def dragged(body: Block | Pillar, **given: object) -> Scene:
     """A body pressed and dragged on the middle of its top, with a probe there."""
-    x, y, _ = body.outline.top_mm
-    a, b = body.outline.section_mm
     share = 1.0 if isinstance(body, Pillar) else 0.4
-    place = {"center_mm": (x, y), "size_mm": (share * a, share * b)}
-    return Scene(
-        body=body,
-        loads=(DeadLoad(**place, traction_mpa=(0.02, 0.0, -0.1)),),
-        probes=(Probe(name="patch", kind="mean", **place),),
-        **kwargs,  # type: ignore[arg-type]
-    )
+    a, b = body.outline.section_mm
+    return pressed(body, body.outline.top_mm[:2], (share * a, share * b), (0.02, 0.0, -0.1), **given)
 
 
 def test_a_sheet_under_its_whole_face_follows_hooke():
@@ -75,12 +59,8 @@ def test_a_sheet_under_its_whole_face_follows_hooke():
 
 def test_flat_block_under_pressure_nears_confined_compression():
     """15 heights away from its sides, whose influence has died out, a block sinks by p h / (λ + 2μ)."""
-    scene = Scene(
-        body=Block(size_mm=(120.0, 120.0, 4.0)),
-        material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(DeadLoad(center_mm=(60.0, 60.0), size_mm=(120.0, 120.0), traction_mpa=(0.0, 0.0, -1.0)),),
-        probes=(mean("mean", (60.0, 60.0), (2.0, 2.0)), Probe(name="point", kind="point", position_mm=(60, 60, 2))),
-    )
+    probes = mean("mean", (60.0, 60.0), (2.0, 2.0)), Probe(name="point", kind="point", position_mm=(60, 60, 2))
+    scene = pressed_block((120.0, 120.0, 4.0), Material(poisson=0.3), probes=probes)
     lame, mu = scene.material.lame_mpa
     probes = solve_scene(scene)[0].probes
     assert probes["mean"][2] == pytest.approx(-4.0 / (lame + 2 * mu), rel=1e-6)
@@ -89,19 +69,15 @@ def test_flat_block_under_pressure_nears_confined_compression():
 
 def test_a_slender_pillar_bends_like_timoshenko_s_beam():
     """Tip deflection F L³/(3 E I) + F L/(κ G A), κ = 5/6; what clamping adds goes with width/length: 3 % at 1:20."""
-    pillar = Scene(
-        body=Pillar(section_mm=(1.0, 1.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 20.0)),
-        material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(DeadLoad(center_mm=(0.0, 0.0), size_mm=(1.0, 1.0), traction_mpa=(1e-4, 0.0, 0.0)),),
-        probes=(mean("top", (0.0, 0.0), (1.0, 1.0)),),
-    )
+    body = Pillar(section_mm=(1.0, 1.0), base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 20.0))
+    pillar = pressed(body, (0.0, 0.0), (1.0, 1.0), (1e-4, 0.0, 0.0), material=Material(poisson=0.3))
     force, G = 1e-4, 6.1 / 2.6
     beam = force * 20.0**3 / (3 * 6.1 / 12) + force * 20.0 / (5 / 6 * G)
-    assert np.isclose(solve_scene(pillar)[0].probes["top"][0], beam, rtol=0.03)
+    assert np.isclose(solve_scene(pillar)[0].probes["patch"][0], beam, rtol=0.03)
 
 
 def test_slender_oblique_pillar_follows_bernoulli():
-    assert_follows_bernoulli(solve_scene(slender_oblique_pillar())[0].probes["top"])
+    assert_follows_bernoulli(solve_scene(slender_oblique_pillar())[0].probes["patch"])
 
 
 @pytest.mark.parametrize(
@@ -245,14 +221,9 @@ def test_column_without_cross_contraction_follows_hooke_on_any_boxes(order):
 @pytest.mark.parametrize("side_mm", [9e-6, 4e-4, 1e-2])
 def test_patches_down_to_a_millionth_of_the_body_sink_as_on_a_half_space(side_mm):
     """0.9461 p a (1 − ν²)/E in the mean under a square: the block's finite size takes a/h of it."""
-    place = {"center_mm": (4.0, 4.0), "size_mm": (side_mm, side_mm)}
-    scene = Scene(
-        body=Block(size_mm=(9.0, 8.0, 4.0)),
-        material=Material(young_mpa=1.0, poisson=0.45),
-        loads=(DeadLoad(**place, traction_mpa=(0.0, 0.0, -1.0)),),
-        probes=(Probe(name="patch", kind="mean", **place),),
-        tolerance=2e-2,
-    )
+    rubber = Material(young_mpa=1.0, poisson=0.45)
+    place = (4.0, 4.0), (side_mm, side_mm)
+    scene = pressed(Block(size_mm=(9.0, 8.0, 4.0)), *place, (0.0, 0.0, -1.0), material=rubber, tolerance=2e-2)
     solution, _ = solve_scene(scene)
     expected = -0.9461 * side_mm * (1 - 0.45**2)
     error = abs(solution.probes["patch"][2] / expected - 1)
@@ -263,12 +234,9 @@ def test_patches_down_to_a_millionth_of_the_body_sink_as_on_a_half_space(side_mm
 def test_small_patches_that_touch_share_their_line():
     """2.0 + 0.05 and 2.1 − 0.05 mm differ by rounding: a box between them would be 5e-16 mm wide."""
     sides = [{"center_mm": (x, 4.0), "size_mm": (0.1, 0.1)} for x in (2.0, 2.1)]
-    scene = Scene(
-        body=Block(size_mm=(9.0, 8.0, 4.0)),
-        material=Material(young_mpa=1.0, poisson=0.45),
-        loads=tuple(DeadLoad(**side, traction_mpa=(0.0, 0.0, -1.0)) for side in sides),
-        probes=tuple(Probe(name=str(number), kind="mean", **side) for number, side in enumerate(sides)),
-    )
+    loads = tuple(DeadLoad(**side, traction_mpa=(0.0, 0.0, -1.0)) for side in sides)
+    probes = tuple(mean(str(number), **side) for number, side in enumerate(sides))
+    scene = Scene(body=Block(size_mm=(9.0, 8.0, 4.0)), material=Material(poisson=0.45), loads=loads, probes=probes)
     low, high = first_mesh(scene, make_plan(scene)).corners
     assert (high - low).min() > 0.01
 
@@ -277,7 +245,7 @@ def test_no_line_runs_through_the_body():
     """Edges of a region in one corner split no box in the other."""
     inclusion = Inclusion(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 3.0, 8.0), section_mm=(2.0, 2.0))
     soft = replace(inclusion, material=Material(young_mpa=0.1, poisson=0.3))
-    scene = pressed(Block(size_mm=(30.0, 30.0, 8.0)), inclusions=(soft,))
+    scene = dragged(Block(size_mm=(30.0, 30.0, 8.0)), inclusions=(soft,))
     low, high = first_mesh(scene, make_plan(scene)).corners
     assert not ((low[:, 0] == 4.0) & (low[:, 1] > 20.0)).any()
     cut = (low[:, :2] < 4.0 - 1e-9).all(axis=1) & (high[:, :2] > 2.0 + 1e-9).all(axis=1)
@@ -293,10 +261,7 @@ def test_marks_hold_the_share_that_is_asked():
 
 def test_leaning_pillar_of_two_codes_is_settled():
     """Two codes differed by 3 %; NGSolve's hp-refined tetrahedra at two orders and two grids say this, to 4e-5."""
-    scene = pressed(STEEP, tolerance=2e-3)
-    load = replace(scene.loads[0], traction_mpa=(0.02, 0.0, -0.1))
-    scene = replace(scene, loads=(load,), material=Material(young_mpa=6.1, poisson=0.49))
-    solution, _ = solve_scene(scene)
+    solution, _ = solve_scene(dragged(STEEP, tolerance=2e-3))
     reference = {"patch": np.array([22.98579, 0.0, -34.14392])}
     assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-5
     assert solution.error_estimate <= 2e-3
@@ -309,7 +274,7 @@ def test_lines_that_rounding_tells_apart_are_one():
         base_mm=(0.0, 0.0, 0.0),
         top_mm=(-3.446131549941288, 3.1835828603223844, 9.824752758034366),
     )
-    scene = pressed(body, material=Material(young_mpa=9.5, poisson=0.499999), tolerance=1e-2)
+    scene = dragged(body, material=Material(young_mpa=9.5, poisson=0.499999), tolerance=1e-2)
     low, high = first_mesh(scene, make_plan(scene)).corners
     assert (high - low).min() > 0.5
     assert solve_scene(scene)[0].error_estimate <= 1e-2
@@ -318,14 +283,9 @@ def test_lines_that_rounding_tells_apart_are_one():
 @pytest.mark.parametrize("hair_mm", [0.0, 5e-5])
 def test_loaded_corner_of_nearly_incompressible_rubber_is_settled(hair_mm):
     """NGSolve's hp-refined tetrahedra at two orders and two grids: 4e-4. A hair beside the load moves it by 3e-5."""
-    place = {"center_mm": (9.15075 - hair_mm, 14.38265 - hair_mm), "size_mm": (3.8821, 4.1093)}
-    scene = Scene(
-        body=Block(size_mm=(11.0918, 16.4373, 7.9504)),
-        material=Material(young_mpa=0.5351, poisson=0.4999),
-        loads=(DeadLoad(**place, traction_mpa=(0.8463, -0.7053, -0.4546)),),
-        probes=(Probe(name="patch", kind="mean", **place),),
-        tolerance=2e-3,
-    )
+    place = (9.15075 - hair_mm, 14.38265 - hair_mm), (3.8821, 4.1093)
+    body, rubber = Block(size_mm=(11.0918, 16.4373, 7.9504)), Material(young_mpa=0.5351, poisson=0.4999)
+    scene = pressed(body, *place, (0.8463, -0.7053, -0.4546), material=rubber, tolerance=2e-3)
     solution = solve_scene(scene)[0]
     reference = {"patch": np.array([24.4457847, -15.435013, -5.27081814])}
     assert largest_error(solution.probes, reference) <= solution.error_estimate + 4e-4 + 3e-5

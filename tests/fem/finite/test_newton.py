@@ -24,6 +24,7 @@ from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import unit_centres
+from tests.fem.scenes import pressed, pressed_block
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
@@ -33,7 +34,6 @@ PROBES = (
     Probe(name="middle", kind="mean", center_mm=(7.5, 7.5), size_mm=(2.0, 2.0)),
     Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
 )
-TOP = Probe(name="top", kind="mean", center_mm=(1.0, 1.0), size_mm=(2.0, 2.0))
 
 
 def loads_of(kind: str, mpa: float) -> list[Load]:
@@ -58,12 +58,8 @@ def test_small_loads_give_the_tangent_s_answer(kind, mpa):
 
 def test_small_loads_give_the_linear_solver_s_answer():
     """Another element, another grid: both are right to their estimates."""
-    scene = Scene(
-        body=Block(size_mm=(15.0, 15.0, 10.0)),
-        loads=(DeadLoad(**PAD, traction_mpa=(1e-6, 0.0, -1e-5)),),
-        probes=PROBES,
-        tolerance=3e-2,
-    )
+    scene = pressed(Block(size_mm=(15.0, 15.0, 10.0)), **PAD, traction_mpa=(1e-6, 0.0, -1e-5), probes=PROBES)
+    scene = replace(scene, tolerance=3e-2)
     finite = solve_finite(scene)
     linear, _ = solve_scene(scene)
     assert finite.error_estimate <= 3e-2
@@ -126,15 +122,8 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
     inside = Inclusion(
         base_mm=(3.0, 2.0, 1.5), top_mm=(3.0, 2.0, 4.0), section_mm=(6.0, 4.0), material=neo_hookean(6.0, 0.0)
     )
-    whole = {"center_mm": (3.0, 2.0), "size_mm": (6.0, 4.0)}
-    scene = Scene(
-        body=Block(size_mm=(6.0, 4.0, 4.0)),
-        material=neo_hookean(2.0, 0.0),
-        inclusions=(inside,),
-        loads=(DeadLoad(**whole, traction_mpa=(0.0, 0.0, -0.2)),),
-        probes=(Probe(name="top", kind="mean", **whole),),
-        tolerance=1e-2,
-    )
+    given = {"inclusions": (inside,), "tolerance": 1e-2}
+    scene = pressed_block((6.0, 4.0, 4.0), neo_hookean(2.0, 0.0), (0.0, 0.0, -0.2), **given)
     found, plan = solve_scene(scene)
     assert plan.method == "finite"
     q = 0.1 / np.array([1.0, 3.0])  # p / 2μ
@@ -195,8 +184,7 @@ def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
 
 def test_a_pillar_on_tetrahedra_that_buckles_is_refused():
     """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
-    load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
-    scene = Scene(body=Block(size_mm=(2.0, 2.0, 12.0)), material=RUBBER, loads=(load,), probes=(TOP,))
+    scene = pressed_block((2.0, 2.0, 12.0), RUBBER, (0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
     with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
         find_equilibrium(on_tetrahedra(scene))
 
