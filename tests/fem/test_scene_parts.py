@@ -50,7 +50,7 @@ def test_the_stress_of_a_block_meets_its_load():
 def test_fields_of_every_method_have_their_nodes_in_order(planned):
     """VTK finds the body's volume in the cells; shape functions at a node and probes give what is known there."""
     point = Probe(name="point", kind="point", position_mm=(3.0, 9.0, 6.0))  # a corner of the load
-    scene = replace(BLOCK, probes=(*BLOCK.probes, point), tolerance=0.2)
+    scene = replace(BLOCK, probes=(*BLOCK.probes, point), tolerance=0.9)  # on boxes none is split
     solution = follow(planned(scene), scene, field=True)
     field = solution.field
     assert np.allclose(field.displacement_at(np.array([point.position_mm]))[0], solution.probes["point"], atol=1e-6)
