@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
-from fem.tetrahedra.mixed import IntArray
+from fem.field import IntArray, same_places
 from geometry.design import Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections
@@ -24,7 +24,6 @@ from geometry.prism import unit_prisms
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
-COINCIDENT = 1e-8  #: of the body's extent: nodes closer than that are one
 
 Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
@@ -75,8 +74,7 @@ def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) ->
     """
     x = lobatto_points(order)
     places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
-    rounded = np.round(places / (COINCIDENT * np.ptp(places, axis=0).max())).astype(np.int64)
-    _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    first, numbers = same_places(places)
     nodes = places[first]
     return Hexahedra(
         order=order,
@@ -203,18 +201,13 @@ def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
     columns = [sp.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))]
     for tie in ties:
         nodes, places = np.concatenate([nodes for nodes, _ in tie]), np.concatenate([place for _, place in tie])
-        values = np.einsum("ni,nj->nij", *(_lagrange(order, places[:, d]) for d in (0, 1))).reshape(len(nodes), -1)
+        along = shape_functions(order, np.clip(places, -1.0, 1.0))[0]  # (n, 2, order + 1)
+        along[np.abs(along) < 1e-12] = 0.0
+        values = np.einsum("ni,nj->nij", along[:, 0], along[:, 1]).reshape(len(nodes), -1)
         row, column = np.indices(values.shape)
-        columns.append(
-            sp.csr_matrix((values.ravel(), (nodes[row.ravel()], column.ravel())), shape=(n, column[0, -1] + 1))
-        )
+        entries = values.ravel(), (nodes[row.ravel()], column.ravel())
+        columns.append(sp.csr_matrix(entries, shape=(n, values.shape[1])))
     return sp.hstack(columns, format="csr")
-
-
-def _lagrange(order: int, x: FloatArray) -> FloatArray:
-    values = shape_functions(order, np.clip(x, -1.0, 1.0))[0]
-    values[np.abs(values) < 1e-12] = 0.0
-    return values
 
 
 def _across(half: float, electrode: float, levels: int, strained: bool) -> FloatArray:
