@@ -192,7 +192,11 @@ def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, r
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
     reach = np.array([e, e, 0.0]) + 2e-6 * half
-    return joined(corners.reshape(-1, 8, 3), order, [lambda points: (np.abs(points) <= reach).all(axis=1)])
+
+    def on_electrode(points: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray((np.abs(points) <= reach).all(axis=1))
+
+    return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
