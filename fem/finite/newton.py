@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from fem.equations import Misfit, State
 from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.finite.tetrahedra import TetrahedralSystem
 from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import System
+from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
@@ -184,13 +186,29 @@ def _stepped(
     else:
         return None
     change, pressures = system.newton_change(factor, parts, state, misfit)
+    return _damped(system, state, change, pressures, share if stiffening else None)
+
+
+def _damped(
+    system: AnySystem, state: State, change: FloatArray, pressures: FloatArray | float, falling_at: float | None
+) -> State:
+    """A state as far along a change as volumes allow; and until the potential energy falls, at a share of the load."""
     least = KEPT_VOLUME * system.volume_ratios(state)
+    energy = np.inf if falling_at is None else _potential_mj(system, state, falling_at)
     for damping in DAMPING ** np.arange(DAMPINGS):
         trial = system.moved(state, change * damping, pressures * damping)
         kept = (least <= system.volume_ratios(trial)).all()
-        if kept and (not stiffening or _potential_mj(system, trial, share) <= _potential_mj(system, state, share)):
+        if kept and (falling_at is None or _potential_mj(system, trial, falling_at) <= energy):
             break
     return trial
+
+
+def _off_saddle(system: System, factor: Factor, state: State, share: float) -> State:
+    """A state of less potential energy along the unstable mode of the tangent in a factor."""
+    n, boxes = system.n_unknowns, system.body.boxes
+    inverse = LinearOperator((n, n), matvec=lambda forces: factor.solve(forces.reshape(n, 1))[:, 0])
+    mode = eigsh(inverse, k=1, which="SA", tol=1e-2, v0=np.ones(n))[1].reshape(-1, 3)
+    return _damped(system, state, mode / np.abs(mode).max() * (boxes.high - boxes.low).min(), 0.0, share)
 
 
 def _potential_mj(system: AnySystem, state: State, share: float) -> float:
@@ -202,7 +220,8 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
 
     They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
-    Comput. 33 (2011) 746).
+    Comput. 33 (2011) 746). They rest in a minimum of the potential energy: under the corner of a plate, symmetric about
+    its diagonal, they would come to a saddle instead.
     """
     part, elements, nodes = system.around(squeezed)
     own = replace(part.rest(), u=state.u[nodes], p=state.p[elements])
@@ -211,12 +230,18 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     for _ in range(RESTS + 1):
         misfit = part.misfit(own, share)
         sizes.append(float(np.linalg.norm(misfit.unbalanced)))
-        if sizes[-1] <= unbalanced_n or len(sizes) > RESTS:
+        if len(sizes) > RESTS:
             break
-        stepped = _stepped(part, factor, own, share, misfit, every)
-        if stepped is None:
+        if sizes[-1] > unbalanced_n:
+            stepped = _stepped(part, factor, own, share, misfit, every)
+            if stepped is None:
+                break
+            own = stepped
+            continue
+        part.linearise(factor, own, share, misfit)
+        if not part.unstable_modes(factor):
             break
-        own = stepped
+        own = _off_saddle(part, factor, own, share)
     if not sizes[-1] < sizes[0]:
         return state
     u, p = state.u.copy(), state.p.copy()
