@@ -11,6 +11,7 @@ rest by themselves before each step, or the whole body would wait for them.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Equilibrium:
     state: State
     residual: float  #: unbalanced forces, relative to the loads
     least_j: float  #: least ratio of deformed to original volume at any Gauss point
-    iterations: int  #: tangents factored, failed steps included
+    iterations: int  #: of Newton's method, failed steps included
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
@@ -147,46 +148,60 @@ class _Tried:
 def _equilibrium_at(system: AnySystem, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
-    start = misfit.residual
+    start, before = misfit.residual, np.inf
+    tangent: _Linearised | None = None
     for iteration in range(MAX_ITERATIONS + 1):
         squeezed = system.volume_ratios(state).min(axis=1) < SQUEEZED
         if isinstance(system, System) and not len(system.faces.nodes) and squeezed.any():
             state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
             misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, system.is_stable(state, share, misfit))
+            return _Tried(state, misfit, iteration, system.is_stable(factor, state, share, misfit))
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
         try:
-            stepped = _stepped(system, factor, state, share, misfit, squeezed)
+            if tangent is None or misfit.residual**2 > RESIDUAL * before:  # else the last tangent does once more
+                tangent = _linearised(system, factor, state, share, misfit, squeezed)
         except FactorMemoryError:
             raise
         except SolverError:
             break
         if not path.slope:
             path.slope.append(system.slope(factor, state))
-        if stepped is None:
+        if tangent is None:
             break
-        state, misfit = stepped, system.misfit(stepped, share)
+        before, state = misfit.residual, _stepped(system, factor, state, share, misfit, tangent)
+        misfit = system.misfit(state, share)
     return _Tried(state, misfit, iteration, None)
 
 
-def _stepped(
-    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
-) -> State | None:
-    """The state after one step of Newton's method, no longer than volumes allow.
+class _Linearised(NamedTuple):
+    """A tangent in a factor."""
 
-    Where the tangent is indefinite, squeezed elements are stiffened until it is definite, and the potential energy must
-    fall: Newton's method would go to a saddle. None if that does not help.
-    """
+    parts: Any  #: of its elements
+    is_stiffened: bool
+
+
+def _linearised(
+    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+) -> _Linearised | None:
+    """The tangent, left in the factor; None if squeezed elements, the stiffest, do not make it definite."""
     for stiffening in (0.0, *STIFFENINGS):
         parts = system.linearise(factor, state, share, misfit, (squeezed, stiffening))
         if not system.unstable_modes(factor) or not squeezed.any():
-            break
-    else:
-        return None
-    change, pressures = system.newton_change(factor, parts, state, misfit)
-    return _damped(system, state, change, pressures, share if stiffening else None)
+            return _Linearised(parts, stiffening > 0)
+    return None
+
+
+def _stepped(
+    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, tangent: _Linearised
+) -> State:
+    """The state after one step of Newton's method, no longer than volumes allow.
+
+    Where squeezed elements had to be stiffened the potential energy must fall: Newton's method would go to a saddle.
+    """
+    change, pressures = system.newton_change(factor, tangent.parts, state, misfit)
+    return _damped(system, state, change, pressures, share if tangent.is_stiffened else None)
 
 
 def _damped(
@@ -233,10 +248,10 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
         if len(sizes) > RESTS:
             break
         if sizes[-1] > unbalanced_n:
-            stepped = _stepped(part, factor, own, share, misfit, every)
-            if stepped is None:
+            tangent = _linearised(part, factor, own, share, misfit, every)
+            if tangent is None:
                 break
-            own = stepped
+            own = _stepped(part, factor, own, share, misfit, tangent)
             continue
         part.linearise(factor, own, share, misfit)
         if not part.unstable_modes(factor):
