@@ -159,8 +159,9 @@ def _equilibrium_at(system: AnySystem, factor: Factor, state: State, share: floa
             return _Tried(state, misfit, iteration, system.is_stable(factor, state, share, misfit))
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
+        ends = tangent is not None and misfit.residual**2 <= RESIDUAL * before  # by the last tangent, taken twice
         try:
-            if tangent is None or misfit.residual**2 > RESIDUAL * before:  # else the last tangent does once more
+            if not ends:
                 tangent = _linearised(system, factor, state, share, misfit, squeezed)
         except FactorMemoryError:
             raise
@@ -170,8 +171,9 @@ def _equilibrium_at(system: AnySystem, factor: Factor, state: State, share: floa
             path.slope.append(system.slope(factor, state))
         if tangent is None:
             break
-        before, state = misfit.residual, _stepped(system, factor, state, share, misfit, tangent)
-        misfit = system.misfit(state, share)
+        for _ in range(1 + ends):
+            before, state = misfit.residual, _stepped(system, factor, state, share, misfit, tangent)
+            misfit = system.misfit(state, share)
     return _Tried(state, misfit, iteration, None)
 
 
