@@ -17,7 +17,7 @@ from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, SceneError, StiffLoad
-from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
+from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene, Sensor
 from fem.scene.solution import FiniteSolution
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
@@ -246,6 +246,38 @@ def test_squeezed_elements_take_few_iterations():
     assert found.is_stable
     assert found.steps == 1
     assert found.iterations <= 8
+
+
+@pytest.mark.parametrize("traction_mpa", [(1e-4, 1e-4, 0.0), (0.002, 0.001, -0.0148)])
+def test_slender_pillars_state_their_error(traction_mpa):
+    """Bent a little and, at half of Euler's load, by a tenth of its length: against level 5, which is off by 0.05 %."""
+    section = (2.0, 2.4)
+    load = DeadLoad(center_mm=(0.0, 0.0), size_mm=section, traction_mpa=traction_mpa)
+    probe = Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=section)
+    body = Pillar(section_mm=section, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 13.0))
+    scene = Scene(body=body, material=RUBBER, loads=(load,), probes=(probe,), tolerance=1e-2)
+    found = solve_finite(scene)
+    system = System(RubberBody.of(finite_boxes(scene, 5), [RUBBER]), scene.loads)
+    finest = system.seen(probe, find_equilibrium(system).state.u)
+    assert np.linalg.norm(found.probes["top"] - finest) < found.error_estimate * np.linalg.norm(finest)
+    assert found.error_estimate < 1e-2
+
+
+def test_a_plate_s_corner_leaves_a_symmetric_saddle():
+    """At 1 MPa its three squeezed elements fold to one side of the diagonal; without a push 18 iterations and more."""
+    material = Material(model="neo-hookean", poisson=0.45)
+    load = StiffLoad(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -36.0))
+    scene = Scene(body=Block(size_mm=(12.0, 12.0, 8.0)), material=material, loads=(load,), probes=(TOP,))
+    line = np.array([6.0, 8.5, 8.935, 9.0, 9.148, 10.0, 12.0])
+    boxes = Boxes.between([line, line, np.array([0.0, 5.0, 7.5, 7.837, 7.979, 8.0])])
+    system = System(RubberBody.of(boxes, [material]), [load], make_plan(scene).mirrors)
+    found = find_equilibrium(system)
+    assert found.is_stable
+    assert found.steps == 1
+    assert found.iterations <= 10
+    x, y, z = boxes.points_mm.T
+    sunk = found.state.u[:, 2]
+    assert np.abs(sunk[np.lexsort((z, y, x))] - sunk[np.lexsort((z, x, y))]).max() > 1e-4
 
 
 @pytest.mark.long
