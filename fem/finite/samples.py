@@ -24,7 +24,7 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
-TOLERANCE = 5e-4  #: relative change of the pads' motion by an iteration at which a sample ends
+TOLERANCE = 1e-4  #: relative change of the pads' motion by an iteration at which a sample ends
 ORDERS = 3  #: of the series by which the finer grid corrects
 AT_ONCE = 4  #: samples solved together, which bounds the memory
 #: lines of the grids, as shares of the pad and of the height
@@ -34,7 +34,10 @@ FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
 EXTRAPOLATED, LEFT = 0.28, 0.4
 TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
-MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
+#: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
+#: keeps far more than either
+TORN, WHOLE = 0.2, 0.8
+MIN_WEIGHT = 0.5  #: of the points of a level together, below which a state is no answer
 
 IntArray = NDArray[np.int64]
 
@@ -242,7 +245,7 @@ class PillarReader:
 
         Notes
         -----
-        Points under the edge of a plate, where coarse grids tear the rubber, take the mean of those on their level.
+        Points under the edge of a plate, where coarse grids tear the rubber, are blended with those on their level.
         """
         F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
         bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
@@ -261,11 +264,12 @@ def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
 
 
 def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
+    """Deformations (m, k, n, 3, 3), torn points blended with the mean of their level; states that could be, (m,)."""
     by_level = F.reshape(*F.shape[:2], F.shape[2] // (ACROSS**2 * ALONG), ACROSS**2, ALONG, 3, 3)
-    kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
-    count = kept.sum(axis=3, keepdims=True)
-    mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)
-    whole = np.where(kept, by_level, mean)
-    good = (count > 0).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
+    share = np.clip((np.linalg.det(by_level) - TORN) / (WHOLE - TORN), 0.0, 1.0)
+    weight = (share**2 * (3 - 2 * share))[..., None, None]  # smooth, so that resistances have no jumps
+    total = weight.sum(axis=3, keepdims=True)
+    mean = (by_level * weight).sum(axis=3, keepdims=True) / np.maximum(total, MIN_WEIGHT)
+    whole = mean + weight * (by_level - mean)
+    good = (total > MIN_WEIGHT).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
     return whole.reshape(F.shape), np.asarray(good)
