@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fem.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
+from fem.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
 from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 
@@ -118,7 +118,7 @@ class PortModes:
         for axis, side in FACES:
             across, along = (x, y) if axis == 0 else (y, x)
             bubbles = self._bubbles(along) * _hat(across, side)[:, None]
-            columns.append(np.einsum("nm,nk->nmk", bubbles, upward).reshape(len(points_mm), -1))
+            columns.append(np.einsum("nm,nk->nmk", bubbles, upward).reshape(len(points_mm), self.per_face))
         return np.hstack(columns)
 
     def _bubbles(self, t: FloatArray) -> FloatArray:

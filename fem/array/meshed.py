@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, PortModes, condense
+from fem.array.sides import CellSides, Free, Kinds, places
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
@@ -253,7 +254,8 @@ class DesignCell:
         self.seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)  #: by the clock
         self._bodies: list[TaylorHood] = []
         self._indicators: list[FloatArray] = []  #: of all meshes but the last
-        self._cells: dict[float, CondensedCell] = {}
+        self._cells: dict[tuple[int, Free], CondensedCell] = {}
+        self._sides: dict[int, CellSides] = {}
 
     @cached_property
     def _adapted(self) -> AdaptedTetrahedra:
@@ -286,13 +288,29 @@ class DesignCell:
         self.seconds["mesh"] += perf_counter() - start
         return self._bodies[level]
 
-    def condensed(self, level: int, degree: int) -> CondensedCell:
-        """The cell condensed at a level onto ports of a degree; none is condensed twice."""
-        known = self._cells.get(level)
+    def condensed(self, level: int, degree: int, free: Free = ()) -> CondensedCell:
+        """The cell condensed at a level onto ports of a degree; of tetrahedra with some sides free.
+
+        None is condensed twice.
+        """
+        known = self._cells.get((level, free))
         if known is None or known.ports.side < degree:
-            ports = PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree, degree)
-            known = self._cells[level] = condense(self.body(level), ports, self.rectangles)
+            known = self._cells[level, free] = self._condensed(level, degree, free)
         return known.of_degree(degree)
+
+    def _condensed(self, level: int, degree: int, free: Free) -> CondensedCell:
+        if self.design.is_homogeneous:
+            ports = PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree, degree)
+            return condense(self.body(level), ports, self.rectangles)
+        if level not in self._sides:
+            self._sides[level] = CellSides.of(TetCell(self.tetrahedra(level), self.plate), self.rectangles)
+        return self._sides[level].cell(degree, free)
+
+    def kinds(self, level: int, degree: int) -> Kinds:
+        """The cell of every place in the design's array; boxes have one for all."""
+        array = self.design.array
+        places_of = [()] if self.design.is_homogeneous else places(array.rows, array.cols)
+        return {free: self.condensed(level, degree, free) for free in places_of}
 
     def error_factor(self, coarse: int, fine: int) -> float:
         """Error of the finer of two levels over their change, at the slowest rate; of tetrahedra times `SAFETY`."""

@@ -17,6 +17,7 @@ from fem.array.cell import CondensedCell, PortModes
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, functionals, pad_plate
+from fem.array.sides import Kinds
 from fem.array.response import ArrayResponse
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray
@@ -31,7 +32,7 @@ MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 class RefinedCell:
     """A condensed cell with what is known of the error of arrays of it."""
 
-    cell: CondensedCell
+    cells: Kinds
     error_estimate: float  #: of any block of such an array, relative to the loaded unit's own
     steps: tuple[str, ...]  #: one line a stage of refinement
     seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
@@ -39,10 +40,12 @@ class RefinedCell:
 
 def write_refined(refined: RefinedCell, path: Path) -> None:
     """Write a refined cell, whole or not at all."""
-    cell = refined.cell
-    numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
-    arrays = {name: getattr(cell, name) for name in MATRICES}
-    write_arrays(arrays | asdict(cell.ports) | {"numbers": numbers, "steps": np.array(refined.steps)}, path)
+    cell = next(iter(refined.cells.values()))
+    numbers = np.array([cell.unknowns, max(each.residual for each in refined.cells.values()), refined.error_estimate])
+    arrays = {name: np.stack([getattr(each, name) for each in refined.cells.values()]) for name in MATRICES}
+    kinds = np.array([" ".join(map(str, free)) for free in refined.cells])
+    stated = {"numbers": numbers, "steps": np.array(refined.steps), "kinds": kinds}
+    write_arrays(arrays | asdict(cell.ports) | stated, path)
 
 
 def read_refined(path: Path) -> RefinedCell:
@@ -50,12 +53,15 @@ def read_refined(path: Path) -> RefinedCell:
     found = read_arrays(path)
     unknowns, residual, error_estimate = found["numbers"].tolist()
     ports = PortModes(float(found["half_mm"]), float(found["height_mm"]), int(found["side"]), int(found["up"]))
-    matrices = {name: found[name] for name in MATRICES}
-    cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
-    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
+    cells = {}
+    for number, kind in enumerate(found["kinds"].tolist()):
+        matrices = {name: found[name][number] for name in MATRICES}
+        free = tuple(int(side) for side in kind.split())
+        cells[free] = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
+    return RefinedCell(cells=cells, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
 
 
-VERSION = 4  #: raise when the same design gives another refined cell, so that cached ones are not reused
+VERSION = 5  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
@@ -63,7 +69,7 @@ GRID_STAGES = {
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for tetrahedra, whose levels count refinements
-MESH_STAGES = ((0, 1, 5), (0, 2, 6), (1, 3, 7), (1, 3, 8), (2, 4, 9))
+MESH_STAGES = ((0, 1, 4), (0, 1, 5), (0, 2, 6), (1, 3, 7), (1, 3, 8), (2, 4, 9))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 MESH_LIMITS = (2e-2, 7e-3, 4e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
 #: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times
@@ -111,15 +117,15 @@ def response_by_cells(
     refined = refined_cell(design, tolerance, cached, progress)
     seconds, start = dict.fromkeys(("mesh", "condense", "couple"), 0.0) | refined.seconds, perf_counter()
     progress(f"coupling {rows} × {cols}")
-    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, electrode_means(design))
+    influence, misfit = CoupledArray(refined.cells, rows, cols).influence(PADS, electrode_means(design))
     seconds["couple"] += perf_counter() - start
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
         influence_mm_per_n=expanded(influence.reshape(shape), design.array.rows, design.array.cols, radius),
         error_estimate=refined.error_estimate,
-        residual=max(refined.cell.residual, misfit),
-        unknowns=refined.cell.unknowns,
+        residual=max(misfit, *(cell.residual for cell in refined.cells.values())),
+        unknowns=next(iter(refined.cells.values())).unknowns,
         seconds=seconds,
         steps=refined.steps,
     )
@@ -158,15 +164,16 @@ def refined_cell(
         steps = []
         rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
 
-        def answer(cell: CondensedCell) -> FloatArray:
-            return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
+        def answer(cells: Kinds) -> FloatArray:
+            return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
 
         source = DesignCell(design, functionals(design), pad_plate(design))
         for stage in cell_stages(design, tolerance):
             coarse, fine, degree = stage
             progress(f"cell, level {fine:g}")
-            cell, _, (of_levels, of_ports) = cell_of_stage(source, stage, answer, block_error)
+            cells, _, (of_levels, of_ports) = cells_of_stage(source, stage, answer, block_error)
             estimate = of_levels + of_ports
+            cell = next(iter(cells.values()))
             steps.append(
                 f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
                 f"unknowns in the cell, {cell.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the "
@@ -174,7 +181,7 @@ def refined_cell(
             )
             if estimate <= tolerance:
                 break
-        return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps), seconds=source.seconds)
+        return RefinedCell(cells=cells, error_estimate=estimate, steps=tuple(steps), seconds=source.seconds)
 
     if not cached:
         return make()
@@ -193,13 +200,13 @@ def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
     return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
-def cell_of_stage(
+def cells_of_stage(
     source: DesignCell,
     stage: Stage,
-    answer: Callable[[CondensedCell], Answer],
+    answer: Callable[[Kinds], Answer],
     difference: Callable[[Answer, Answer], float],
-) -> tuple[CondensedCell, Answer, tuple[float, float]]:
-    """A cell condensed at the levels of a stage, an answer by it, and the estimated errors of levels and ports.
+) -> tuple[Kinds, Answer, tuple[float, float]]:
+    """Cells condensed at the levels of a stage, an answer by them, and the estimated errors of levels and ports.
 
     Parameters
     ----------
@@ -219,24 +226,29 @@ def cell_of_stage(
     coarse, fine, degree = stage
     design = source.design
     start, meshed_before = perf_counter(), source.seconds["mesh"]
-    one, two = source.condensed(coarse, COMPARED_DEGREE), source.condensed(fine, degree)
+    one, two = source.kinds(coarse, COMPARED_DEGREE), source.kinds(fine, degree)
     condensed = perf_counter()
     source.seconds["condense"] += condensed - start - (source.seconds["mesh"] - meshed_before)
     factor = source.error_factor(coarse, fine)
-    cell = two.extrapolated(one, factor) if design.is_homogeneous else two
-    if not cell.is_definite:
-        cell = two
-    found = answer(cell)
-    if cell is two:
-        of_levels = factor * difference(answer(one), answer(two.of_degree(COMPARED_DEGREE)))
+    cells = two
+    if design.is_homogeneous:
+        better = {free: cell.extrapolated(one[free], factor) for free, cell in two.items()}
+        cells = better if all(cell.is_definite for cell in better.values()) else two
+    found = answer(cells)
+    if cells is two:
+        of_levels = factor * difference(answer(one), answer(_of_degree(two, COMPARED_DEGREE)))
     else:  # which the extrapolation changes in these degrees alone
-        low = (answer(each.of_degree(COMPARED_DEGREE)) for each in (two, cell))
+        low = (answer(_of_degree(each, COMPARED_DEGREE)) for each in (two, cells))
         of_levels = EXTRAPOLATION_ERROR[design.pad.kind] * difference(*low)
-    of_ports = difference(answer(cell.of_degree(degree - 1)), found)
+    of_ports = difference(answer(_of_degree(cells, degree - 1)), found)
     if not design.is_homogeneous:
         of_ports *= MESH_PORTS
     source.seconds["couple"] += perf_counter() - condensed
-    return cell, found, (of_levels, of_ports)
+    return cells, found, (of_levels, of_ports)
+
+
+def _of_degree(cells: Kinds, degree: int) -> Kinds:
+    return {free: cell.of_degree(degree) for free, cell in cells.items()}
 
 
 def block_error(influence: FloatArray, reference: FloatArray) -> float:

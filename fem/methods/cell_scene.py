@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.array.cell import CondensedCell
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, pad_plate
-from fem.array.substructured import cell_of_stage, cell_stages
+from fem.array.sides import Kinds
+from fem.array.substructured import cell_stages, cells_of_stage
 from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
@@ -106,16 +106,16 @@ def solve_by_cells(scene: Scene) -> Solution:
 
     source = DesignCell(design, rectangles, pad_plate(design))
 
-    def answer(cell: CondensedCell) -> tuple[dict[str, FloatArray], float, float]:
+    def answer(cells: Kinds) -> tuple[dict[str, FloatArray], float, float]:
         """Means of the probes, the energy and the residual."""
-        moved, residual = CoupledArray(cell, design.array.rows, design.array.cols).moved(forces)
+        moved, residual = CoupledArray(cells, design.array.rows, design.array.cols).moved(forces)
         moved = moved.reshape(design.n_units, -1, 3)
         means = {p.name: _gathered(moved, shares) for p, shares in zip(scene.probes, probes, strict=True)}
         return means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual
 
     steps: list[str] = []
     for stage in cell_stages(design, scene.tolerance):
-        cell, (means, energy, residual), errors = cell_of_stage(
+        cells, (means, energy, residual), errors = cells_of_stage(
             source, stage, answer, lambda one, other: largest_error(one[0], other[0])
         )
         estimate = sum(errors)
@@ -126,8 +126,8 @@ def solve_by_cells(scene: Scene) -> Solution:
     return Solution(
         probes=means,
         energy_mj=energy,
-        residual=max(residual, cell.residual),
-        unknowns=cell.unknowns,
+        residual=max(residual, *(cell.residual for cell in cells.values())),
+        unknowns=next(iter(cells.values())).unknowns,
         error_estimate=estimate,
         seconds=Stopwatch().seconds | spent,
         steps=tuple(steps),

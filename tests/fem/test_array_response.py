@@ -10,7 +10,7 @@ import pytest
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key, solve_response
-from fem.array.substructured import block_error, cell_of_stage, expanded, influence_range
+from fem.array.substructured import block_error, cells_of_stage, expanded, influence_range
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.errors import DesignError
 from studies import bench
@@ -80,11 +80,11 @@ def test_estimates_cover_errors_over_designs(varied):
         matrix_material=rubber,
     )
 
-    def answer(cell):
-        return CoupledArray(cell, 2, 2).influence(range(3), range(3, 9))[0]
+    def answer(cells):
+        return CoupledArray(cells, 2, 2).influence(range(3), range(3, 9))[0]
 
     source = DesignCell(design, functionals(design), pad_plate(design))
-    cells = [cell_of_stage(source, stage, answer, block_error) for stage in ((1, 2, 6), (2, 3, 7))]
+    cells = [cells_of_stage(source, stage, answer, block_error) for stage in ((1, 2, 6), (2, 3, 7))]
     (_, coarse, of_coarse), (_, fine, of_fine) = cells
     error, estimate = block_error(coarse, fine), sum(of_coarse)
     assert error < estimate < 10 * error
