@@ -395,8 +395,8 @@ def schur_complement(upper: sp.csr_matrix, n_last: int, solver: str | None = Non
 
     Notes
     -----
-    PARDISO stops its factorisation before B: of a cell of 37 388 unknowns on 3717 that took 2.4 s, where 309 combinations
-    of these as right-hand sides took 3.0 s.
+    PARDISO stops its factorisation before B: of a cell of 37 388 unknowns on 3717 that took 2.4 s, where 309
+    combinations of these as right-hand sides took 3.0 s.
     """
     n = upper.shape[0] - n_last
     across, last = upper[:n, n:], whole(upper[n:, n:])

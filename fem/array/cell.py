@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fem.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
+from fem.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
 from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 

@@ -25,7 +25,7 @@ class CoupledArray:
     """
 
     def __init__(self, cells: CondensedCell | Kinds, rows: int, cols: int) -> None:
-        kinds = {(): cells} if isinstance(cells, CondensedCell) else cells
+        kinds: Kinds = {(): cells} if isinstance(cells, CondensedCell) else cells
         self.rows, self.cols = rows, cols
         #: every kind of cell, and the numbers of its copies
         self._kinds: list[tuple[CondensedCell, NDArray[np.int64]]] = []

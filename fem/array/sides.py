@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from fem.array.cell import EDGES, FACES, ON_FACE, CondensedCell, PortModes
@@ -38,6 +39,15 @@ def places(rows: int, cols: int) -> list[Free]:
     return sorted({free_sides(i, j, rows, cols) for i in range(rows) for j in range(cols)})
 
 
+def on_faces(points_mm: FloatArray, half_mm: float, free: Free) -> NDArray[np.bool_]:
+    """Which points (n, 3) of a cell lie on a side that is not free, shape (n,)."""
+    found = np.zeros(len(points_mm), dtype=bool)
+    for number, (axis, sign) in enumerate(FACES):
+        if number not in free:
+            found |= sign * points_mm[:, axis] > half_mm * (1 - ON_FACE)
+    return found
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellSides:
     """A cell seen from the n nodes of its side faces and k rectangles of its top face; units as of `CondensedCell`."""
@@ -52,11 +62,11 @@ class CellSides:
     residual: float
 
     @classmethod
-    def of(cls, body: "TetCell", rectangles: FloatArray) -> "CellSides":
-        """Condense a whole cell with rectangles (k, 4) of its top face."""
+    def of(cls, body: "TetCell", rectangles: FloatArray, free: Free = ()) -> "CellSides":
+        """Condense a whole cell with rectangles (k, 4) of its top face; of sides always free no nodes are kept."""
         points, parity = body.points_mm, (0, 0)
         half_mm = float(points[:, 0].max())
-        on_side = (np.abs(points[:, :2]) > half_mm * (1 - ON_FACE)).any(axis=1) & (body.numbers[:, 0] >= 0)
+        on_side = on_faces(points, half_mm, free) & (body.numbers[:, 0] >= 0)
         mean = body.integrals(rectangles).toarray() / (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
         forces = np.einsum("kn,ij->kinj", mean, np.eye(3)).reshape(-1, len(points), 3)
         K, last = whole(body.matrix(parity)), body.numbers[on_side].ravel()
@@ -83,8 +93,7 @@ class CellSides:
         """
         ports = PortModes(self.half_mm, self.height_mm, degree, degree)
         shared = [side for number, side in enumerate(FACES) if number not in free]
-        on_face = [sign * self.points_mm[:, axis] > self.half_mm * (1 - ON_FACE) for axis, sign in shared]
-        follows = np.any(on_face, axis=0) if shared else np.zeros(len(self.points_mm), dtype=bool)
+        follows = on_faces(self.points_mm, self.half_mm, free)
         of_edges = [(0, x) in shared or (1, y) in shared for x, y in EDGES]
         of_faces = [side in shared for side in FACES]
         kept = np.flatnonzero(np.repeat([*of_edges, *of_faces], [ports.per_edge] * 4 + [ports.per_face] * 4))
