@@ -16,10 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import fft
 
-from fem.array.cell import EDGES, FACES, CondensedCell, condense
+from fem.array.cell import EDGES, FACES, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
+from fem.array.sides import CellSides
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -143,7 +144,7 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     source = DesignCell(design, rectangles)
     own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
     matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return own, condense(TetCell(matrix), own.ports, rectangles)
+    return own, CellSides.of(TetCell(matrix), rectangles).cell(MESH_DEGREE)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:

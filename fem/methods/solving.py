@@ -18,8 +18,6 @@ def solve_scene(scene: Scene, *, field: bool = False) -> tuple[Solution, Plan]:
 
     Raises
     ------
-    SceneError
-        For a tolerance that the scene's method cannot keep.
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """
