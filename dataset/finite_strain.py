@@ -30,7 +30,7 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-METHOD = 5  #: raise when the same settings give other samples
+METHOD = 7  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled

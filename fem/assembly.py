@@ -47,22 +47,11 @@ class _Tied(NamedTuple):
 class Assembly:
     """A sparse matrix of n × n blocks, its pattern found once and filled with any values.
 
-    Parameters
-    ----------
-    nodes : array, shape (n_elements, k)
-        Of the elements.
-    weights : csr_matrix, shape (n_nodes, n)
-        How far each node moves with each block that is no spin of a plate.
-    bonds : csr_matrix, shape (n_nodes, n_bonded)
-        How far each node turns with each of the nodes that are bonded to plates.
-    spin_of : array, shape (n_bonded,)
-        The block of the spin that turns each bonded node.
-    chunks : sequence of slices
-        Of elements, as their stiffness will come.
-    symmetric : bool
-        Keep the blocks of the upper triangle only.
-    more : sequence of pairs of arrays
-        Rows and columns, each of shape (m,), of further blocks, −1 for none; see `add`.
+    Elements have `nodes` (n_elements, k); their stiffness comes in `chunks`. `weights` (n_nodes, n) say how far each
+    node moves with each block that is no spin of a plate, `bonds` (n_nodes, n_bonded) how far it turns with each node
+    that is bonded to a plate, `spin_of` (n_bonded,) the block of the spin that turns each of those. A symmetric one
+    keeps the blocks of the upper triangle only. `more` are rows and columns, each (m,), of further blocks, −1 for none;
+    see `add`.
     """
 
     def __init__(
@@ -109,14 +98,9 @@ class Assembly:
         return place[order[first]], sp.csr_matrix(table, shape=(len(first), count))
 
     def sum(self, blocks: Iterable[tuple[slice, FloatArray]], spins: FloatArray) -> FloatArray:
-        """Blocks (n_entries, 3, 3) of the matrix of elements' stiffness.
+        """Blocks (n_entries, 3, 3) of the matrix of chunks of elements and their stiffness (e, k, k, 3, 3).
 
-        Parameters
-        ----------
-        blocks : iterable of (slice, array)
-            The chunks of elements, and their stiffness (e, k, k, 3, 3).
-        spins : array, shape (n_bonded, 3, 3)
-            Displacement of each bonded node by the spin of its plate.
+        `spins` (n_bonded, 3, 3) are displacements of each bonded node by the spin of its plate.
         """
         data = np.zeros((len(self._keys), 9))
         for (_, K), groups in zip(blocks, self._chunks, strict=True):

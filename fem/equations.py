@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.factor import Factor
-from fem.following import FollowingFaces
-from fem.plates import Plates, skew, turns
+from fem.plates import FollowingFaces, Plates, skew, turns
 from fem.rubber.body import RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
@@ -63,20 +62,9 @@ class Misfit:
 class Equations:
     """The part of a system of equations that boxes and tetrahedra share: plates, loads and the map T.
 
-    Parameters
-    ----------
-    body : RubberBody or TaylorHood
-    loads : sequence of loads
-        On what is solved of the body.
-    plates : Plates
-    faces : FollowingFaces
-    points_mm : array, shape (n_nodes, 3)
-        The nodes at rest.
-    free : array, shape (n_nodes,)
-        Nodes off the clamped base with unknowns of their own, unless a plate binds them.
+    Loads are on what is solved of the body, whose nodes at rest are `points_mm` (n_nodes, 3). `free` (n_nodes,) are the
+    nodes off the clamped base with unknowns of their own, unless a plate binds them.
 
-    Notes
-    -----
     The tangent is kept symmetric where all loads have a potential: dead tractions, forces on plates. At finite strain
     it is not with pressures or with moments, whose axes do not turn; where strain is small, pressures push along −z.
     """

@@ -1,7 +1,11 @@
-"""Rigid plates bonded to rectangles of the top face: six motions each.
+"""Plates bonded to rectangles of the top face, and pressures that follow it.
 
-A node at X of a plate whose middle was at C moves to c + R (X − C). Rotations are matrices R, and small changes of them
-spins δω: δR = [δω] R. The forces f of the nodes are as strong as their sum and their moment Σ R (X − C) × f.
+A plate has six motions. A node at X of a plate whose middle was at C moves to c + R (X − C). Rotations are matrices R,
+and small changes of them spins δω: δR = [δω] R. The forces f of the nodes are as strong as their sum and
+their moment Σ R (X − C) × f.
+
+Per unit of pressure the forces on a face's nodes are −∫ φₐ x,ξ × x,η dξ dη, x the deformed positions; at rest the
+normals x,ξ × x,η point up.
 """
 
 from collections.abc import Sequence
@@ -10,13 +14,18 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem import Basis, ElementTriP2
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
 
-from fem.boxes.boxes import Boxes
-from fem.scene.loads import Rectangle, SceneError
+from fem.boxes.boxes import Boxes, gauss_points, shape_functions
+from fem.scene.loads import FollowerLoad, Load, Rectangle, SceneError
+from fem.tetrahedra.patch import top_triangles
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 ON_LINE = 1e-9  #: of the body's extent: how far rounding may put a line off a rectangle's edge
+CUT_ORDER = 8  #: of integration on triangles, which loads' edges may cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +83,94 @@ class Plates:
             return np.zeros((*forces.shape[:-2], 0, 3)), np.zeros((*forces.shape[:-2], 0, 3))
         moments = np.cross(self.turned(rotation), forces)
         return np.add.reduceat(forces, self.starts, axis=-2), np.add.reduceat(moments, self.starts, axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class FollowingFaces:
+    """Element faces of the top under the pressures of loads: f faces of k nodes, with q points of integration."""
+
+    nodes: IntArray  #: of every face, (f, k)
+    pressure_mpa: FloatArray  #: (f,)
+    n_nodes: int  #: of the body
+    values: FloatArray  #: of the functions at the points, (q, k)
+    slopes: FloatArray  #: by ξ and by η, (2, q, k)
+    weights: FloatArray  #: (q,), or (f, q)
+
+    @classmethod
+    def on_boxes(cls, boxes: Boxes, loads: Sequence[Load]) -> "FollowingFaces":
+        """On boxes with sides along the edges of the following ones of loads."""
+        rectangles, pressures = _following(loads)
+        for rectangle in rectangles.tolist():
+            top_nodes(boxes, tuple(rectangle))  # refuses one without lines
+        k, top = boxes.order + 1, np.flatnonzero(boxes.high[:, 2] == boxes.height_mm)
+        faces = boxes.nodes[top].reshape(len(top), k, k, k)[..., -1].reshape(len(top), -1)
+        middle = ((boxes.low + boxes.high) / 2)[top, :2] + np.array(boxes.lean) * boxes.height_mm
+        load, face = np.nonzero(_within(middle, rectangles[:, None]))
+        x, w = gauss_points(k)
+        values, slopes = shape_functions(boxes.order, x)
+        pairs = (values, values), (slopes, values), (values, slopes)
+        at, *along = (np.einsum("pi,qj->pqij", *pair).reshape(len(x) ** 2, -1) for pair in pairs)
+        weights = np.outer(w, w).ravel()
+        return cls(faces[face], pressures[load], boxes.n_nodes, at, np.stack(along), weights)
+
+    @classmethod
+    def on_tetrahedra(cls, basis: Basis, loads: Sequence[Load]) -> "FollowingFaces":
+        """On quadratic tetrahedra; of a face that a load's edge cuts, the points of integration within count.
+
+        These are scaled to the load's area, so that the force at rest is whole.
+        """
+        rectangles, pressures = _following(loads)
+        corners, faces = top_triangles(basis)
+        turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+        faces[turned] = faces[turned][:, [0, 2, 1, 5, 4, 3]]
+        corners[turned] = corners[turned][:, [0, 2, 1]]
+        points, rule = get_quadrature(RefTri, CUT_ORDER)
+        shares = np.stack([1 - points.sum(axis=0), *points], axis=1)
+        twice_mm2 = np.linalg.det(corners[:, 1:] - corners[:, :1])
+        weights = rule * _within(shares @ corners, rectangles[:, None, None])  # (n_loads, n_faces, q)
+        area_mm2 = np.prod(rectangles[:, 2:] - rectangles[:, :2], axis=1)
+        weights *= (area_mm2 / (weights.sum(axis=2) @ twice_mm2))[:, None, None]
+        load, face = np.nonzero(weights.any(axis=2))
+        values, slopes = zip(*(ElementTriP2().lbasis(points, function) for function in range(6)), strict=True)
+        at, along = np.stack(values, axis=-1), np.stack(slopes, axis=-1)
+        return cls(faces[face], pressures[load], int(basis.N), at, along, weights[load, face])
+
+    def forces(self, x: FloatArray) -> FloatArray:
+        """Nodal forces (n_nodes, 3) at full load on deformed positions (n_nodes, 3) [N]."""
+        t1, t2 = self._tangents(x)
+        normal = np.cross(t1, t2) * (self.weights * -self.pressure_mpa[:, None])[:, :, None]
+        own = np.einsum("qa,fqi->fai", self.values, normal)
+        out = np.zeros((self.n_nodes, 3))
+        np.add.at(out, self.nodes.ravel(), own.reshape(-1, 3))
+        return out
+
+    def stiffness(self, x: FloatArray) -> FloatArray:
+        """Derivative of the forces by the positions at full load, (f, n, n, 3, 3): [f, a, b, i, j] [N/mm].
+
+        From d(t₁ × t₂) = −[t₂] dt₁ + [t₁] dt₂, where [t] v = t × v; not symmetric.
+        """
+        t1, t2 = self._tangents(x)
+        change = np.einsum("qb,fqij->fqbij", self.slopes[1], skew(t1))
+        change -= np.einsum("qb,fqij->fqbij", self.slopes[0], skew(t2))
+        weight = self.weights * -self.pressure_mpa[:, None]
+        return np.einsum("qa,fq,fqbij->fabij", self.values, weight, change, optimize=True)
+
+    def _tangents(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x,ξ and x,η at the points of the faces, each (f, q, 3)."""
+        own = x[self.nodes]
+        return np.einsum("qa,fai->fqi", self.slopes[0], own), np.einsum("qa,fai->fqi", self.slopes[1], own)
+
+
+def _following(loads: Sequence[Load]) -> tuple[FloatArray, FloatArray]:
+    """Rectangles (k, 4) and pressures (k,) of the following ones of loads."""
+    following = [load for load in loads if isinstance(load, FollowerLoad)]
+    rectangles = np.array([load.rectangle for load in following]).reshape(-1, 4)
+    return rectangles, np.array([load.pressure_mpa for load in following])
+
+
+def _within(places: FloatArray, rectangles: FloatArray) -> NDArray[np.bool_]:
+    """Whether places (..., 2) lie within rectangles (..., 4), edges excluded."""
+    return np.asarray(((places > rectangles[..., :2]) & (places < rectangles[..., 2:])).all(axis=-1))
 
 
 def top_nodes(boxes: Boxes, rectangle: Rectangle) -> IntArray:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from fem.assembly import Assembly
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor
-from fem.following import FollowingFaces
 from fem.mirrors import (
     Mirror,
     Parity,
@@ -24,7 +23,7 @@ from fem.mirrors import (
     parities,
     vanishing_components,
 )
-from fem.plates import Plates, top_nodes
+from fem.plates import FollowingFaces, Plates, top_nodes
 from fem.rubber.body import RubberBody, Tangent
 from fem.scene.loads import FollowerLoad, Load, StiffLoad
 from fem.scene.scene import Probe
@@ -221,16 +220,16 @@ class System(Equations):
         nodal = self.nodal_change(state.rotation, change)
         return change, misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
 
-    def is_stable(self, state: State, share: float, misfit: Misfit) -> bool | None:
-        """Whether no mode is unstable; None where nothing counts them: pressures, moments, no PARDISO.
+    def is_stable(self, factor: Factor, state: State, share: float, misfit: Misfit) -> bool | None:
+        """Whether no mode is unstable; None where the last tangent's are not counted: pressures, moments, no PARDISO.
 
         Of a part between mirrors the modes of every parity count: a pillar buckles to one side.
         """
+        if factor.n_negative is None:
+            return None
         data, judge = self.tangent(state, share, misfit.reactions)[0], self.new_factor()
         for parity in parities(tuple(replace(mirror, parities=(1, -1)) for mirror in self.mirrors)):
             judge.factor(self.matrix(data, parity))
-            if judge.n_negative is None:
-                return None
             if judge.n_negative:
                 return False
         return True

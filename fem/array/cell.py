@@ -118,7 +118,7 @@ class PortModes:
         for axis, side in FACES:
             across, along = (x, y) if axis == 0 else (y, x)
             bubbles = self._bubbles(along) * _hat(across, side)[:, None]
-            columns.append(np.einsum("nm,nk->nmk", bubbles, upward).reshape(len(points_mm), -1))
+            columns.append(np.einsum("nm,nk->nmk", bubbles, upward).reshape(len(points_mm), self.per_face))
         return np.hstack(columns)
 
     def _bubbles(self, t: FloatArray) -> FloatArray:

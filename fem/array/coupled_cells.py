@@ -3,13 +3,14 @@
 Cells that touch share the modes of their common face and edges, so the array is a sparse system of small dense blocks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import EDGES, FACES, CondensedCell, PortModes
+from fem.array.sides import Kinds, free_sides
 from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
@@ -19,12 +20,20 @@ COLUMNS = 128  #: load cases solved for at a time
 class CoupledArray:
     """rows × cols copies of a cell, factored once.
 
-    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j.
+    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j. With several kinds of cells,
+    each place has its own.
     """
 
-    def __init__(self, cell: CondensedCell, rows: int, cols: int) -> None:
-        self.cell, self.rows, self.cols = cell, rows, cols
-        self._dofs, self._n = port_dofs(cell.ports, rows, cols)
+    def __init__(self, cells: CondensedCell | Kinds, rows: int, cols: int) -> None:
+        kinds: Kinds = {(): cells} if isinstance(cells, CondensedCell) else cells
+        self.rows, self.cols = rows, cols
+        #: every kind of cell, and the numbers of its copies
+        self._kinds: list[tuple[CondensedCell, NDArray[np.int64]]] = []
+        at = [free if (free := free_sides(i, j, rows, cols)) in kinds else () for i, j in np.ndindex(rows, cols)]
+        for free in dict.fromkeys(at):
+            self._kinds.append((kinds[free], np.array([k for k, place in enumerate(at) if place == free])))
+        self.ports = self._kinds[0][0].ports
+        self._dofs, self._n = port_dofs(self.ports, rows, cols)
         number = np.arange(self._dofs.size)
         self._gather = sp.csr_matrix((np.ones(len(number)), (self._dofs.ravel(), number)), shape=(self._n, len(number)))
         self._matrix = self._assembled()
@@ -50,11 +59,17 @@ class CoupledArray:
             Relative residual of the solve.
         """
         q, residual = self.port_displacements(forces)
-        return self.cell.transfer.T @ q + self.cell.compliance @ forces, residual
+        moved = np.empty(forces.shape)
+        for cell, own in self._kinds:
+            moved[own] = cell.transfer.T @ q[own] + cell.compliance @ forces[own]
+        return moved, residual
 
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
-        rhs = self._gathered(self.cell.transfer @ forces)
+        pulls = np.empty((self.n_cells, self._dofs.shape[1], forces.shape[2]))
+        for cell, own in self._kinds:
+            pulls[own] = cell.transfer @ forces[own]
+        rhs = self._gathered(pulls)
         q, residual = checked_solve(self._factor, rhs, self._product)
         return q[self._dofs], residual
 
@@ -63,8 +78,12 @@ class CoupledArray:
 
         Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
         """
-        rows = np.hstack([self.cell.transfer[:, observed].T, self.cell.compliance[np.ix_(observed, loads)]])
-        found, residual = self.seen(rows, loads)
+        found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
+        residual = 0.0
+        for loaded, forces in self._unit_loads(loads):
+            moved, misfit = self.moved(forces)
+            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), len(loaded), len(loads))
+            residual = max(residual, misfit)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
     def seen(self, functionals: FloatArray, loads: Sequence[int]) -> tuple[FloatArray, float]:
@@ -73,22 +92,29 @@ class CoupledArray:
         `functionals` (k, n_modes·3 + n_loads) are rows on a cell's port displacements and on the forces of its own
         loads. Shape (n_cells, k, n_cells, n_loads), seen first.
         """
-        n_ports, n_loads = self.cell.stiffness.shape[0], len(loads)
-        found = np.empty((self.n_cells, len(functionals), self.n_cells, n_loads))
+        n_ports = self._dofs.shape[1]
+        found = np.empty((self.n_cells, len(functionals), self.n_cells, len(loads)))
         residual = 0.0
-        at_once = max(1, COLUMNS // n_loads)  # bounds the memory
-        for first in range(0, self.n_cells, at_once):
-            loaded = np.arange(first, min(first + at_once, self.n_cells))
-            each = np.zeros((self.n_cells, n_loads, len(loaded), n_loads))
-            each[loaded, :, loaded - first] = np.eye(n_loads)
-            newtons = each.reshape(self.n_cells, n_loads, -1)
-            forces = np.zeros((self.n_cells, self.cell.transfer.shape[1], newtons.shape[2]))
-            forces[:, loads] = newtons
+        for loaded, forces in self._unit_loads(loads):
             q, misfit = self.port_displacements(forces)
-            own = functionals[:, :n_ports] @ q + functionals[:, n_ports:] @ newtons
-            found[:, :, loaded] = own.reshape(self.n_cells, -1, len(loaded), n_loads)
+            own = functionals[:, :n_ports] @ q + functionals[:, n_ports:] @ forces[:, loads]
+            found[:, :, loaded] = own.reshape(self.n_cells, -1, len(loaded), len(loads))
             residual = max(residual, misfit)
         return found, residual
+
+    def _unit_loads(self, loads: Sequence[int]) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
+        """Some cells, and forces (n_cells, m, k) of 1 N on each of some loads of each; few at once, for the memory."""
+        at_once = max(1, COLUMNS // len(loads))
+        for first in range(0, self.n_cells, at_once):
+            loaded = np.arange(first, min(first + at_once, self.n_cells))
+            each = np.zeros((self.n_cells, self._n_functionals, len(loaded), len(loads)))
+            for number, load in enumerate(loads):
+                each[loaded, load, np.arange(len(loaded)), number] = 1.0
+            yield loaded, each.reshape(self.n_cells, self._n_functionals, -1)
+
+    @property
+    def _n_functionals(self) -> int:
+        return self._kinds[0][0].transfer.shape[1]
 
     def derivatives(
         self,
@@ -118,7 +144,7 @@ class CoupledArray:
         observed.
         """
         seen, n = [*loads, *observed], self.n_cells
-        forces = np.zeros((n, self.cell.transfer.shape[1], n, len(seen)))
+        forces = np.zeros((n, self._n_functionals, n, len(seen)))
         for number in range(n):
             forces[number, seen, number, np.arange(len(seen))] = 1.0
         q, residual = self.port_displacements(forces.reshape(*forces.shape[:2], -1))
@@ -136,8 +162,10 @@ class CoupledArray:
 
     def _product(self, q: FloatArray) -> FloatArray:
         """Stiffness of all ports times their displacements (n, k), cell by cell: faster than the sparse product."""
-        pulls = np.tensordot(self.cell.stiffness, q[self._dofs], axes=(1, 1))  # (n_modes·3, n_cells, k), in one product
-        return self._gathered(pulls.swapaxes(0, 1))
+        pulls = np.empty((*self._dofs.shape, q.shape[1]))
+        for cell, own in self._kinds:
+            pulls[own] = np.tensordot(cell.stiffness, q[self._dofs[own]], axes=(1, 1)).swapaxes(0, 1)  # in one product
+        return self._gathered(pulls)
 
     def _gathered(self, forces: FloatArray) -> FloatArray:
         """Sum at the shared ports of what cells exert there, (n_cells, n_modes·3, k), shape (n, k)."""
@@ -145,15 +173,17 @@ class CoupledArray:
 
     def _assembled(self) -> sp.bsr_matrix:
         """Stiffness of all ports, in the blocks that edges and bubbles share: `up` functions along three axes."""
-        size = self.cell.ports.up * 3
+        size = self.ports.up * 3
         count = self._dofs.shape[1] // size
-        blocks = self.cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
         numbers = self._dofs[:, ::size] // size
         n = self._n // size
         keys, entry = np.unique(numbers[:, :, None] * n + numbers[:, None, :], return_inverse=True)
         data = np.zeros((len(keys), size, size))
-        for own in entry.reshape(self.n_cells, count, count):
-            data[own] += blocks
+        entry = entry.reshape(self.n_cells, count, count)
+        for cell, own in self._kinds:
+            blocks = cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
+            for number in own:
+                data[entry[number]] += blocks
         indptr = np.searchsorted(keys, np.arange(n + 1) * n)
         return sp.bsr_matrix((data, keys % n, indptr), shape=(self._n, self._n))
 

@@ -15,11 +15,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, PortModes, condense
+from fem.array.sides import CellSides, Free, Kinds, places
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
 from fem.field import Field
-from fem.levels import SAFETY, richardson_factor
+from fem.levels import richardson_factor
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
 from fem.rubber.law import LAWS
@@ -56,7 +57,7 @@ MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
 PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
 #: convergence that is reckoned with: of boxes as level^(−rate); of tetrahedra as unknowns^(−rate), 0.9 to 1.6 being
 #: measured
-BOX_RATE, MESH_RATE = 2.5, 0.9
+BOX_RATE, MESH_RATE = 2.5, 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +254,8 @@ class DesignCell:
         self.seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)  #: by the clock
         self._bodies: list[TaylorHood] = []
         self._indicators: list[FloatArray] = []  #: of all meshes but the last
-        self._cells: dict[float, CondensedCell] = {}
+        self._cells: dict[tuple[int, Free], CondensedCell] = {}
+        self._sides: dict[tuple[int, Free], CellSides] = {}
 
     @cached_property
     def _adapted(self) -> AdaptedTetrahedra:
@@ -286,20 +288,41 @@ class DesignCell:
         self.seconds["mesh"] += perf_counter() - start
         return self._bodies[level]
 
-    def condensed(self, level: int, degree: int) -> CondensedCell:
-        """The cell condensed at a level onto ports of a degree; none is condensed twice."""
-        known = self._cells.get(level)
+    def condensed(self, level: int, degree: int, free: Free = ()) -> CondensedCell:
+        """The cell condensed at a level onto ports of a degree; of tetrahedra with some sides free.
+
+        None is condensed twice.
+        """
+        known = self._cells.get((level, free))
         if known is None or known.ports.side < degree:
-            ports = PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree, degree)
-            known = self._cells[level] = condense(self.body(level), ports, self.rectangles)
+            known = self._cells[level, free] = self._condensed(level, degree, free)
         return known.of_degree(degree)
 
+    def _condensed(self, level: int, degree: int, free: Free) -> CondensedCell:
+        if self.design.is_homogeneous:
+            ports = PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree, degree)
+            return condense(self.body(level), ports, self.rectangles)
+        never_shared = tuple(side for side in free if all(side in other for other in self._places))
+        if (level, never_shared) not in self._sides:
+            body = TetCell(self.tetrahedra(level), self.plate)
+            self._sides[level, never_shared] = CellSides.of(body, self.rectangles, never_shared)
+        return self._sides[level, never_shared].cell(degree, free)
+
+    @property
+    def _places(self) -> list[Free]:
+        return places(self.design.array.rows, self.design.array.cols)
+
+    def kinds(self, level: int, degree: int) -> Kinds:
+        """The cell of every place in the design's array; boxes have one for all."""
+        found = [()] if self.design.is_homogeneous else self._places
+        return {free: self.condensed(level, degree, free) for free in found}
+
     def error_factor(self, coarse: int, fine: int) -> float:
-        """Error of the finer of two levels over their change, at the slowest rate; of tetrahedra times `SAFETY`."""
+        """Error of the finer of two levels over their change."""
         if self.design.is_homogeneous:
             return richardson_factor(coarse, fine, BOX_RATE)
         one, other = (self._bodies[level].n_unknowns for level in (coarse, fine))
-        return SAFETY * richardson_factor(one, other, MESH_RATE)
+        return richardson_factor(one, other, MESH_RATE)
 
 
 def _sides(rectangle: FloatArray) -> dict[str, Any]:

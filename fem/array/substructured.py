@@ -6,10 +6,9 @@ that spare arrays of the same cell its mesh and its condensation.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TypeVar
 
 import numpy as np
 
@@ -18,12 +17,13 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.response import ArrayResponse
+from fem.array.sides import Free, Kinds
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
-Answer = TypeVar("Answer")
+Weighted = tuple[tuple[float, Kinds], ...]  #: cells whose answers, times these weights, add up to the best one
 MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 
 
@@ -31,7 +31,7 @@ MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell
 class RefinedCell:
     """A condensed cell with what is known of the error of arrays of it."""
 
-    cell: CondensedCell
+    cells: Weighted
     error_estimate: float  #: of any block of such an array, relative to the loaded unit's own
     steps: tuple[str, ...]  #: one line a stage of refinement
     seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
@@ -39,23 +39,37 @@ class RefinedCell:
 
 def write_refined(refined: RefinedCell, path: Path) -> None:
     """Write a refined cell, whole or not at all."""
-    cell = refined.cell
-    numbers = np.array([cell.unknowns, cell.residual, refined.error_estimate])
-    arrays = {name: getattr(cell, name) for name in MATRICES}
-    write_arrays(arrays | asdict(cell.ports) | {"numbers": numbers, "steps": np.array(refined.steps)}, path)
+    stated: dict[str, FloatArray] = {}
+    for part, (weight, kinds) in enumerate(refined.cells):
+        cells = list(kinds.values())
+        numbers = np.array([weight, cells[0].unknowns, max(cell.residual for cell in cells), cells[0].ports.side])
+        stacked = {name: np.stack([getattr(cell, name) for cell in cells]) for name in MATRICES}
+        places = np.array([" ".join(map(str, free)) for free in kinds])
+        stated |= {f"{name}{part}": value for name, value in (stacked | {"numbers": numbers, "places": places}).items()}
+    ports = next(iter(refined.cells[0][1].values())).ports
+    size_mm = {"half_mm": ports.half_mm, "height_mm": ports.height_mm}
+    write_arrays(stated | size_mm | {"error_estimate": refined.error_estimate, "steps": np.array(refined.steps)}, path)
 
 
 def read_refined(path: Path) -> RefinedCell:
     """A cell that `write_refined` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
     found = read_arrays(path)
-    unknowns, residual, error_estimate = found["numbers"].tolist()
-    ports = PortModes(float(found["half_mm"]), float(found["height_mm"]), int(found["side"]), int(found["up"]))
-    matrices = {name: found[name] for name in MATRICES}
-    cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
-    return RefinedCell(cell=cell, error_estimate=error_estimate, steps=tuple(found["steps"].tolist()))
+    parts: list[tuple[float, Kinds]] = []
+    while f"numbers{len(parts)}" in found or not parts:
+        part = len(parts)
+        kinds: dict[Free, CondensedCell] = {}
+        weight, unknowns, residual, degree = found[f"numbers{part}"].tolist()
+        ports = PortModes(float(found["half_mm"]), float(found["height_mm"]), int(degree), int(degree))
+        for number, place in enumerate(found[f"places{part}"].tolist()):
+            matrices = {name: found[f"{name}{part}"][number] for name in MATRICES}
+            cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
+            kinds[tuple(int(side) for side in place.split())] = cell
+        parts.append((weight, kinds))
+    steps = tuple(found["steps"].tolist())
+    return RefinedCell(cells=tuple(parts), error_estimate=float(found["error_estimate"]), steps=steps)
 
 
-VERSION = 4  #: raise when the same design gives another refined cell, so that cached ones are not reused
+VERSION = 5  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
@@ -63,14 +77,18 @@ GRID_STAGES = {
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for tetrahedra, whose levels count refinements
-MESH_STAGES = ((0, 1, 5), (0, 2, 6), (1, 3, 7), (1, 3, 8), (2, 4, 9))
+MESH_STAGES = ((0, 1, 5), (0, 2, 7), (1, 3, 8), (2, 4, 8), (3, 5, 9))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
-MESH_LIMITS = (2e-2, 7e-3, 4e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
+MESH_LIMITS = (2e-2, 4e-3, 2e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
 #: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times
 #: the error of 24 designs (pitches of 10 to 20 mm, heights of 6 to 20 mm, pads of 6.5 to 15.5 mm, ν from 0.3 to 0.499)
 EXTRAPOLATION_ERROR = {"soft": 0.6, "stiff": 0.41}
 COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarsest grid knows no more
-MESH_PORTS = 1.5  #: what the highest degree of the ports leaves, over what it changed, with pillars of another rubber
+#: with pillars of another rubber: the error over the extrapolation's step, and what the ports leave over what their two
+#: highest degrees changed. So the estimates are 1.1 to 8 times the error of 130 answers (1 × 1 to 3 × 3 units, loads
+#: with and without shear, near and far electrodes; pillars 4 times as stiff as the matrix and 20 times as soft), which
+#: were held to extrapolations of two finer levels
+MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 0.6
 
 
 TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
@@ -111,15 +129,22 @@ def response_by_cells(
     refined = refined_cell(design, tolerance, cached, progress)
     seconds, start = dict.fromkeys(("mesh", "condense", "couple"), 0.0) | refined.seconds, perf_counter()
     progress(f"coupling {rows} × {cols}")
-    influence, misfit = CoupledArray(refined.cell, rows, cols).influence(PADS, electrode_means(design))
+    residuals = [cell.residual for _, kinds in refined.cells for cell in kinds.values()]
+
+    def influence_of(kinds: Kinds) -> FloatArray:
+        found, misfit = CoupledArray(kinds, rows, cols).influence(PADS, electrode_means(design))
+        residuals.append(misfit)
+        return found
+
+    influence = answered(refined.cells, influence_of)
     seconds["couple"] += perf_counter() - start
     shape = (rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(
         design=design,
         influence_mm_per_n=expanded(influence.reshape(shape), design.array.rows, design.array.cols, radius),
         error_estimate=refined.error_estimate,
-        residual=max(refined.cell.residual, misfit),
-        unknowns=refined.cell.unknowns,
+        residual=max(residuals),
+        unknowns=any_cell(refined.cells).unknowns,
         seconds=seconds,
         steps=refined.steps,
     )
@@ -158,15 +183,16 @@ def refined_cell(
         steps = []
         rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
 
-        def answer(cell: CondensedCell) -> FloatArray:
-            return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
+        def answer(cells: Kinds) -> FloatArray:
+            return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
 
         source = DesignCell(design, functionals(design), pad_plate(design))
         for stage in cell_stages(design, tolerance):
             coarse, fine, degree = stage
             progress(f"cell, level {fine:g}")
-            cell, _, (of_levels, of_ports) = cell_of_stage(source, stage, answer, block_error)
+            cells, _, (of_levels, of_ports) = cells_of_stage(source, stage, answer, block_error)
             estimate = of_levels + of_ports
+            cell = any_cell(cells)
             steps.append(
                 f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {cell.unknowns} "
                 f"unknowns in the cell, {cell.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the "
@@ -174,7 +200,7 @@ def refined_cell(
             )
             if estimate <= tolerance:
                 break
-        return RefinedCell(cell=cell, error_estimate=estimate, steps=tuple(steps), seconds=source.seconds)
+        return RefinedCell(cells=cells, error_estimate=estimate, steps=tuple(steps), seconds=source.seconds)
 
     if not cached:
         return make()
@@ -193,13 +219,13 @@ def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
     return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
-def cell_of_stage(
+def cells_of_stage(
     source: DesignCell,
     stage: Stage,
-    answer: Callable[[CondensedCell], Answer],
-    difference: Callable[[Answer, Answer], float],
-) -> tuple[CondensedCell, Answer, tuple[float, float]]:
-    """A cell condensed at the levels of a stage, an answer by it, and the estimated errors of levels and ports.
+    answer: Callable[[Kinds], FloatArray],
+    difference: Callable[[FloatArray, FloatArray], float],
+) -> tuple[Weighted, FloatArray, tuple[float, float]]:
+    """Cells condensed at the levels of a stage, an answer by them, and the estimated errors of levels and ports.
 
     Parameters
     ----------
@@ -213,30 +239,49 @@ def cell_of_stage(
 
     Notes
     -----
-    Cells of boxes get a Richardson extrapolation, and a fraction of its step is their error. Meshes' is what the
-    difference of the levels means at their rate. The ports' is what their highest degree changed.
+    Levels are extrapolated as Richardson does: cells of boxes themselves, of tetrahedra the answers, since extrapolated
+    cells need not be definite. A fraction of that step is the levels' error. The ports' is what their highest degree
+    changed, of tetrahedra a fraction of what the highest two did: the last is small now and then.
     """
     coarse, fine, degree = stage
     design = source.design
     start, meshed_before = perf_counter(), source.seconds["mesh"]
-    one, two = source.condensed(coarse, COMPARED_DEGREE), source.condensed(fine, degree)
+    one, two = source.kinds(coarse, COMPARED_DEGREE), source.kinds(fine, degree)
     condensed = perf_counter()
     source.seconds["condense"] += condensed - start - (source.seconds["mesh"] - meshed_before)
-    factor = source.error_factor(coarse, fine)
-    cell = two.extrapolated(one, factor) if design.is_homogeneous else two
-    if not cell.is_definite:
-        cell = two
-    found = answer(cell)
-    if cell is two:
-        of_levels = factor * difference(answer(one), answer(two.of_degree(COMPARED_DEGREE)))
-    else:  # which the extrapolation changes in these degrees alone
-        low = (answer(each.of_degree(COMPARED_DEGREE)) for each in (two, cell))
-        of_levels = EXTRAPOLATION_ERROR[design.pad.kind] * difference(*low)
-    of_ports = difference(answer(cell.of_degree(degree - 1)), found)
-    if not design.is_homogeneous:
-        of_ports *= MESH_PORTS
+    cells: Weighted
+    factor, low = source.error_factor(coarse, fine), _of_degree(two, COMPARED_DEGREE)
+    if design.is_homogeneous:
+        better: Kinds = {free: cell.extrapolated(one[free], factor) for free, cell in two.items()}
+        if all(cell.is_definite for cell in better.values()):  # extrapolated in these degrees alone
+            of_levels = difference(answer(low), answer(_of_degree(better, COMPARED_DEGREE)))
+            of_levels *= EXTRAPOLATION_ERROR[design.pad.kind]
+        else:
+            better, of_levels = two, factor * difference(answer(one), answer(low))
+        cells, found = ((1.0, better),), answer(better)
+        of_ports = difference(answer(_of_degree(better, degree - 1)), found)
+    else:
+        cells = ((1.0, two), (factor, low), (-factor, one))
+        plain, step = answer(two), factor * (answer(low) - answer(one))
+        found = plain + step
+        of_levels = MESH_EXTRAPOLATION_ERROR * difference(plain, found)
+        of_ports = MESH_PORTS * difference(answer(_of_degree(two, degree - 2)) + step, found)
     source.seconds["couple"] += perf_counter() - condensed
-    return cell, found, (of_levels, of_ports)
+    return cells, found, (of_levels, of_ports)
+
+
+def answered(cells: Weighted, answer: Callable[[Kinds], FloatArray]) -> FloatArray:
+    """The weighted sum of the cells' answers."""
+    return np.sum([weight * answer(kinds) for weight, kinds in cells], axis=0)
+
+
+def any_cell(cells: Weighted) -> CondensedCell:
+    """One of the finest cells."""
+    return next(iter(cells[0][1].values()))
+
+
+def _of_degree(cells: Kinds, degree: int) -> Kinds:
+    return {free: cell.of_degree(degree) for free, cell in cells.items()}
 
 
 def block_error(influence: FloatArray, reference: FloatArray) -> float:

@@ -16,7 +16,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from fem.array.meshed import lone_unit
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import PADS, electrode_means, refined_cell, usual_tolerance
+from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.patch import bonded, patch_means
 from geometry.design import SensorDesign
@@ -85,7 +85,8 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
-    ours = refined.cell.free_compliance[electrode_means(design)][:, PADS]
+    alone_mm_per_n = answered(refined.cells, lambda kinds: next(iter(kinds.values())).free_compliance)
+    ours = alone_mm_per_n[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
         cells=len(mesh.cells),

@@ -26,25 +26,10 @@ class Attractor:
 
 
 def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level: int) -> FloatArray:
-    """Lines from the first to the last stop, crowding at the attractors.
+    """Lines (n + 1,) from the first to the last stop, increasing, that crowd at the attractors [mm].
 
-    Parameters
-    ----------
-    stops : sequence of float
-        Places that must be lines [mm]; the least and the greatest are the ends.
-    attractors : sequence of Attractor
-        Where lines crowd.
-    level : int
-        Refinement: every interval between stops has `level` times as many elements as at level 1, and
-        the lines of level 1 stay.
+    Stops must be lines. Every interval between them has `level` times as many elements as at level 1, whose lines stay.
 
-    Returns
-    -------
-    array, shape (n + 1,)
-        Increasing positions [mm].
-
-    Notes
-    -----
     An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `LOGARITHMIC`
     lengths only their logarithm more. Counts of all attractors add up; lines lie where their sum is a whole number of
     steps.

@@ -28,14 +28,9 @@ PLACES = tuple(product(range(3), repeat=3))
 class AxisTree:
     """Vertices and intervals of one axis, in one numbering; splitting an interval adds a vertex and two intervals.
 
-    Parameters
-    ----------
-    lines : array, shape (n + 1,)
-        Ends of the first intervals, rising [mm].
-    stops : array, shape (k,)
-        Places at which the stress may be singular [mm]: an interval is split at one, or near those at its ends.
-    shells : mapping, optional
-        Places that enclose a small patch, and their distance from it [mm]: an interval is split at the farthest first.
+    `lines` (n + 1,) are ends of the first intervals; `stops` (k,) places at which the stress may be singular: an
+    interval is split at one, or near those at its ends. `shells` are places that enclose a small patch, and their
+    distance from it: an interval is split at the farthest first. All in mm.
     """
 
     def __init__(self, lines: FloatArray, stops: FloatArray, shells: Mapping[float, float] | None = None) -> None:
@@ -47,7 +42,6 @@ class AxisTree:
         self._shells = sorted((shells or {}).items(), key=lambda shell: -shell[1])
         self._children: dict[int, tuple[int, int]] = {}
         vertices = [self._vertex(float(x), -1) for x in lines]
-        self.first, self.last = vertices[0], vertices[-1]
         self.roots = [self._interval(a, b, -1) for a, b in pairwise(vertices)]
 
     def _vertex(self, x: float, parent: int) -> int:

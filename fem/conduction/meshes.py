@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.lagrange import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
-from fem.tetrahedra.mixed import IntArray
+from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
+from fem.field import IntArray, same_places
 from geometry.design import Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections
@@ -24,7 +24,6 @@ from geometry.prism import unit_prisms
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
-COINCIDENT = 1e-8  #: of the body's extent: nodes closer than that are one
 
 Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
@@ -69,20 +68,13 @@ class Hexahedra:
 
 
 def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
-    """Hexahedra that share the nodes of common faces.
+    """Hexahedra of corners (n_elements, 8, 3), conforming, either orientation, that share the nodes of common faces.
 
-    Parameters
-    ----------
-    corners_mm : array, shape (n_elements, 8, 3)
-        Of conforming elements, either orientation.
-    order : int
-    on_terminals : sequence of functions
-        Points (n, 3) to booleans: those on each terminal.
+    `on_terminals` takes points (n, 3) to booleans: those on each terminal.
     """
     x = lobatto_points(order)
     places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
-    rounded = np.round(places / (COINCIDENT * np.ptp(places, axis=0).max())).astype(np.int64)
-    _, first, numbers = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    first, numbers = same_places(places)
     nodes = places[first]
     return Hexahedra(
         order=order,
@@ -111,23 +103,10 @@ class Joint:
 def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) -> Hexahedra:
     """The pillars of a unit in its own frame; terminals are its electrodes, the upper ones first.
 
-    Parameters
-    ----------
-    unit : Unit
-    order : int
-        Of the elements.
-    levels : int
-        Of refinement toward electrodes' edges and crotches, by `RATIO` each.
-    strained : bool
-        Cut the pillars across, too: strain near the edge of a pad varies as much there as in the figure.
+    `levels` are of refinement toward electrodes' edges and crotches, by `RATIO` each. `strained` cuts the pillars
+    across, too: strain near the edge of a pad varies as much there as in the figure. A `DesignError` says that pillars
+    touch that share no electrode, or several oblique ones share one: they are then no swept figures.
 
-    Raises
-    ------
-    DesignError
-        If pillars touch that share no electrode, or several oblique ones share one: they are then no swept figures.
-
-    Notes
-    -----
     Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
     the elements' order, which suits both.
     """
@@ -212,13 +191,12 @@ def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, r
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    slack = 2e-6 * half
-    on_electrode = partial(_within, low=np.array([-e, -e, 0.0]) - slack, high=np.array([e, e, 0.0]) + slack)
+    reach = np.array([e, e, 0.0]) + 2e-6 * half
+
+    def on_electrode(points: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray((np.abs(points) <= reach).all(axis=1))
+
     return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
-
-
-def _within(points: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
@@ -227,18 +205,13 @@ def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
     columns = [sp.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))]
     for tie in ties:
         nodes, places = np.concatenate([nodes for nodes, _ in tie]), np.concatenate([place for _, place in tie])
-        values = np.einsum("ni,nj->nij", *(_lagrange(order, places[:, d]) for d in (0, 1))).reshape(len(nodes), -1)
+        along = shape_functions(order, np.clip(places, -1.0, 1.0))[0]  # (n, 2, order + 1)
+        along[np.abs(along) < 1e-12] = 0.0
+        values = np.einsum("ni,nj->nij", along[:, 0], along[:, 1]).reshape(len(nodes), -1)
         row, column = np.indices(values.shape)
-        columns.append(
-            sp.csr_matrix((values.ravel(), (nodes[row.ravel()], column.ravel())), shape=(n, column[0, -1] + 1))
-        )
+        entries = values.ravel(), (nodes[row.ravel()], column.ravel())
+        columns.append(sp.csr_matrix(entries, shape=(n, values.shape[1])))
     return sp.hstack(columns, format="csr")
-
-
-def _lagrange(order: int, x: FloatArray) -> FloatArray:
-    values = shape_functions(order, np.clip(x, -1.0, 1.0))[0]
-    values[np.abs(values) < 1e-12] = 0.0
-    return values
 
 
 def _across(half: float, electrode: float, levels: int, strained: bool) -> FloatArray:

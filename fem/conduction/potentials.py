@@ -44,24 +44,11 @@ class Piezoresistivity:
 
 
 def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
-    """Conductivity in the coordinates at rest, as a fraction of that at rest.
+    """Conductivity in the coordinates at rest, as a fraction of that at rest: (..., 3, 3), symmetric.
 
-    Parameters
-    ----------
-    F : array, shape (..., 3, 3)
-        Deformation gradients ∂x/∂X.
-    piezoresistivity : Piezoresistivity, optional
-
-    Returns
-    -------
-    array, shape (..., 3, 3)
-        J F⁻¹ F⁻ᵀ = J C⁻¹ with C = FᵀF; with piezoresistivity J [(1 + m₁₂ tr E) C + (m₁₁ − m₁₂) C E]⁻¹, E = (C − 1)/2.
-        Symmetric.
-
-    Raises
-    ------
-    DesignError
-        If a deformation turns the rubber inside out, or strains it so far that its resistivity would not be above 0.
+    J F⁻¹ F⁻ᵀ = J C⁻¹ with C = FᵀF of deformation gradients ∂x/∂X (..., 3, 3); with piezoresistivity
+    J [(1 + m₁₂ tr E) C + (m₁₁ − m₁₂) C E]⁻¹, E = (C − 1)/2. A `DesignError` says that the rubber is turned inside out,
+    or strained so far that its resistivity would not be above 0.
 
     Examples
     --------
@@ -186,23 +173,10 @@ def pillars_per_mm(matrix_mm: FloatArray, pairs: tuple[tuple[int, int], ...]) ->
 def unit_conductances(
     unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
 ) -> Conductances:
-    """Conductances between a unit's electrodes, at rest or deformed.
+    """Conductances between a unit's electrodes, at rest or deformed, extrapolated from two meshes.
 
-    Parameters
-    ----------
-    unit : Unit
-    deformation : function, optional
-        Points (n, 3) at rest in the unit's frame [mm] to ∂x/∂X (n, 3, 3); default: at rest.
-    piezoresistivity : Piezoresistivity, optional
-
-    Raises
-    ------
-    DesignError
-        As of `unit_hexahedra`, and if a pillar is deformed inside out.
-
-    Notes
-    -----
-    From two meshes, extrapolated.
+    `deformation` takes points (n, 3) at rest in the unit's frame [mm] to ∂x/∂X (n, 3, 3); default: at rest. A
+    `DesignError` as of `unit_hexahedra`, and if a pillar is deformed inside out.
     """
     conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
@@ -225,14 +199,10 @@ def unit_conductors(unit: Unit, strained: bool = False) -> tuple[Conductor, Cond
 
 
 def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
-    """First derivatives at rest of a unit's resistances over ρ by displacement gradients at the mesh's points.
+    """First derivatives at rest of a unit's resistances over ρ by ∂uₐ/∂X_b at the mesh's points.
 
-    R is self-adjoint: δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
-
-    Returns
-    -------
-    array, shape (n_pillars, n_points, 3, 3)
-        By ∂uₐ/∂X_b at each point, volumes included: δR/ρ is their product's sum [1/mm].
+    Shape (n_pillars, n_points, 3, 3), volumes included: δR/ρ is their product's sum [1/mm]. R is self-adjoint:
+    δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
     """
     rest, mesh, piezo = conductor.at_rest, conductor.mesh, piezoresistivity or Piezoresistivity()
     derivatives = []
@@ -252,21 +222,9 @@ def second_derivatives(
 ) -> FloatArray:
     """Second-order part of conductances, relative: −Gᵢⱼ of a pillar is that at rest times 1 + r·a + aᵀ S a.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        The pillars of a unit.
-    gradient : array, shape (n_points, 3, 3, m)
-        ∂uₐ/∂X_b of m displacements at the mesh's points; a are their amplitudes.
-    piezoresistivity : Piezoresistivity, optional
+    a are amplitudes of m displacements, whose ∂uₐ/∂X_b at the mesh's points are the gradient (n_points, 3, 3, m).
+    Returns S of each pillar, symmetric, (n_pillars, m, m).
 
-    Returns
-    -------
-    array, shape (n_pillars, m, m)
-        S of each pillar, symmetric.
-
-    Notes
-    -----
     With H the gradient, C = (1 + H)ᵀ(1 + H) and σ = (1 + tr H) [(1 + m₁₂ tr E) C + (m₁₁ − m₁₂) C E]⁻¹ = 1 + σ₁ + σ₂:
     the volume changes by div u as in linear elasticity, not by det(1 + H), whose second-order part no rubber has.
     G₂ = ∫ ∇φᵢ·σ₂∇φⱼ − r(φᵢ)ᵀ K⁻¹ r(φⱼ) with r(φ) the residual of σ₁ ∇φ and K that of the potentials between the

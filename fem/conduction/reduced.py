@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from fem.boxes.lagrange import gauss_points
+from fem.boxes.boxes import gauss_points
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
 from geometry.design import Unit

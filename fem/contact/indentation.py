@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.contact.shapes import Shape
-from fem.contact.surface import FINER_DEGREE, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
+from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
 from fem.factor import SolverError
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
@@ -37,8 +37,6 @@ RATE = 1.0  #: least rate at which forces converge with cells and increments
 TILE_ERROR, ELECTRODE_ERROR = 2.0, 3.0
 TABLE_ERROR = 4e-3  #: of electrodes, by a table of a quarter of its step
 SIDE_ERROR = 0.3  #: of the force of a contact right at the array's side, where one tile holds all that the side adds
-
-UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 
 
 class ContactError(TriPillarError, ValueError):
@@ -213,10 +211,8 @@ def press(
         `Sphere`, `Cylinder`, `Flat`, or `read_solid` of an STL file.
     depth_mm : float
         How far the shape's lowest point goes below the undeformed top.
-    at_mm : tuple of float
-        Where the shape's origin meets the top; the array's middle is (0, 0).
-    slide_mm : tuple of float
-        Displacement of the shape along x and y after it has been pressed.
+    at_mm, slide_mm : tuple of float
+        Where the shape's origin meets the top, (0, 0) being the array's middle, and how far it then moves.
     friction : float
         Coulomb's coefficient μ; 0 is frictionless.
     cells : int
@@ -224,18 +220,12 @@ def press(
     progress : function
         Called with the name of each step as it begins.
 
-    Returns
-    -------
-    Contact
-
     Raises
     ------
     ContactError
         If the depth is not above 0 or reaches the base, the shape misses the sensor, or a number is out of range.
-    DesignError
-        As `surface_compliance` does.
-    SolverError
-        If the contact finds no balance.
+    DesignError, SolverError
+        As `surface_compliance` does; if the contact finds no balance.
 
     Notes
     -----
@@ -322,7 +312,7 @@ def balanced(
     first: FloatArray,
     tolerance: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve one increment of contact.
+    """Forces on the body [N] and its displacement by them [mm] after one increment of contact, each (k, ny, nx).
 
     Parameters
     ----------
@@ -331,24 +321,9 @@ def balanced(
     apart_mm : array, shape (k, ny, nx)
         Slip past the indenter along x and y, and gap, as they would be without forces; negative gaps overlap. Without
         friction k may be 1, the gap alone.
-    friction : float
-        Coefficient μ.
-    first : array, shape (k, ny, nx)
-        Forces to begin with.
-    tolerance : float
-        Last change of any force, relative to the largest pressing one.
-
-    Returns
-    -------
-    array, shape (k, ny, nx)
-        Forces on the body [N].
-    array, shape (k, ny, nx)
-        Displacement of the body by them [mm].
-
-    Raises
-    ------
-    SolverError
-        If `MAX_STEPS` steps do not balance it.
+    friction, first, tolerance
+        Coefficient μ, forces to begin with, last change of any force relative to the largest pressing one. A
+        `SolverError` says that `MAX_STEPS` steps do not balance it.
 
     Notes
     -----

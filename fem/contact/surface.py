@@ -16,10 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import fft
 
-from fem.array.cell import EDGES, FACES, CondensedCell, condense
+from fem.array.cell import EDGES, FACES, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
+from fem.array.sides import CellSides
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -36,6 +37,7 @@ ROUND = 8.0  #: heights beyond the array after which the endless one repeats its
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
 FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
 
@@ -59,19 +61,9 @@ class SurfaceCompliance:
 def surface_compliance(
     design: SensorDesign, progress: Callable[[str], None] = lambda step: None
 ) -> tuple[SurfaceCompliance, Path, bool]:
-    """Compliance of a sensor's top, from the cache if it is there.
+    """Compliance of a sensor's top, its file, and whether it was there already; pads do not matter.
 
-    Parameters
-    ----------
-    design : SensorDesign
-        Its pads do not matter: the top is bare rubber.
-    progress : function
-        Called with the name of each step as it begins.
-
-    Returns
-    -------
-    SurfaceCompliance, Path, bool
-        The compliance, its file, and whether it was there already.
+    `progress` is called with the name of each step as it begins.
 
     Raises
     ------
@@ -152,7 +144,7 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     source = DesignCell(design, rectangles)
     own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
     matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return own, condense(TetCell(matrix), own.ports, rectangles)
+    return own, CellSides.of(TetCell(matrix), rectangles).cell(MESH_DEGREE)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
@@ -202,18 +194,15 @@ def _electrode_table(design: SensorDesign) -> tuple[FloatArray, float]:
     return table, step
 
 
-ARRAYS = ("on_tiles", "on_electrodes", "table")
-
-
 def _write(made: SurfaceCompliance, path: Path) -> None:
-    write_arrays({name: getattr(made, name) for name in (*ARRAYS, "step_mm", "cache_key")}, path)
+    write_arrays({name: value for name, value in vars(made).items() if name != "design"}, path)
 
 
 def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
     """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    found = read_arrays(path)
-    arrays, cache_key = {name: found[name] for name in ARRAYS}, str(found["cache_key"])
-    return SurfaceCompliance(design=design, **arrays, step_mm=float(found["step_mm"]), cache_key=cache_key)
+    arrays = read_arrays(path)
+    step_mm, cache_key = float(arrays.pop("step_mm")), str(arrays.pop("cache_key"))
+    return SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=cache_key)
 
 
 @dataclass(frozen=True)
@@ -281,8 +270,7 @@ class PatchCompliance:
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
         """The same with the last component of both pressing into the body."""
-        up = np.array([1.0, 1.0, -1.0])[-len(force_n) :, None, None]
-        return up * self.moved_mm(up * force_n)
+        return UP[-len(force_n) :] * self.moved_mm(UP[-len(force_n) :] * force_n)
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""

@@ -11,15 +11,18 @@ rest by themselves before each step, or the whole body would wait for them.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from fem.equations import Misfit, State
 from fem.factor import Factor, FactorMemoryError, SolverError
 from fem.finite.tetrahedra import TetrahedralSystem
 from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import System
+from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
@@ -49,7 +52,7 @@ class Equilibrium:
     state: State
     residual: float  #: unbalanced forces, relative to the loads
     least_j: float  #: least ratio of deformed to original volume at any Gauss point
-    iterations: int  #: tangents factored, failed steps included
+    iterations: int  #: of Newton's method, failed steps included
     steps: int  #: load steps that converged
     stored_mj: float  #: energy in the rubber
     work_mj: float  #: of the loads; NaN where they have no potential
@@ -145,52 +148,84 @@ class _Tried:
 def _equilibrium_at(system: AnySystem, factor: Factor, state: State, share: float, path: _Path) -> _Tried:
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, share)
-    start = misfit.residual
+    start, before = misfit.residual, np.inf
+    tangent: _Linearised | None = None
     for iteration in range(MAX_ITERATIONS + 1):
         squeezed = system.volume_ratios(state).min(axis=1) < SQUEEZED
         if isinstance(system, System) and not len(system.faces.nodes) and squeezed.any():
             state = _with_rested(system, state, share, squeezed, RESTED * misfit.size)
             misfit = system.misfit(state, share)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, system.is_stable(state, share, misfit))
+            return _Tried(state, misfit, iteration, system.is_stable(factor, state, share, misfit))
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
+        ends = tangent is not None and misfit.residual**2 <= RESIDUAL * before  # by the last tangent, taken twice
         try:
-            stepped = _stepped(system, factor, state, share, misfit, squeezed)
+            if not ends:
+                tangent = _linearised(system, factor, state, share, misfit, squeezed)
         except FactorMemoryError:
             raise
         except SolverError:
             break
         if not path.slope:
             path.slope.append(system.slope(factor, state))
-        if stepped is None:
+        if tangent is None:
             break
-        state, misfit = stepped, system.misfit(stepped, share)
+        for _ in range(1 + ends):
+            before, state = misfit.residual, _stepped(system, factor, state, share, misfit, tangent)
+            misfit = system.misfit(state, share)
     return _Tried(state, misfit, iteration, None)
 
 
-def _stepped(
-    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
-) -> State | None:
-    """The state after one step of Newton's method, no longer than volumes allow.
+class _Linearised(NamedTuple):
+    """A tangent in a factor."""
 
-    Where the tangent is indefinite, squeezed elements are stiffened until it is definite, and the potential energy must
-    fall: Newton's method would go to a saddle. None if that does not help.
-    """
+    parts: Any  #: of its elements
+    is_stiffened: bool
+
+
+def _linearised(
+    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, squeezed: NDArray[np.bool_]
+) -> _Linearised | None:
+    """The tangent, left in the factor; None if squeezed elements, the stiffest, do not make it definite."""
     for stiffening in (0.0, *STIFFENINGS):
         parts = system.linearise(factor, state, share, misfit, (squeezed, stiffening))
         if not system.unstable_modes(factor) or not squeezed.any():
-            break
-    else:
-        return None
-    change, pressures = system.newton_change(factor, parts, state, misfit)
+            return _Linearised(parts, stiffening > 0)
+    return None
+
+
+def _stepped(
+    system: AnySystem, factor: Factor, state: State, share: float, misfit: Misfit, tangent: _Linearised
+) -> State:
+    """The state after one step of Newton's method, no longer than volumes allow.
+
+    Where squeezed elements had to be stiffened the potential energy must fall: Newton's method would go to a saddle.
+    """
+    change, pressures = system.newton_change(factor, tangent.parts, state, misfit)
+    return _damped(system, state, change, pressures, share if tangent.is_stiffened else None)
+
+
+def _damped(
+    system: AnySystem, state: State, change: FloatArray, pressures: FloatArray | float, falling_at: float | None
+) -> State:
+    """A state as far along a change as volumes allow; and until the potential energy falls, at a share of the load."""
     least = KEPT_VOLUME * system.volume_ratios(state)
+    energy = np.inf if falling_at is None else _potential_mj(system, state, falling_at)
     for damping in DAMPING ** np.arange(DAMPINGS):
         trial = system.moved(state, change * damping, pressures * damping)
         kept = (least <= system.volume_ratios(trial)).all()
-        if kept and (not stiffening or _potential_mj(system, trial, share) <= _potential_mj(system, state, share)):
+        if kept and (falling_at is None or _potential_mj(system, trial, falling_at) <= energy):
             break
     return trial
+
+
+def _off_saddle(system: System, factor: Factor, state: State, share: float) -> State:
+    """A state of less potential energy along the unstable mode of the tangent in a factor."""
+    n, boxes = system.n_unknowns, system.body.boxes
+    inverse = LinearOperator((n, n), matvec=lambda forces: factor.solve(forces.reshape(n, 1))[:, 0])
+    mode = eigsh(inverse, k=1, which="SA", tol=1e-2, v0=np.ones(n))[1].reshape(-1, 3)
+    return _damped(system, state, mode / np.abs(mode).max() * (boxes.high - boxes.low).min(), 0.0, share)
 
 
 def _potential_mj(system: AnySystem, state: State, share: float) -> float:
@@ -202,7 +237,8 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     """The state with squeezed elements at rest among the others, to so much of unbalanced force; as it is in vain.
 
     They are what Newton's method takes most iterations for, and few (nonlinear elimination: Cai & Li, SIAM J. Sci.
-    Comput. 33 (2011) 746).
+    Comput. 33 (2011) 746). They rest in a minimum of the potential energy: under the corner of a plate, symmetric about
+    its diagonal, they would come to a saddle instead.
     """
     part, elements, nodes = system.around(squeezed)
     own = replace(part.rest(), u=state.u[nodes], p=state.p[elements])
@@ -211,12 +247,18 @@ def _with_rested(system: System, state: State, share: float, squeezed: NDArray[n
     for _ in range(RESTS + 1):
         misfit = part.misfit(own, share)
         sizes.append(float(np.linalg.norm(misfit.unbalanced)))
-        if sizes[-1] <= unbalanced_n or len(sizes) > RESTS:
+        if len(sizes) > RESTS:
             break
-        stepped = _stepped(part, factor, own, share, misfit, every)
-        if stepped is None:
+        if sizes[-1] > unbalanced_n:
+            tangent = _linearised(part, factor, own, share, misfit, every)
+            if tangent is None:
+                break
+            own = _stepped(part, factor, own, share, misfit, tangent)
+            continue
+        part.linearise(factor, own, share, misfit)
+        if not part.unstable_modes(factor):
             break
-        own = stepped
+        own = _off_saddle(part, factor, own, share)
     if not sizes[-1] < sizes[0]:
         return state
     u, p = state.u.copy(), state.p.copy()

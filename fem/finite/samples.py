@@ -1,11 +1,12 @@
 """Thousands of finite-strain samples of an array with stiff pads: a coarse grid solves, a finer one corrects by series.
 
 A sample is relaxed on a coarse grid by the tangent of the preload nearest to the middle of its pressures; one factor
-serves every sample. A finer grid adds the difference of both grids' power series in the load about that preload, to the
-third order: what a grid gets wrong falls as fast with the order as the terms do. What a grid gets wrong at small strain
-is put right by a linear response: with influence matrices A, of a much finer grid, and B, its own, an answer d becomes
-d + (A − B) g, where g are the forces that would move the linear array most nearly by d. What is left falls from the
-coarse grid to the finer one by a factor that is nearly constant, and is extrapolated.
+serves every sample. Between two preloads the answers from both are blended, so that samples vary smoothly with loads. A
+finer grid adds the difference of both grids' power series in the load about that preload, to the third order: what a
+grid gets wrong falls as fast with the order as the terms do. What a grid gets wrong at small strain is put right by a
+linear response: with influence matrices A, of a much finer grid, and B, its own, an answer d becomes d + (A − B) g,
+where g are the forces that would move the linear array most nearly by d. What is left falls from the coarse grid to the
+finer one by a factor that is nearly constant, and is extrapolated.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,9 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
-TOLERANCE = 5e-4  #: relative change of the pads' motion by an iteration at which a sample ends
+#: middle pressures between which the answers from both are blended: their series differ by 0.02 % of a resistance
+BLENDED_MPA = (0.6, 1.4)
+TOLERANCE = 5e-5  #: relative change of the pads' motion by an iteration at which a sample ends
 ORDERS = 3  #: of the series by which the finer grid corrects
 AT_ONCE = 4  #: samples solved together, which bounds the memory
 #: lines of the grids, as shares of the pad and of the height
@@ -34,7 +37,10 @@ FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
 EXTRAPOLATED, LEFT = 0.28, 0.4
 TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
-MIN_J = 0.3  #: of the volume of a pillar's point that counts: rubber of ν = 0.49 keeps far more
+#: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
+#: keeps far more than either
+TORN, WHOLE = 0.2, 0.8
+MIN_WEIGHT = 0.5  #: of the points of a level together, below which a state is no answer
 
 IntArray = NDArray[np.int64]
 
@@ -116,14 +122,13 @@ class SampleSolver:
         UnreachableLoadError
             If a uniform preload near a sample has no equilibrium.
         """
-        preload = self._nearest_preloads(force_n)
-        together: list[IntArray] = []
-        for level in PRELOADS_MPA:
-            own = np.flatnonzero(preload == level)
-            together += [own[first : first + AT_ONCE] for first in range(0, len(own), AT_ONCE)]
-        parts = [self._together(float(preload[own[0]]), force_n[own]) for own in together]
-        back, names = np.argsort(np.concatenate(together)), vars(parts[0])
-        return FiniteSamples(**{name: np.concatenate([vars(part)[name] for part in parts])[back] for name in names})
+        share = self._shares(force_n)
+        answers = []
+        for preload, weight in zip(PRELOADS_MPA, (1 - share, share), strict=True):
+            own = np.flatnonzero(weight > 0)
+            for some in np.split(own, range(AT_ONCE, len(own), AT_ONCE)) if len(own) else []:
+                answers.append((some, weight[some], self._together(preload, force_n[some])))
+        return _blended(len(force_n), answers)
 
     def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
         """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
@@ -131,17 +136,16 @@ class SampleSolver:
         Small linear ones are added that bring the electrodes to their answer (k, n_upper, 3) [mm], as nearly as forces
         can.
         """
-        preload = float(self._nearest_preloads(force_n[None])[0])
+        preload = PRELOADS_MPA[int(self._shares(force_n[None])[0] > 0.5)]
         found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._is_unwanted)
         missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
         more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
         return self.coarse.body.boxes, found.state.u[0] + more
 
-    def _nearest_preloads(self, force_n: FloatArray) -> FloatArray:
-        """Of `PRELOADS_MPA` those nearest to the middle of the pressures of samples (m, k, 3) [N], (m,)."""
+    def _shares(self, force_n: FloatArray) -> FloatArray:
+        """Weight of the second preload in answers to samples (m, k, 3) [N] by the middle of their pressures, (m,)."""
         middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
-        levels = np.array(PRELOADS_MPA)
-        return np.asarray(levels[np.abs(middle[:, None] - levels).argmin(axis=1)])
+        return _smooth_step(middle, *BLENDED_MPA)
 
     def _together(self, preload: float, force_n: FloatArray) -> FiniteSamples:
         """Answers to some samples about one preload; the series cost nothing where a sample has not settled."""
@@ -206,6 +210,27 @@ class SampleSolver:
         return self._unwanted(self._corrected(self.coarse, moved))
 
 
+def _blended(m: int, answers: list[tuple[IntArray, FloatArray, FiniteSamples]]) -> FiniteSamples:
+    """Answers to m samples from those to some of them and their weights, which sum to 1 for every sample."""
+    first = answers[0][2]
+    total = {name: np.zeros((m, *values.shape[1:]), values.dtype) for name, values in vars(first).items()}
+    for samples, weight, part in answers:
+        for name, values in vars(part).items():
+            if name == "change":
+                total[name][samples] = np.maximum(total[name][samples], values)
+            elif name == "iterations":
+                total[name][samples] += values
+            else:
+                total[name][samples] += values * weight.reshape(-1, *[1] * (values.ndim - 1))
+    return FiniteSamples(**total)
+
+
+def _smooth_step(x: FloatArray, low: float, high: float) -> FloatArray:
+    """0 below, 1 above, and a cubic without kinks between."""
+    share = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return np.asarray(share**2 * (3 - 2 * share))
+
+
 def _norms(moved: FloatArray) -> FloatArray:
     """Of each sample, (m,)."""
     return np.linalg.norm(moved.reshape(len(moved), -1), axis=1)
@@ -242,7 +267,7 @@ class PillarReader:
 
         Notes
         -----
-        Points under the edge of a plate, where coarse grids tear the rubber, take the mean of those on their level.
+        Points under the edge of a plate, where coarse grids tear the rubber, are blended with those on their level.
         """
         F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
         bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
@@ -261,11 +286,11 @@ def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
 
 
 def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Deformations (m, k, n, 3, 3) with torn points replaced by the mean of their level; states that could, (m,)."""
+    """Deformations (m, k, n, 3, 3), torn points blended with the mean of their level; states that could be, (m,)."""
     by_level = F.reshape(*F.shape[:2], F.shape[2] // (ACROSS**2 * ALONG), ACROSS**2, ALONG, 3, 3)
-    kept = (np.linalg.det(by_level) > MIN_J)[..., None, None]
-    count = kept.sum(axis=3, keepdims=True)
-    mean = (by_level * kept).sum(axis=3, keepdims=True) / np.maximum(count, 1)
-    whole = np.where(kept, by_level, mean)
-    good = (count > 0).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
+    weight = _smooth_step(np.linalg.det(by_level), TORN, WHOLE)[..., None, None]  # so that resistances have no jumps
+    total = weight.sum(axis=3, keepdims=True)
+    mean = (by_level * weight).sum(axis=3, keepdims=True) / np.maximum(total, MIN_WEIGHT)
+    whole = mean + weight * (by_level - mean)
+    good = (total > MIN_WEIGHT).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
     return whole.reshape(F.shape), np.asarray(good)

@@ -68,6 +68,8 @@ def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool 
     last: tuple[Equilibrium, int, Boxes] | None = None
     for before, level in pairwise((0, *LEVELS)):
         boxes = finite_boxes(scene, level, mirrors)
+        if min(len(line) for line in boxes.lines) < 3:  # one box across bends unlike two: no rate can be seen from it
+            continue
         unknowns = 3 * boxes.n_nodes
         if last is not None and (
             unknowns > MAX_UNKNOWNS or (before > ALWAYS and unknowns * last[0].iterations > MAX_WORK)

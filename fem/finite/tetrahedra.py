@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor, whole
-from fem.following import FollowingFaces
-from fem.plates import Plates
+from fem.plates import FollowingFaces, Plates
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.patch import nodes_under, patch_integrals
@@ -102,11 +101,16 @@ class TetrahedralSystem(Equations):
             of_k, of_t = (sp.csr_matrix((np.ones_like(A.data), A.indices, A.indptr), A.shape) for A in (K, T))
             self._pattern = self._summed(of_k, of_t, np.ones_like(pushed), np.ones_like(turning)).tocsr()
             self._pattern.sort_indices()
-        n, found, pattern = self._pattern.shape[0], self._summed(K, T, pushed, turning), self._pattern
-        keys = np.repeat(np.arange(n), np.diff(pattern.indptr)) * n + pattern.indices
-        data = np.zeros(len(keys))
-        data[np.searchsorted(keys, found.row.astype(np.int64) * n + found.col)] = found.data
-        return sp.csr_matrix((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+        found, pattern = self._summed(K, T, pushed, turning).tocsr(), self._pattern
+        found.sort_indices()
+        if found.nnz == pattern.nnz:
+            return found
+        filled = sp.csr_matrix((np.zeros(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
+        keys, own = (
+            np.repeat(np.arange(A.shape[0]), np.diff(A.indptr)) * A.shape[1] + A.indices for A in (pattern, found)
+        )
+        filled.data[np.searchsorted(keys, own)] = found.data
+        return filled
 
     def _summed(self, K: sp.csr_matrix, T: sp.csr_matrix, pushed: FloatArray, turning: FloatArray) -> sp.coo_matrix:
         """Tᵀ K T and what faces and plates add to it; of a symmetric one the upper triangle."""
@@ -127,9 +131,7 @@ class TetrahedralSystem(Equations):
         change = factor.solve(np.concatenate([misfit.unbalanced.ravel(), misfit.pressures])[:, None])[:, 0]
         return change[: -self.n_mixed].reshape(-1, 3), change[-self.n_mixed :]
 
-    def is_stable(self, state: State, share: float, misfit: Misfit) -> bool | None:
-        """Whether no mode is unstable; None where nothing counts them: pressures, moments, no PARDISO."""
-        judge = self.new_factor()
-        self.linearise(judge, state, share, misfit)
-        count = self.unstable_modes(judge)
+    def is_stable(self, factor: Factor, state: State, share: float, misfit: Misfit) -> bool | None:
+        """Whether the last tangent has no unstable mode; None where nothing counts: pressures, moments, no PARDISO."""
+        count = self.unstable_modes(factor)
         return None if count is None else count == 0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from fem.boxes.lagrange import lobatto_points
+from fem.boxes.boxes import lobatto_points
 from fem.rubber.body import RubberBody
 from fem.scene.solution import SMALLEST_SHARE
 from geometry.layout import FloatArray
@@ -77,17 +77,7 @@ def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
 def surplus(body: RubberBody, u: FloatArray, duals: FloatArray) -> FloatArray:
     """Products of what the highest degrees add to an answer and to others, by element and axis, (n_elements, 3, k).
 
-    Parameters
-    ----------
-    body : RubberBody
-        At rest.
-    u : array, shape (n_nodes, 3)
-        The answer.
-    duals : array, shape (k, n_nodes, 3)
-        Answers to unit loads on the probes.
-
-    Notes
-    -----
+    The answer is u (n_nodes, 3) of a body at rest, `duals` (k, n_nodes, 3) are answers to unit loads on the probes.
     They are multiplied as strain energies are: the order of the displacement by μ |∂u|², the highest of the pressure by
     p²/μ. Without the pressure the estimate at a loaded corner, ν = 0.4999, was 0.8 times the error.
     """

@@ -105,20 +105,9 @@ class SplitBoxes:
 
 
 def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
-    """Solve a scene whose every region is a box (or the same sheared box) on boxes that are split where it matters.
+    """Solve a scene whose every region is a box (or the same sheared box), as `solve_adaptively`.
 
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-        Of method "boxes".
-    with_field : bool
-        Also return the displacement of the whole body.
-
-    Raises
-    ------
-    SolverError
-        If an answer cannot be trusted.
+    A `SolverError` says that an answer cannot be trusted.
     """
     watch = Stopwatch()
     # OpenBLAS gets products too small for two threads; MKL's factorisation keeps its own

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.array.cell import CondensedCell
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, pad_plate
-from fem.array.substructured import cell_of_stage, cell_stages
+from fem.array.sides import Kinds
+from fem.array.substructured import any_cell, cell_stages, cells_of_stage
 from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
@@ -106,28 +106,35 @@ def solve_by_cells(scene: Scene) -> Solution:
 
     source = DesignCell(design, rectangles, pad_plate(design))
 
-    def answer(cell: CondensedCell) -> tuple[dict[str, FloatArray], float, float]:
-        """Means of the probes, the energy and the residual."""
-        moved, residual = CoupledArray(cell, design.array.rows, design.array.cols).moved(forces)
+    residuals: list[float] = []
+
+    def answer(cells: Kinds) -> FloatArray:
+        """Means of the probes, and the energy in a row of its own, (n_probes + 1, 3)."""
+        moved, residual = CoupledArray(cells, design.array.rows, design.array.cols).moved(forces)
+        residuals.append(residual)
+        energy = float((moved.ravel() * forces.ravel()).sum()) / 2
         moved = moved.reshape(design.n_units, -1, 3)
-        means = {p.name: _gathered(moved, shares) for p, shares in zip(scene.probes, probes, strict=True)}
-        return means, float((moved.ravel() * forces.ravel()).sum()) / 2, residual
+        return np.array([*(_gathered(moved, shares) for shares in probes), [energy, 0.0, 0.0]])
+
+    def named(found: FloatArray) -> dict[str, FloatArray]:
+        return {probe.name: mean for probe, mean in zip(scene.probes, found[:-1], strict=True)}
 
     steps: list[str] = []
     for stage in cell_stages(design, scene.tolerance):
-        cell, (means, energy, residual), errors = cell_of_stage(
-            source, stage, answer, lambda one, other: largest_error(one[0], other[0])
+        cells, found, errors = cells_of_stage(
+            source, stage, answer, lambda one, other: largest_error(named(one), named(other))
         )
         estimate = sum(errors)
         steps.append(f"cells of level {stage[1]:g}, ports of degree {stage[2]}: estimated error {estimate:.1e}")
         if estimate <= scene.tolerance:
             break
+    residuals += [cell.residual for _, kinds in cells for cell in kinds.values()]
     spent = dict(zip(("mesh", "factor", "solve"), source.seconds.values(), strict=True))
     return Solution(
-        probes=means,
-        energy_mj=energy,
-        residual=max(residual, cell.residual),
-        unknowns=cell.unknowns,
+        probes=named(found),
+        energy_mj=float(found[-1, 0]),
+        residual=max(residuals),
+        unknowns=any_cell(cells).unknowns,
         error_estimate=estimate,
         seconds=Stopwatch().seconds | spent,
         steps=tuple(steps),

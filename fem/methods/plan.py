@@ -8,7 +8,6 @@ import numpy as np
 
 from fem.methods.cell_scene import has_alike_plates
 from fem.mirrors import Mirror, flipped_points, flipped_rectangles
-from fem.scene.loads import SceneError
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES, FloatArray
@@ -23,10 +22,6 @@ ELEMENTS = {
     "finite": "mixed quadratic hexahedra, the pressure linear in each and found there: rubber does not lock",
     "tetrahedra": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",
 }
-SOFT = 0.1  #: modulus of pillars over the matrix's, below which cells err more than they estimate: 1.4 % for 0.9 % at
-#: 0.2, 3.4 % for 1.5 % at 0.025
-SOFT_CELLS = 5e-2  #: tolerance that cells of such pillars keep
-MAX_WHOLE = 4  #: units of such arrays that are meshed as a whole instead
 SAME = 1e-12  #: relative difference of equal numbers that rounding may make
 
 
@@ -41,19 +36,7 @@ class Plan:
 
 
 def make_plan(scene: Scene, *, field: bool = False) -> Plan:
-    """Decide how to solve a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-    field : bool
-        True if the displacement of the whole body is asked for.
-
-    Raises
-    ------
-    SceneError
-        For a tolerance that arrays of soft pillars cannot keep.
-    """
+    """Decide how to solve a scene; `field` asks for the displacement of the whole body."""
     regions = [entry for entry in scene.regions if entry[1] != scene.material]
     method, mesh = _method(scene, regions, field)
     lines = [*_one_material(scene, regions), f"mesh: {mesh}"]
@@ -94,20 +77,12 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, s
             return "finite on tetrahedra", f"tetrahedra, {loads}, {leaning}"
         return "finite", f"graded hexahedra, {loads}"
     units = scene.body.design.n_units if isinstance(scene.body, Sensor) else 0
-    softest = min((rubber.young_mpa for _, rubber in scene.regions), default=np.inf)
-    if units > 1 and regions and softest < SOFT * scene.material.young_mpa:
-        if units <= MAX_WHOLE:
-            why = f"cells are known to {SOFT_CELLS:g} only where pillars are so soft"
-            return "tetrahedra", f"tetrahedra of the whole array, {why}"
-        if scene.tolerance < SOFT_CELLS and not field:
-            raise SceneError(
-                f"tolerance={scene.tolerance:g}: pillars less than {SOFT:g} times as stiff as their matrix are known "
-                f"to {SOFT_CELLS:g} only in arrays of more than {MAX_WHOLE} units: ask for that, or for fewer units."
-            )
     seen_by_means = not field and all(probe.kind == "mean" for probe in scene.probes)
     if seen_by_means and has_alike_plates(scene):
         return "cells", "one cell, plates lie on all units alike: one is condensed, its copies are coupled"
-    if units > 1 and not scene.stiff_loads and seen_by_means:
+    if (units > 1 or (units and regions)) and not scene.stiff_loads and seen_by_means:
+        if units == 1:
+            return "cells", "one cell, the unit itself, its sides free"
         return "cells", f"one cell, {units} equal units: one is meshed and condensed, its copies are coupled"
     if oblique or (units and regions):
         return "tetrahedra", f"tetrahedra, {leaning}"

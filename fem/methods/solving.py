@@ -3,10 +3,10 @@
 import numpy as np
 
 from fem.finite.solving import solve_finite
+from fem.methods.adaptive import solve_on_tetrahedra
 from fem.methods.box_refinement import solve_on_boxes
 from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
-from fem.methods.tetrahedral import solve_on_tetrahedra
 from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
 
@@ -14,22 +14,10 @@ LARGE_SHARE = 0.2  #: of a body's least extent: a probe that moves farther has l
 
 
 def solve_scene(scene: Scene, *, field: bool = False) -> tuple[Solution, Plan]:
-    """Displacement of a scene's probes to its tolerance.
-
-    Parameters
-    ----------
-    scene : Scene
-    field : bool
-        Also return the displacement of the whole body.
-
-    Returns
-    -------
-    Solution and the Plan it followed
+    """Displacement of a scene's probes to its tolerance, with `field` of its whole body, and the plan that it followed.
 
     Raises
     ------
-    SceneError
-        For a tolerance that the scene's method cannot keep.
     GeometryError, SolverError
         If the mesh or an answer cannot be trusted.
     """

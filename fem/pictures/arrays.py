@@ -59,19 +59,10 @@ class ArrayField:
     has_plates: bool = False  #: whether those are rigid plates
 
     def state(self, traction_mpa: FloatArray) -> FieldState:
-        """Load the pads.
+        """Load the pads: force over area of each along x, y, z, (n_units, 3) [MPa], z negative pushing down.
 
-        Parameters
-        ----------
-        traction_mpa : array, shape (n_units, 3)
-            Force over area of each unit's pad along x, y, z; z negative pushes down [MPa].
-
-        Raises
-        ------
-        DesignError
-            If the tractions have another shape, or are not finite.
-        SolverError
-            If the answer cannot be trusted.
+        Another shape, or numbers that are not finite, are a `DesignError`; a `SolverError` says that the answer cannot
+        be trusted.
         """
         traction = np.asarray(traction_mpa, dtype=float)
         if traction.shape != (self.design.n_units, 3) or not np.isfinite(traction).all():
@@ -87,20 +78,10 @@ class ArrayField:
         return FieldState(force_n=force_n, port_mm=port[:, :, 0])
 
     def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
-        """Choose points of the cell to look at.
+        """Choose points of the cell to look at, (k, 3) [mm]: origin at the unit's centre, base z = 0, inside or on it.
 
-        Parameters
-        ----------
-        points_mm : array, shape (k, 3)
-            In the cell's own coordinates: origin at the unit's centre, base z = 0; inside or on the cell [mm].
-        region : int, optional
-            On which side of an interface stress is taken: 0 the matrix's, 1 the pillars'. Without it, and in a
-            homogeneous cell, it does not matter.
-
-        Raises
-        ------
-        DesignError
-            If a point lies outside the cell.
+        `region` is the side of an interface that stress is taken from: 0 the matrix's, 1 the pillars'. A point outside
+        the cell is a `DesignError`.
         """
         points = np.atleast_2d(np.asarray(points_mm, dtype=float))
         pitch, height = self.design.array.pitch_mm, self.design.unit.height_mm
@@ -131,24 +112,12 @@ def solve_array_field(
 ) -> ArrayField:
     """Solve a design's cell inside and out, and couple its copies.
 
-    Parameters
-    ----------
-    design : SensorDesign
-    progress : function
-        Called with the name of each step as it begins.
-    rectangles_mm : array, shape (k, 4), optional
-        What can be loaded on each cell instead of its pad: x0, y0, x1, y1 in the cell's own coordinates; then `under`
-        takes the forces.
+    `progress` is called with the name of each step as it begins. `rectangles_mm` (k, 4) are what can be loaded on each
+    cell instead of its pad: x0, y0, x1, y1 in its own coordinates; then `under` takes the forces. Raises GeometryError
+    or SolverError if a mesh or an answer cannot be trusted.
 
-    Raises
-    ------
-    GeometryError, SolverError
-        If a mesh or an answer cannot be trusted.
-
-    Notes
-    -----
-    A cell of one rubber is a grid; its level and the degree of its ports are chosen for pictures, and not extrapolated
-    to the limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
+    The level of a cell of one rubber and the degree of its ports are chosen for pictures, and not extrapolated to the
+    limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
     rectangles = pad_squares(lone_unit(design)) if rectangles_mm is None else rectangles_mm
     plate = pad_plate(design) if rectangles_mm is None else None

@@ -27,6 +27,9 @@ def draw_contact(contact: Contact, path: Path) -> None:
     array, zoom = figure.subplots(1, 2)
     _draw_units(array, contact)
     _draw_patch(zoom, contact)
+    for axes in (array, zoom):
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
+        axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     fx, fy, fz = contact.net_force_n + 0.0
     x, y = contact.centre_mm + 0.0
     figure.suptitle(
@@ -62,8 +65,7 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
     x0, y0, x1, y1 = *contact.patch.low_mm, *contact.patch.high_mm
     frame: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": "--", "label": "shown beside"}
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], **frame)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title="forces on the units", xlim=box[:2], ylim=box[2:], aspect="equal")
+    axes.set(title="forces on the units", xlim=box[:2], ylim=box[2:])
 
 
 def _draw_patch(axes: "Axes", contact: Contact) -> None:
@@ -89,6 +91,4 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
             length = 1.5 * every * max(patch.cell_mm) / largest
             axes.quiver(x[there], y[there], *(shear[:, there] * length), **AS_DRAWN, color=ORANGE, width=0.005)
             axes.plot([], [], color=ORANGE, label=f"shear on the sensor, at most {largest:.3g} MPa")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
-    title = f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa"
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title, aspect="equal")
+    axes.set(title=f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa")

@@ -53,27 +53,12 @@ class DeformedPicture:
     Each has a scale bar and axes beside it; below all are the colour bar, a key to the reds of loaded pads and the
     factor of displacement.
 
-    Parameters
-    ----------
-    panels : mapping of names to parts
-        One picture each, its name above it. Parts named matrix are translucent, pads are outlined, the rest is solid.
-    colour : {"displacement", "vertical", "mises", "pressure"}
-        What colour shows.
-    scale : float
-        Factor by which displacement is drawn; 1 is true.
-    camera : {"iso", "top", "front", "side"}
-        All but the first are parallel projections.
-    medium : {"file", "film", "window", "page"}
-        What it is drawn for. Frames of films are smoothed less, which is quicker. Pages have no text and no colour
-        bars: they add their own, by `names`, `bars`, `note` and `aspect`.
-    over : sequence of parts, optional
-        What the colour bars are to hold where the picture is to show more than its panels, by `load`.
-    columns : int, optional
-        Panels beside each other; default: all.
-    warning : str
-        What else is to be said below the pictures.
-    before : sequence of panels, optional
-        The same bodies under smaller loads, in equal steps up to the panels', for `press` where bodies are not linear.
+    `panels` are one picture each, its name above it: parts named matrix are translucent, pads are outlined, the rest is
+    solid. Displacement is drawn `scale` times as large; all cameras but "iso" are parallel projections. Frames of films
+    are smoothed less, which is quicker; pages have no text and no colour bars: they add their own, by `names`, `bars`,
+    `note` and `aspect`. `over` is what the colour bars are to hold where the picture is to show more than its panels,
+    by `load`; `columns` are panels beside each other, all by default; `warning` is said below the pictures. `before`
+    are the same bodies under smaller loads, in equal steps up to the panels', for `press` where they are not linear.
     """
 
     def __init__(
@@ -257,23 +242,10 @@ def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) 
 def place(
     camera: pv.Camera, points_mm: FloatArray, direction: Triple, up: Triple, aspect: float, is_parallel: bool = False
 ) -> float:
-    """Put a camera as near as lets all points be seen, with a margin.
+    """Put a camera as near as lets all points (n, 3) be seen, with a margin; width over height of them as seen.
 
-    Parameters
-    ----------
-    camera : pyvista.Camera
-    points_mm : array, shape (n, 3)
-    direction, up : three numbers each
-        From what is seen to the camera, and what is upright in the picture.
-    aspect : float
-        Width over height of the picture.
-    is_parallel : bool
-        Without perspective: what is twice as far is as large.
-
-    Returns
-    -------
-    float
-        Width over height of the points as they are seen.
+    `direction` is from what is seen to the camera, `up` upright in the picture, `aspect` width over height of that. A
+    parallel projection knows no perspective: what is twice as far is as large.
     """
     toward = np.array(direction) / np.linalg.norm(direction)
     right = np.cross(up, toward)

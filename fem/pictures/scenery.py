@@ -6,7 +6,6 @@ and turned in a browser, too. Colour bars and notes are flat, in a strip of thei
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -117,13 +116,11 @@ def shades(colours: str | tuple[str, ...], low: float = 0.0, high: float = 1.0) 
     share = np.linspace(0.0, 1.0, SHADES)
     if colours == SIGNED:
         share = 0.5 + (low + share * (high - low)) / max(-low, high) / 2
-    table = colormaps[colours] if isinstance(colours, str) else _between(colours)
+    if isinstance(colours, str):
+        table = colormaps[colours]
+    else:
+        table = LinearSegmentedColormap.from_list("", colours, N=4 * SHADES + 1)
     return ["#" + rgb.tobytes().hex() for rgb in np.asarray(table(share, bytes=True))[:, :3]]
-
-
-@cache
-def _between(colours: tuple[str, ...]) -> LinearSegmentedColormap:
-    return LinearSegmentedColormap.from_list("", colours, N=4 * SHADES + 1)
 
 
 def colour_ticks(low: float, high: float) -> FloatArray:
@@ -163,17 +160,9 @@ LEFT, GAP = 0.04, 0.05  #: of the strip's width
 
 
 def draw_legend(plotter: pv.Plotter, bars: Sequence[Bar], notes: Sequence[str], wide: int, high: int) -> None:
-    """Draw bars side by side and notes at the right, in the renderer that is chosen.
+    """Draw bars side by side, the first one the widest, and notes at the right, one line each.
 
-    Parameters
-    ----------
-    plotter : pyvista.Plotter
-    bars : sequence of Bar
-        The first is the widest.
-    notes : sequence of str
-        One line each.
-    wide, high : int
-        Size of the strip [px].
+    In the renderer that is chosen, a strip of so many pixels.
     """
     note = (12 * max(map(len, notes)) + 40) / wide  # letters are about 0.55 of their height wide
     room = 1.0 - 2 * LEFT - note - GAP * (len(bars) - 1)
@@ -230,11 +219,7 @@ AXES = 0.08  #: length of the axes' arrows, of the same
 def draw_scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
     """A scale bar with its length and named arrows along the axes, before and left of the body as a camera sees it.
 
-    Parameters
-    ----------
-    points_mm : array, shape (n, 3)
-        What the body fills, at rest and loaded.
-    camera : {"iso", "top", "front", "side"}
+    The body fills points (n, 3), at rest and loaded.
     """
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     right, up = directions(camera)

@@ -22,8 +22,7 @@ import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
-from fem.boxes.lagrange import cube_slopes, gauss_points
+from fem.boxes.boxes import Boxes, cube_slopes, gauss_points
 from fem.rubber.law import LAWS, Law, Strain, plus_unit
 from geometry.design import Material
 from geometry.layout import FloatArray
@@ -121,18 +120,11 @@ Kind = tuple[float, ...]  #: of alike elements: relative extents and Lamé's con
 
 
 class RubberBody:
-    """Boxes filled with rubber.
+    """Boxes filled with rubber by a law whose λ and μ have shape (n_elements, 1).
 
-    Parameters
-    ----------
-    boxes : Boxes
-    law : Law
-        Its λ and μ of shape (n_elements, 1).
-    condensed : dict, optional
-        Elements of earlier bodies of the same height, order and lean; new ones are kept there, and no others.
+    `condensed` are elements of earlier bodies of the same height, order and lean; new ones are kept there, and no
+    others.
 
-    Notes
-    -----
     Displacements have shape (..., n_nodes, 3) [mm], where leading axes are states of the same body. Pressures have
     shape (..., n_elements, k) [MPa]: coefficients of `ReferenceBox.pressures`, at order 2 the mean and three slopes
     over half an element.
@@ -140,6 +132,8 @@ class RubberBody:
 
     def __init__(self, boxes: Boxes, law: Law, condensed: dict[Kind, Condensed] | None = None) -> None:
         self.boxes, self.law, self.reference = boxes, law, reference_box(boxes.order)
+        self.nodes, self.n_nodes = boxes.nodes, boxes.n_nodes  #: (n_elements, n), and their number
+        self.n_elements, self.n_pressures = len(boxes.nodes), len(self.reference.degrees)
         self._known = {} if condensed is None else condensed
         self.scale = (2 / boxes.size).T  #: ∂ξ/∂x of the boxes before they are sheared, (3, n_elements) [1/mm]
         self.jacobian = boxes.size.prod(axis=1) / 8  #: volume over that of the reference box, (n_elements,) [mm³]
@@ -153,28 +147,6 @@ class RubberBody:
         """Boxes of which each holds the material that its region numbers; all materials are of one model."""
         shares = (boxes.region == np.arange(len(materials))[:, None])[..., None]
         return cls(boxes, LAWS[materials[0].model].of(materials, shares.astype(float)), condensed)
-
-    @property
-    def nodes(self) -> IntArray:
-        """Shape (n_elements, n)."""
-        return self.boxes.nodes
-
-    @property
-    def n_nodes(self) -> int:
-        return self.boxes.n_nodes
-
-    @property
-    def n_elements(self) -> int:
-        return len(self.nodes)
-
-    @property
-    def n_pressures(self) -> int:
-        return len(self.reference.degrees)
-
-    @property
-    def volume_mm3(self) -> FloatArray:
-        """Shape (n_elements,)."""
-        return 8 * self.jacobian
 
     @property
     def centres_mm(self) -> FloatArray:
@@ -232,21 +204,10 @@ class RubberBody:
         return np.ascontiguousarray(nodal.reshape(-1, 3, states).transpose(2, 0, 1))
 
     def internal_forces(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Nodal forces that hold states, their pressures, and the least J of each.
+        """Nodal forces ∫ P : ∇v (m, n_nodes, 3) [N] that hold states u (m, n_nodes, 3), and two more of each state.
 
-        Parameters
-        ----------
-        u : array, shape (m, n_nodes, 3)
-            Displacements [mm].
-
-        Returns
-        -------
-        forces : array, shape (m, n_nodes, 3)
-            ∫ P : ∇v [N].
-        pressures : array, shape (m, n_elements, k)
-            Those that the volumes ask for [MPa].
-        least_j : array, shape (m,)
-            At or below 0 where a state is turned inside out; its forces mean nothing.
+        The pressures (m, n_elements, k) that the volumes ask for [MPa], and the least J (m,): at or below 0 a state is
+        turned inside out, and its forces mean nothing.
         """
         strain = self.strain(u)
         p = self.pressures(strain.theta)
@@ -347,12 +308,7 @@ class Tangent:
 
         K[ai, bj] = ∫ ∂_Jφₐ A[i, J, j, L] ∂_Lφ_b  +  Bₐᵢ (∫ q qᵀ/λ)⁻¹ B_bj,   B = ∫ q c.
 
-    Parameters
-    ----------
-    body : RubberBody
-    strain : Strain
-        Of one state, with the first axis of states.
-    p : array, shape (n_elements, k)
+    The strain is of one state, with the first axis of states, and its pressures p have shape (n_elements, k).
     """
 
     def __init__(self, body: RubberBody, strain: Strain, p: FloatArray) -> None:

@@ -1,9 +1,9 @@
 """``python -m studies.gates``: answers, frozen in a file or held against one.
 
 ``--write FILE`` keeps the answers, ``--against FILE`` tabulates them beside those that were kept; together they do
-both, ``--read FILE`` takes kept answers in place of new ones, and ``--part NAME`` takes one part alone. Every answer is
-found in a process of its own, on one thread, and is kept as soon as it is known; seconds are of the processor,
-children's included, imports left out. Arrays of many numbers are kept beside FILE, as .npz.
+both, and ``--part NAME`` takes one part alone. Every answer is found in a process of its own, on one thread, and is
+kept as soon as it is known; seconds are of the processor, children's included, imports left out. Arrays of many numbers
+are kept beside FILE, as .npz.
 
 A row holds if its answer has moved by no more than the sum of what both answers state as their error, and if, where a
 truth is known, it states no less than its distance to that, less what the truth is uncertain by. Where what was kept is
@@ -111,7 +111,7 @@ def number(value: float | None) -> str:
 def compared(part: str, kept: dict[str, Row], now: dict[str, Row]) -> tuple[Table, bool]:
     """A part's rows, kept and new, and whether all hold."""
     pairs = [(kept[what], row, verdict(kept[what], row)) for what, row in now.items() if what in kept]
-    table = Table(title=part, caption="; ".join(summary(pairs)))
+    table = Table(title=part, caption=f"{sum(said.startswith('holds') for *_, said in pairs)} of {len(pairs)} hold")
     for header in ("what", "error", "stated", "seconds", "error now", "stated now", "seconds now", "verdict"):
         table.add_column(header, justify="left" if header in ("what", "verdict") else "right")
     for old, new, said in pairs:
@@ -125,20 +125,9 @@ def compared(part: str, kept: dict[str, Row], now: dict[str, Row]) -> tuple[Tabl
     return table, all(said.startswith("holds") for _, _, said in pairs) and not missing
 
 
-def summary(pairs: list[tuple[Row, Row, str]]) -> Iterator[str]:
-    """A part in a few words."""
-    n_held = sum(said.startswith("holds") for _, _, said in pairs)
-    yield f"{n_held} of {len(pairs)} hold"
-    before, after = (
-        sum(one.seconds / one.pace for one in rows) for rows in ([p[0] for p in pairs], [p[1] for p in pairs])
-    )
-    yield f"seconds at equal pace: {after / max(before, 1e-9):.2f} of those kept"
-
-
 def gates(
     write_to: Annotated[Path | None, typer.Option("--write", help="File to keep answers in; other parts stay.")] = None,
     against: Annotated[Path | None, typer.Option(help="File of answers to compare with.")] = None,
-    taken: Annotated[Path | None, typer.Option("--read", help="File of answers to take, in place of new ones.")] = None,
     part: Annotated[list[str] | None, typer.Option(help="Part to answer; may be given again.")] = None,
 ) -> None:
     """Answer every part, keep the answers, compare them with those kept before."""
@@ -149,20 +138,16 @@ def gates(
         raise typer.BadParameter("nothing to do: give --write FILE or --against FILE")
     kept = read(against)[1] if against else {}
     about, answers = read(write_to) if write_to else ({}, {})
-    given = read(taken)[1] if taken else {}
     holds = True
     for name in part or PARTS:
-        if taken:
-            now = given.get(name, {})
-        else:
-            now = {}
-            about[name] = measured_on(PACKAGES) | {"commit": commit(), "load at the start": os.getloadavg()[0]}
-            for row in answered(name, kept.get(name, {})):
-                now[row.what] = row
-                answers[name] = now
-                if write_to:
-                    write(write_to, about | {name: about[name] | {"load at the end": os.getloadavg()[0]}}, answers)
-        if against and now:
+        now = {}
+        about[name] = measured_on(PACKAGES) | {"commit": commit(), "load at the start": os.getloadavg()[0]}
+        for row in answered(name, kept.get(name, {})):
+            now[row.what] = row
+            answers[name] = now
+            if write_to:
+                write(write_to, about | {name: about[name] | {"load at the end": os.getloadavg()[0]}}, answers)
+        if against:
             table, agrees = compared(name, kept.get(name, {}), now)
             show(table)
             holds &= agrees

@@ -1,14 +1,10 @@
 """The parts: each gives names of answers and how each is found."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from time import monotonic, sleep
 
 import numpy as np
 
@@ -27,24 +23,8 @@ SCENES = Path(__file__).parents[2] / "scenes"
 NEAR = 2  #: units on each side of a pad whose electrodes are kept of a large array
 WHOLE = 3  #: units a side up to which all pads and electrodes are kept in the table of arrays
 TIGHTER = 10.0  #: times as tight is the solve that random scenes are held to; of oblique inclusions 3
-PATIENCE_S = 300.0  #: for the needle
-STARTED_S, ENDED_S = 20.0, 1.0  #: before SIGTERM is sent, and what may pass until the end
 STIFF = Pad(kind="stiff")
 OWN = "21-U1"  #: an electrode of the pad that scenes "response-inner" load
-#: NGSolve's answers [mm] and what they are uncertain by
-TRUTHS: dict[str, tuple[dict[str, tuple[float, ...]], float]] = {
-    "four patches": (
-        {
-            "2.0, 2.3": (-7.049e-4, -3.069e-4, -0.0750571),
-            "6.6, 1.9": (4.192e-4, -6.076e-4, -0.0750543),
-            "2.1, 6.0": (-6.315e-4, 5.198e-4, -0.0751034),
-            "7.0, 5.7": (6.410e-4, 2.928e-4, -0.0750234),
-        },
-        2e-4,
-    ),
-    "needle": ({"top": (0.0, 0.0, -1.112e-4)}, 1e-3),
-}
-
 Kept = Mapping[str, Row]  #: what was frozen of a part, by what was answered
 Jobs = Iterator[tuple[str, Callable[[], Row | list[Row]]]]
 
@@ -157,9 +137,9 @@ def finite_scenes(_: Kept) -> Jobs:
     yield "slender pillar", partial(scene_row, replace(scenes.slender_pillar(), tolerance=1e-2))
 
 
-def held(scene: Scene, tolerance: float, name: str) -> Row:
-    """A scene's answer held to NGSolve's."""
-    return scene_row(scene, tolerance).held_to(*TRUTHS[name])
+def held(scene: Scene, truth: Mapping[str, object], uncertain: float) -> Row:
+    """A scene's answer at 1e-2 held to what is known of it."""
+    return scene_row(scene, 1e-2).held_to(truth, uncertain)
 
 
 def random(kept: Kept) -> Jobs:
@@ -214,9 +194,8 @@ def wrong_today(_: Kept) -> Jobs:
         for tolerance in (1e-1, 2e-2, 1e-2):
             name = f"patch of {side:g} mm, {tolerance:g}"
             yield name, partial(patch, side, tolerance)
-    yield "four patches, 0.01", partial(held, scenes.four_patches(), 1e-2, "four patches")
-    yield "needle", needle
-    yield f"needle, SIGTERM after {STARTED_S:g} s", stopped
+    for name, (scene, truth, uncertain) in scenes.solved_by_others().items():
+        yield name, partial(held, scene, truth, uncertain)
     settings = DatasetSettings(protocol="three-axis", samples=1, seed=77)
     yield "sample at the limit", partial(limit, settings, False)
     yield "the same as a scene", partial(limit, settings, True)
@@ -241,48 +220,6 @@ def limit(settings: DatasetSettings, as_scene: bool) -> Row:
         row = Row(estimate=float(found.error_estimate[0]), values={"electrodes": found.displacement_mm[0]})
     pressed = f"{-found.traction_mpa[0, :, 2].min():.4f} MPa at most, {found.unsolved[0]} draws unsolved"
     return replace(row, seconds=spent() - start, said=pressed)
-
-
-def needle() -> Row:
-    """A block 10,000 times as long as wide, by the command line."""
-    with TemporaryDirectory() as folder, needle_process(Path(folder)) as process:
-        try:
-            said, complained = process.communicate(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return Row(said=f"WRONG: no answer within {PATIENCE_S:g} s")
-    if process.returncode:
-        return Row(said=f"refused: {complained.strip().splitlines()[-1] if complained.strip() else process.returncode}")
-    found = json.loads(said)
-    row = Row(
-        estimate=found["error_estimate"], unknowns=found["dofs"], values={"top": np.array(found["probes"]["top"])}
-    )
-    return row.held_to(*TRUTHS["needle"])
-
-
-def stopped() -> Row:
-    """Its end after SIGTERM: the error is the seconds that pass, the estimate what may."""
-    with TemporaryDirectory() as folder, needle_process(Path(folder)) as process:
-        sleep(STARTED_S)
-        if process.poll() is not None:
-            return Row(said="ended before")
-        start = monotonic()
-        process.terminate()
-        try:
-            process.communicate(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-        passed = monotonic() - start
-    return Row(error=passed, at_least=passed, estimate=ENDED_S, said="seconds from SIGTERM to the end")
-
-
-def needle_process(folder: Path) -> subprocess.Popen[str]:
-    """The command that solves the needle."""
-    (folder / "needle.toml").write_text(scenes.NEEDLE, encoding="utf-8")
-    command = [sys.executable, "-m", "tripillar", "solve", str(folder / "needle.toml"), "--json"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
 
 
 #: parts by name, in the order in which they are worth knowing

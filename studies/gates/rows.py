@@ -10,8 +10,6 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from scipy.sparse import diags_array, kronsum
-from scipy.sparse.linalg import splu
 
 from fem import Scene, solve_scene
 from fem.scene.solution import largest_error, relative_errors
@@ -21,8 +19,6 @@ from tripillar.sweep.memory import peak_mib
 
 PATIENCE_S = 1800.0  #: by the clock, after which an answer is given up
 ROUNDED = 1e-6  #: relative; what an answer without an estimate may move by, since single precision is kept
-SLOWER, NOTICED_S = 1.5, 0.2  #: times as slow, and seconds more, that are said, at the same pace
-SIDE = 16  #: unknowns a side of the body by which a machine's pace is measured
 
 Values = dict[str, FloatArray]
 
@@ -37,7 +33,6 @@ class Row:
     at_least: float | None = None  #: the same, less what the truth is uncertain by
     unknowns: int | None = None
     seconds: float = 0.0  #: of one thread's processor time
-    pace: float = 1.0  #: seconds that `pace` found around it
     peak_mib: float = 0.0
     said: str = ""  #: verdict, refusal, or what else must stay as it is
     values: Values = field(default_factory=dict, repr=False)  #: each is compared as a whole, by its norm
@@ -70,16 +65,6 @@ def spent() -> float:
     return process_time() + others.ru_utime + others.ru_stime
 
 
-def pace() -> float:
-    """Processor seconds of a fixed factorisation: more where others use the same cores and their memory."""
-    line = diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIDE, SIDE))
-    plane = kronsum(line, line)
-    body = kronsum(plane, line).tocsc()
-    start = process_time()
-    splu(body)
-    return process_time() - start
-
-
 def in_own_process(what: str, find: Callable[[], Row | list[Row]]) -> list[Row]:
     """Rows found in a copy of this process, whose imports are done, with an empty cache."""
     ours, theirs = get_context("fork").Pipe(duplex=False)
@@ -87,7 +72,7 @@ def in_own_process(what: str, find: Callable[[], Row | list[Row]]) -> list[Row]:
     def work() -> None:
         with TemporaryDirectory(prefix="gates-") as cache:
             os.environ["TRIPILLAR_CACHE"] = cache
-            before, start = pace(), spent()
+            start = spent()
             try:
                 found = find()
             except Exception as error:  # whatever it is, the row says it and the others go on
@@ -95,8 +80,7 @@ def in_own_process(what: str, find: Callable[[], Row | list[Row]]) -> list[Row]:
                 found = Row(said=f"{kind}: {error}")
             seconds = spent() - start
         rows = [replace(found, what=what)] if isinstance(found, Row) else found
-        mean, peak = (before + pace()) / 2, peak_mib()
-        theirs.send([replace(one, seconds=one.seconds or seconds, pace=mean, peak_mib=peak) for one in rows])
+        theirs.send([replace(one, seconds=one.seconds or seconds, peak_mib=peak_mib()) for one in rows])
 
     process = get_context("fork").Process(target=work)
     process.start()
@@ -114,25 +98,16 @@ def in_own_process(what: str, find: Callable[[], Row | list[Row]]) -> list[Row]:
 
 
 def verdict(kept: Row, now: Row) -> str:
-    """ "holds", or why it does not; behind it, how much slower it has become."""
+    """ "holds", or why it does not."""
     moved = largest_error(now.values, kept.values) if now.values.keys() == kept.values.keys() else np.inf
-    allowed = (kept.estimate or 0.0) + (now.estimate or 0.0) + ROUNDED
-    kind = [one.said.partition(":")[0] for one in (kept, now)]
+    before, after = (one.said.partition(":")[0] for one in (kept, now))
     if now.is_wrong:
         why = now.said if now.said.startswith("WRONG") else "stated too little"
-        found = f"no: {why}{', as before' if kept.is_wrong else ''}"
-    elif kept.is_wrong:
-        found = "holds: was wrong"
-    elif kind[0] == "refused" != kind[1]:
-        found = "holds: was refused"
-    elif kind[0] != kind[1]:
-        found = f"no: '{kind[0]}' has become '{kind[1]}'"
-    elif moved > allowed:
-        found = f"no: moved by {moved:.1e}"
-    else:
-        found = "holds"
-    paced = kept.seconds * now.pace / kept.pace
-    slower = now.seconds / max(paced, 1e-9)
-    if slower > SLOWER and now.seconds > paced + NOTICED_S:
-        found += f", {slower:.1f} × as slow"
-    return found
+        return f"no: {why}{', as before' if kept.is_wrong else ''}"
+    if kept.is_wrong:
+        return "holds: was wrong"
+    if before == "refused" != after:
+        return "holds: was refused"
+    if before != after:
+        return f"no: '{before}' has become '{after}'"
+    return f"no: moved by {moved:.1e}" if moved > (kept.estimate or 0.0) + (now.estimate or 0.0) + ROUNDED else "holds"

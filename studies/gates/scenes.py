@@ -9,7 +9,7 @@ from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Sensor
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import FloatArray, unit_centres
-from geometry.prism import Pair
+from geometry.prism import Pair, Triple
 from studies.bench.scenes import RUBBER, loaded
 
 RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.499999)  #: Poisson's, that scenes are drawn from
@@ -17,8 +17,17 @@ GAP_MM = 0.3  #: between inclusions
 SOFT = Material(young_mpa=1.0, poisson=0.45)
 OBLIQUE = {"ν = 0": (1.0, 0.0), "10 ×": (10.0, 0.49), "1000 ×": (1000.0, 0.49), "1/20": (0.05, 0.49)}
 SQUARE = 4 / math.pi * (math.log(1 + math.sqrt(2)) + (1 - math.sqrt(2)) / 3)  #: mean sinking of a square, over p a/E*
-#: four patches of 0.1 mm
-PLACES: tuple[Pair, ...] = ((2.0, 2.3), (6.6, 1.9), (2.1, 6.0), (7.0, 5.7))
+#: places of four patches of 0.1 mm, and NGSolve's answers there [mm]
+PATCHES: dict[Pair, Triple] = {
+    (2.0, 2.3): (-7.049e-4, -3.069e-4, -0.0750571),
+    (6.6, 1.9): (4.192e-4, -6.076e-4, -0.0750543),
+    (2.1, 6.0): (-6.315e-4, 5.198e-4, -0.0751034),
+    (7.0, 5.7): (6.410e-4, 2.928e-4, -0.0750234),
+}
+NEEDLE_MM, NEEDLE_SINKS_MM = (
+    (100.0, 0.01, 0.01),
+    -1.112e-4,
+)  #: a block under 0.1 MPa all over its top, and NGSolve's answer
 
 
 def random_block(number: int, n_inclusions: int) -> Scene:
@@ -100,15 +109,21 @@ def sinking(side_mm: float) -> float:
     return -SQUARE * side_mm * (1 - SOFT.poisson**2) / SOFT.young_mpa
 
 
-def four_patches() -> Scene:
-    """The same block under four small patches."""
+def solved_by_others() -> dict[str, tuple[Scene, dict[str, Triple], float]]:
+    """Scenes, NGSolve's answers [mm] and what these are uncertain by."""
     size = (0.1, 0.1)
-    return Scene(
+    four = Scene(
         body=Block(size_mm=(9.0, 8.0, 4.0)),
         material=SOFT,
-        loads=tuple(DeadLoad(center_mm=at, size_mm=size, traction_mpa=(0.0, 0.0, -1.0)) for at in PLACES),
-        probes=tuple(Probe(name=f"{x}, {y}", kind="mean", center_mm=(x, y), size_mm=size) for x, y in PLACES),
+        loads=tuple(DeadLoad(center_mm=at, size_mm=size, traction_mpa=(0.0, 0.0, -1.0)) for at in PATCHES),
+        probes=tuple(Probe(name=f"{x}, {y}", kind="mean", center_mm=(x, y), size_mm=size) for x, y in PATCHES),
     )
+    x, y, _ = NEEDLE_MM
+    needle = loaded(Block(size_mm=NEEDLE_MM), RUBBER, (x / 2, y / 2), (x, y), (0.0, 0.0, -0.1))
+    return {
+        "four patches": (four, {f"{x}, {y}": u for (x, y), u in PATCHES.items()}, 2e-4),
+        "needle": (needle, {"patch": (0.0, 0.0, NEEDLE_SINKS_MM)}, 1e-3),
+    }
 
 
 def slender_pillar() -> Scene:
@@ -136,29 +151,3 @@ def pads_pressed(design: SensorDesign, traction_mpa: FloatArray) -> Scene:
         loads.append(StiffLoad(center_mm=(x, y), size_mm=(side, side), force_n=force))
         probes.append(Probe(name=f"pad {number}", kind="mean", center_mm=(x, y), size_mm=(side, side)))
     return Scene(body=Sensor(design=finite), material=rubber, loads=tuple(loads), probes=tuple(probes), tolerance=5e-2)
-
-
-#: a strip along the middle of the top of a block 0.01 mm wide and high is a line of such sections; its load all over it
-NEEDLE = """
-[body]
-kind = "block"
-size_mm = [100.0, 0.01, 0.01]
-
-[material]
-young_mpa = 6.1
-poisson = 0.49
-
-[[load]]
-center_mm = [50.0, 0.005]
-size_mm = [100.0, 0.01]
-traction_mpa = [0.0, 0.0, -0.1]
-
-[[probe]]
-name = "top"
-kind = "mean"
-center_mm = [50.0, 0.005]
-size_mm = [100.0, 0.01]
-
-[solve]
-tolerance = 1e-2
-"""

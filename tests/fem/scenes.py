@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from skfem import MeshTet
 
 from fem.methods.plan import Plan, make_plan
 from fem.scene.loads import DeadLoad
-from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
+from fem.scene.scene import Block, Body, Pillar, Probe, Scene
 from geometry.design import Material
 from geometry.layout import Electrode, Layout
 from geometry.layout import Pillar as PillarOf
+from geometry.prism import Pair, Triple
 
 #: two uprights, two oblique pillars and three upper electrodes, in a chain from U1 to U3; y shares both its electrodes
 FOUR = Layout(
@@ -92,26 +94,23 @@ size_mm = [2.0, 2.0]
 """
 
 
-def pressed_block(
-    size_mm: tuple[float, float, float],
-    material: Material,
-    inclusions: tuple[Inclusion, ...] = (),
-    traction_mpa: tuple[float, float, float] = (0.0, 0.0, -1.0),
-    tolerance: float = 1e-3,
-) -> Scene:
+def mean(name: str, center_mm: Pair, size_mm: Pair) -> Probe:
+    return Probe(name=name, kind="mean", center_mm=center_mm, size_mm=size_mm)
+
+
+def pressed(body: Body, center_mm: Pair, size_mm: Pair, traction_mpa: Triple, **given: Any) -> Scene:
+    """A body under one traction on a rectangle of its top, with a probe `patch` of the mean there unless told."""
+    load = DeadLoad(center_mm=center_mm, size_mm=size_mm, traction_mpa=traction_mpa)
+    return Scene(**{"body": body, "loads": (load,), "probes": (mean("patch", center_mm, size_mm),)} | given)
+
+
+def pressed_block(size_mm: Triple, material: Material, traction_mpa: Triple = (0.0, 0.0, -1.0), **given: Any) -> Scene:
     """A block loaded all over its top, with a mean probe of all the top and a point probe at half height."""
     x, y, z = size_mm
-    return Scene(
-        body=Block(size_mm=size_mm),
-        material=material,
-        inclusions=inclusions,
-        loads=(DeadLoad(center_mm=(x / 2, y / 2), size_mm=(x, y), traction_mpa=traction_mpa),),
-        probes=(
-            Probe(name="top", kind="mean", center_mm=(x / 2, y / 2), size_mm=(x, y)),
-            Probe(name="middle", kind="point", position_mm=(0.4 * x, 0.6 * y, z / 2)),
-        ),
-        tolerance=tolerance,
-    )
+    top = (x / 2, y / 2), (x, y)
+    middle = Probe(name="middle", kind="point", position_mm=(0.4 * x, 0.6 * y, z / 2))
+    given = {"material": material, "probes": (mean("top", *top), middle)} | given
+    return pressed(Block(size_mm=size_mm), *top, traction_mpa, **given)
 
 
 def on_tetrahedra(scene: Scene) -> Plan:
@@ -123,12 +122,7 @@ def slender_oblique_pillar() -> Scene:
     """A 30:1 cantilever of section 1 × 1 mm across its axis, at 45° to its clamped base, pressed at its tip."""
     root = 1 / np.sqrt(2.0)
     pillar = Pillar(section_mm=(1 / root, 1.0), base_mm=(30 * root, 0.0, 0.0), top_mm=(0.0, 0.0, 30 * root))
-    return Scene(
-        body=pillar,
-        material=Material(young_mpa=6.1, poisson=0.3),
-        loads=(DeadLoad(center_mm=(0.0, 0.0), size_mm=pillar.section_mm, traction_mpa=(0.0, 0.0, -1e-3)),),
-        probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=pillar.section_mm),),
-    )
+    return pressed(pillar, (0.0, 0.0), pillar.section_mm, (0.0, 0.0, -1e-3), material=Material(poisson=0.3))
 
 
 def assert_follows_bernoulli(u):

@@ -8,6 +8,7 @@ import pytest
 from fem.array.cell import PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import BoxCell
+from fem.array.sides import CellSides, places
 from fem.factor import Factor, checked_solve
 from fem.mirrors import QUARTER, flipped_points, images, parities
 from geometry.design import Material
@@ -183,3 +184,38 @@ def test_parities_share_out_every_mode():
         columns += expanded.shape[1]
     assert np.abs(rest).max() < 1e-14
     assert columns == len(q)
+
+
+def test_sides_that_all_move_by_ports_are_the_condensed_cell(whole_cell):
+    """Two routes: elimination onto the nodes of the sides and then onto the ports, or onto the ports at once."""
+    assert_same(CellSides.of(whole_cell, RECTANGLES).cell(3), condense(whole_cell, PORTS, RECTANGLES))
+
+
+def test_a_cell_of_free_sides_is_the_body_itself(whole_cell):
+    """No polynomial is left in an array of one: its means are those of the body, solved whole."""
+    rhs = whole_cell.gathered(means(whole_cell, RECTANGLES), (0, 0))
+    u, _ = checked_solve(Factor(whole_cell.matrix((0, 0)), definite=True, upper=True), rhs)
+    (free,) = places(1, 1)
+    coupled = CoupledArray({free: CellSides.of(whole_cell, RECTANGLES).cell(2, free)}, 1, 1)
+    found, _ = coupled.influence(range(6), range(6))
+    assert np.allclose(found[0, 0, :, 0, 0], rhs.T @ u, rtol=1e-10, atol=1e-12)
+
+
+def test_only_sides_that_cells_share_are_held_to_ports(whole_cell):
+    """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
+    lines, pad = mirrored(X), RECTANGLES[:1]
+    long = BoxCell.of((np.concatenate([lines, lines[1:] + 2 * HALF]), lines, UP), RUBBER)
+    rhs = long.gathered(means(long, np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])])), (0, 0))
+    u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
+    energies, sides = np.diag(rhs.T @ u), CellSides.of(whole_cell, pad)
+    missing = []
+    for degree in (3, 5, 7):
+        kinds = {free: sides.cell(degree, free) for free in places(1, 2)}
+        all_held = CoupledArray(sides.cell(degree), 1, 2).influence(range(3), range(3))[0]
+        own = CoupledArray(kinds, 1, 2).influence(range(3), range(3))[0]
+        missing.append([1 - np.diag(found.reshape(6, 6)) / energies for found in (own, all_held)])
+    free, held = np.moveaxis(missing, 1, 0)
+    assert (free > -1e-12).all()
+    assert (free < 0.5 * held).all()
+    assert (np.diff(free, axis=0) < 0).all()
+    assert free[-1].max() < 1e-4

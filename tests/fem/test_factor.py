@@ -12,7 +12,16 @@ import scipy.sparse as sp
 
 from fem import factor as module
 from fem.boxes.boxes import Boxes
-from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_product, solver_name, whole
+from fem.factor import (
+    Factor,
+    FactorMemoryError,
+    SolverError,
+    checked_solve,
+    schur_complement,
+    schur_product,
+    solver_name,
+    whole,
+)
 from fem.rubber.body import RubberBody
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
@@ -158,6 +167,29 @@ def test_a_wrong_schur_product_is_refused(solver, monkeypatch):
         monkeypatch.setattr(factor, "inner", lambda b, scaled=scaled: scaled)
         with pytest.raises(SolverError, match=r"the product of 5 columns .*" + says):
             schur_product(factor, rhs * scale)
+
+
+@pytest.mark.parametrize("n_last", [1, 40])
+def test_what_elimination_leaves_is_right(solver, n_last):
+    """Of a quasi-definite matrix bordered by two loads, against dense inverses; entries of 0 on the diagonal count."""
+    K = mixed().tocsr()
+    loads = sp.random(K.shape[0], 2, density=0.1, random_state=3, format="csr")
+    bordered = sp.block_array([[K, loads], [loads.T, None]], format="csr")
+    n = bordered.shape[0] - n_last - 2
+    dense = bordered.toarray()
+    expected = dense[n:, n:] - dense[n:, :n] @ np.linalg.solve(dense[:n, :n], dense[:n, n:])
+    found, residual = schur_complement(sp.triu(bordered, format="csr"), n_last + 2, solver)
+    assert residual < 1e-10
+    assert np.array_equal(found, found.T)
+    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+def test_a_wrong_complement_is_refused(solver, monkeypatch):
+    """What is left of a matrix other than the one that was eliminated."""
+    upper = sp.triu(mixed(), format="csr")
+    monkeypatch.setattr("fem.factor._times", lambda part, x: 1.0001 * (part @ x))
+    with pytest.raises(SolverError, match="is off by"):
+        schur_complement(upper, 30, solver)
 
 
 def test_factors_live_side_by_side_and_give_their_memory_back():

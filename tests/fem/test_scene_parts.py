@@ -48,9 +48,17 @@ def test_the_stress_of_a_block_meets_its_load():
 
 @pytest.mark.parametrize("planned", [make_plan, on_tetrahedra], ids=["boxes", "tetrahedra"])
 def test_fields_of_every_method_have_their_nodes_in_order(planned):
-    """VTK finds the body's volume in the cells, and shape functions at a node give what is known there."""
-    scene = replace(BLOCK, tolerance=0.2)
-    field = follow(planned(scene), scene, field=True).field
+    """VTK finds the body's volume in the cells; shape functions at a node and probes give what is known there."""
+    point = Probe(name="point", kind="point", position_mm=(3.0, 9.0, 6.0))  # a corner of the load
+    scene = replace(BLOCK, probes=(*BLOCK.probes, point), tolerance=0.9)  # on boxes none is split
+    solution = follow(planned(scene), scene, field=True)
+    field = solution.field
+    assert np.allclose(field.displacement_at(np.array([point.position_mm]))[0], solution.probes["point"], atol=1e-6)
+    assert np.allclose([field.points_mm.min(axis=0), field.points_mm.max(axis=0)], [[0.0] * 3, [12.0, 12.0, 6.0]])
+    assert np.abs(field.displacement_mm[field.points_mm[:, 2] == 0.0]).max() < 1e-15
+    middle, ends = {10: (8, [1, 3]), 27: (8, [0, 1])}[field.mesh.cells.shape[1]]  # of VTK's numbers
+    corners = field.points_mm[field.mesh.cells]
+    assert np.allclose(corners[:, middle], corners[:, ends].mean(axis=1))
     cells = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
     assert cells.compute_cell_sizes()["Volume"].min() > 0
     assert cells.volume == pytest.approx(12 * 12 * 6)

@@ -60,7 +60,7 @@ def test_work_of_the_load_is_twice_the_energy():
 
 
 def test_slender_oblique_pillar_follows_bernoulli():
-    assert_follows_bernoulli(solved(slender_oblique_pillar(), replace(COARSE, order=4)).probes["top"])
+    assert_follows_bernoulli(solved(slender_oblique_pillar(), replace(COARSE, order=4)).probes["patch"])
 
 
 def test_scenes_of_one_body_are_solved_together():

@@ -30,7 +30,9 @@ def a_mesh(path: Path):
 def a_cell(path: Path):
     matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in substructured.MATRICES}
     cell = CondensedCell(ports=PortModes(7.5, 10.0, 2, 2), **matrices, unknowns=100, residual=1e-12)
-    substructured.write_refined(substructured.RefinedCell(cell=cell, error_estimate=1e-3, steps=("one", "two")), path)
+    substructured.write_refined(
+        substructured.RefinedCell(cells=((1.0, {(): cell}),), error_estimate=1e-3, steps=("one", "two")), path
+    )
     return substructured.read_refined
 
 

@@ -302,11 +302,10 @@ def _moduli(scene: Scene, mesh: Any, least: float) -> tuple[Any, Any]:
         rise = ng.z - z
         beside = [(a / 2) ** 2 - (ng.x - x - slope[0] * rise) ** 2, (b / 2) ** 2 - (ng.y - y - slope[1] * rise) ** 2]
         beside.append(rise * (region.height_mm - rise))
-        for i, value in enumerate(both(material)):
-            within = ng.CF(value)
-            for one in beside:
-                within = ng.IfPos(one, within, found[i])
-            found[i] = within
+        inside = ng.CF(1.0)
+        for one in beside:
+            inside = ng.IfPos(one, inside, ng.CF(0.0))
+        found = [ng.IfPos(inside, ng.CF(own), other) for own, other in zip(both(material), found, strict=True)]
     constant = [ng.GridFunction(ng.L2(mesh, order=0)) for _ in found]
     for one, value in zip(constant, found, strict=True):
         one.Set(value)

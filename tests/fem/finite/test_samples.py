@@ -8,9 +8,9 @@ import pytest
 from fem.finite.newton import find_equilibrium
 from fem.finite.samples import EXTRAPOLATED, SampleSolver
 from fem.pictures.arrays import sampled_array_field
-from geometry.design import Array, Material, SensorDesign
+from geometry.design import Array, Electrics, Material, SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import unit_centres, upper_electrodes
+from geometry.layout import pillar_ends, unit_centres, upper_electrodes
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2))
 #: forces of 0.5 to 2.5 MPa with a fifth of shear [N]
@@ -72,6 +72,21 @@ def test_series_of_the_electrodes_come_near_the_answer(solver):
     off = np.linalg.norm((partial - exact).reshape(5, -1), axis=1) / np.linalg.norm(exact)
     assert (off[2:] < 0.5 * off[1:-1]).all()
     assert off[3] < 0.01
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.25, 0.65), (0.7, 1.1)])  # 0.5 to 1.3 MPa in the middle, and 1.4 to 2.2
+def test_resistances_have_no_jumps_along_a_path_of_loads(solver, low, high):
+    """Fourth differences cancel cubics; what is left is noise, √70 times as large."""
+    conducting = SampleSolver(replace(PAIR, electrics=Electrics(model="conduction")))
+    conducting.coarse, conducting.fine = solver.coarse, solver.fine
+    share = np.linspace(low, high, 9)[:, None, None]
+    found = conducting.displacements(share * FORCES_N[1])
+    bottom, top = pillar_ends(PAIR.unit).transpose(1, 0, 2)
+    along = top - bottom + found.displacement_mm[:, :, PAIR.unit.layout.pillar_top]
+    changes = (along**2).sum(axis=-1) / ((top - bottom) ** 2).sum(axis=-1) * found.resistance_ratio
+    assert found.settled.all()
+    assert np.ptp(changes, axis=0).max() > 0.05
+    assert np.abs(np.diff(changes, 4, axis=0)).max() / np.sqrt(70) < 1e-4
 
 
 def test_pillars_of_another_rubber_are_refused():
