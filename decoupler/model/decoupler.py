@@ -243,7 +243,8 @@ class Decoupler:
         modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
         effective_n = self.inverse.effective(modelled)
         slopes = self.inverse.forward.linear.relative_slopes(effective_n)
-        return self.ensemble.differences(effective_n, slopes, columns_ohm)
+        without_offset = columns_ohm if self.calibration is None else columns_ohm - self.calibration.offset_ohm
+        return self.ensemble.differences(effective_n, slopes, without_offset)
 
     @property
     def is_identified(self) -> bool:

@@ -73,8 +73,9 @@ def decoder_of(
     calibration = Calibration(found.state.gain, found.state.offset_ohm)
 
     def read(effective_n: FloatArray) -> FloatArray:
-        shown = calibration.shown(forward.resistances(effective_n))
-        drawn = found.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
+        of_gain = calibration.gain * forward.resistances(effective_n)
+        drawn = calibration.offset_ohm + of_gain
+        drawn += found.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), of_gain)
         drawn += reading_deviation(drawn, noise, bits) * generator.standard_normal(drawn.shape)
         return np.maximum(drawn, MIN_CALIBRATED_OHM)
 
