@@ -132,6 +132,10 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     readings = reading_columns(rows, cols)
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
+    if given := _other_size(header, rows, cols):
+        raise FileFormatError(
+            f"{path}: has readings of {given} units, the design has {rows} × {cols}: give the design of this array."
+        )
     if not lines or "load" not in header or unknown or not {*FORCES, "kpa", "kind"} & {*header}:
         spare = f"; not {', '.join(map(repr, unknown[:3]))}" if unknown else ""
         raise FileFormatError(
@@ -184,6 +188,15 @@ def reading_columns(rows: int, cols: int) -> list[str]:
     ['r_0_0_z', 'r_0_0_x', 'r_0_0_y']
     """
     return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in PILLARS]
+
+
+def _other_size(header: list[str], rows: int, cols: int) -> str | None:
+    """Rows and columns of the readings of a table, as text, if some are beyond this array."""
+    places = [re.fullmatch(f"r_(\\d+)_(\\d+)_[{''.join(PILLARS)}]", name) for name in header]
+    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places if place]
+    if not units or all(row <= rows and col <= cols for row, col in units):
+        return None
+    return " × ".join(str(max(counts)) for counts in zip(*units, strict=True))
 
 
 def _load(
@@ -319,7 +332,7 @@ def _newtons(line: Mapping[str, str], column: str, source: str) -> float:
     text = (line.get(column) or "").strip()
     if not text:
         return 0.0
-    if (value := _quantity(text, UNITS_N)) is None:
+    if (value := quantity_of(text, UNITS_N)) is None:
         raise FileFormatError(
             f"{source}: {column} is {text!r}, must be a number of newtons, or with a unit: N, kN, g, kg."
         )
@@ -331,7 +344,7 @@ def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float],
     text = (line.get(column) or "").strip()
     if not text:
         return default
-    value = _quantity(text, units)
+    value = quantity_of(text, units)
     if value is None or value < 0:
         raise FileFormatError(
             f"{source}: {column} is {text!r}, must be a number from 0 on, or a percentage such as 2 %."
@@ -339,7 +352,7 @@ def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float],
     return value
 
 
-def _quantity(text: str, units: Mapping[str, float]) -> float | None:
+def quantity_of(text: str, units: Mapping[str, float]) -> float | None:
     """The value of a number with one of the units; None if it is none."""
     if (parts := re.fullmatch(r"([-+.\d]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%]*)", text)) is None:
         return None

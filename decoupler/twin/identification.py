@@ -17,6 +17,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
 from decoupler.twin.expectation import Expectation, Widths
+from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Posterior, Readings, infer, predicted, without_each
 from decoupler.twin.usual_loads import images_of, loads_like
 from geometry.design import SensorDesign
@@ -42,6 +43,7 @@ class Twin:
     posterior: Posterior
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
+    next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
