@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.stored import DATASETS, in_memory, read_samples
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -57,30 +56,7 @@ class KnownLoad:
 
 
 def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
-    """Measured pairs of a data set (.nc, .zarr) or a table of loads with readings (.csv).
-
-    Parameters
-    ----------
-    path : Path
-        NetCDF or zarr as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
-    rows, cols : int
-        Of the array.
-    pad_mm2 : float
-        Area of a pad [mm²], that a pressure acts on.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing or makes no sense, is of another array, or a load has no readings.
-    """
-    if Path(path).suffix in DATASETS:
-        pairs = Pairs.of(in_memory(read_samples(path, labels_only=True)))
-        if pairs.force_n.shape[1:3] != (rows, cols):
-            given = " × ".join(map(str, pairs.force_n.shape[1:3]))
-            raise FileFormatError(
-                f"{path} holds {given} units, the design {rows} × {cols}: give --design of this sensor."
-            )
-        return pairs
+    """Measured pairs of a table of loads with readings; arguments and errors as of `read_loads`."""
     return as_pairs(read_loads(path, rows, cols, pad_mm2), path)
 
 

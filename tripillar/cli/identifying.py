@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dataset.stored import DATASETS
+from dataset.csv_file import holds_samples
 from geometry.errors import DesignError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol, caller
@@ -181,18 +181,23 @@ def _require_sense(
 
 def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
     """The design: the stated one, else that of a data set, which may have none, else the paper's."""
-    if design is not None or data is None or data.suffix not in DATASETS:
+    if design is not None or data is None or _is_table(data):
         return chosen(design)
     from dataset import read_samples
 
     return read_samples(data, labels_only=True).design
 
 
+def _is_table(data: Path) -> bool:
+    """Whether a file is a table of loads, not of samples."""
+    return data.suffix == ".csv" and not holds_samples(data)
+
+
 def _read(data: Path, sensor: "SensorDesign | None") -> "AnySamples | Pairs":
     from dataset import read_samples
     from decoupler.data.load_table import read_pairs
 
-    if sensor is None or data.suffix in DATASETS:
+    if sensor is None or not _is_table(data):
         return read_samples(data, labels_only=True)
     return read_pairs(data, sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
 
