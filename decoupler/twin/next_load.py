@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits
 
 from dataset.measurement import reading_deviation
 from decoupler.data.columns import Component, force_columns
@@ -90,7 +92,7 @@ class Knowledge:
         HC = H @ self.covariance
         S = HC @ H.T + J @ J.T
         S.flat[:: len(S) + 1] += 1.0
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(S), HC).T)
+        return np.asarray(solve_triangular(np.linalg.cholesky(S), HC, lower=True, check_finite=False).T)
 
     def after(self, force_n: FloatArray, unknown_n: FloatArray) -> "Knowledge":
         """The same after a pair of that load."""
@@ -228,7 +230,8 @@ def next_loads(
             known = known.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
         possible = [load for load in possible if load.name not in measured.names]
     candidates = [as_columns(load, everything) for load in possible]
-    numbers, errors = choose(known, candidates, force_columns(usual_n, everything), count)
+    with threadpool_limits(1, "blas"):  # products are too small for two threads to share
+        numbers, errors = choose(known, candidates, force_columns(usual_n, everything), count)
     return tuple(
         NextLoad(load=possible[number].name, error_before=errors[k], error=errors[k + 1])
         for k, number in enumerate(numbers)
