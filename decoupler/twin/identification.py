@@ -74,7 +74,8 @@ def identify(
     response : ArrayResponse, optional
         Of the sensor as designed. Without it the pairs alone decide, and many are needed.
     sensitivities : ResponseSensitivities, optional
-        Its derivatives by the parameters that manufacturing leaves unknown; goes with the response.
+        Its derivatives by the parameters that manufacturing leaves unknown. Without them the design is held: gains and
+        offsets alone are found, as by `tripillar calibrate`.
     component : str, optional
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
@@ -107,7 +108,7 @@ def identify(
     usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    if response is None or sensitivities is None:
+    if response is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
         expected = Expectation.of(response, sensitivities, parts)
