@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.stored import DATASETS, in_memory, read_samples
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -57,30 +56,7 @@ class KnownLoad:
 
 
 def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
-    """Measured pairs of a data set (.nc, .zarr) or a table of loads with readings (.csv).
-
-    Parameters
-    ----------
-    path : Path
-        NetCDF or zarr as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
-    rows, cols : int
-        Of the array.
-    pad_mm2 : float
-        Area of a pad [mm²], that a pressure acts on.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing or makes no sense, is of another array, or a load has no readings.
-    """
-    if Path(path).suffix in DATASETS:
-        pairs = Pairs.of(in_memory(read_samples(path, labels_only=True)))
-        if pairs.force_n.shape[1:3] != (rows, cols):
-            given = " × ".join(map(str, pairs.force_n.shape[1:3]))
-            raise FileFormatError(
-                f"{path} holds {given} units, the design {rows} × {cols}: give --design of this sensor."
-            )
-        return pairs
+    """Measured pairs of a table of loads with readings; arguments and errors as of `read_loads`."""
     return as_pairs(read_loads(path, rows, cols, pad_mm2), path)
 
 
@@ -132,6 +108,10 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     readings = reading_columns(rows, cols)
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
+    if given := _other_size(header, rows, cols):
+        raise FileFormatError(
+            f"{path}: has readings of {given} units, the design has {rows} × {cols}: give the design of this array."
+        )
     if not lines or "load" not in header or unknown or not {*FORCES, "kpa", "kind"} & {*header}:
         spare = f"; not {', '.join(map(repr, unknown[:3]))}" if unknown else ""
         raise FileFormatError(
@@ -184,6 +164,15 @@ def reading_columns(rows: int, cols: int) -> list[str]:
     ['r_0_0_z', 'r_0_0_x', 'r_0_0_y']
     """
     return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in PILLARS]
+
+
+def _other_size(header: list[str], rows: int, cols: int) -> str | None:
+    """Rows and columns of the readings of a table, as text, if some are beyond this array."""
+    places = [re.fullmatch(f"r_(\\d+)_(\\d+)_[{''.join(PILLARS)}]", name) for name in header]
+    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places if place]
+    if not units or all(row <= rows and col <= cols for row, col in units):
+        return None
+    return " × ".join(str(max(counts)) for counts in zip(*units, strict=True))
 
 
 def _load(
@@ -319,7 +308,7 @@ def _newtons(line: Mapping[str, str], column: str, source: str) -> float:
     text = (line.get(column) or "").strip()
     if not text:
         return 0.0
-    if (value := _quantity(text, UNITS_N)) is None:
+    if (value := quantity_of(text, UNITS_N)) is None:
         raise FileFormatError(
             f"{source}: {column} is {text!r}, must be a number of newtons, or with a unit: N, kN, g, kg."
         )
@@ -331,7 +320,7 @@ def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float],
     text = (line.get(column) or "").strip()
     if not text:
         return default
-    value = _quantity(text, units)
+    value = quantity_of(text, units)
     if value is None or value < 0:
         raise FileFormatError(
             f"{source}: {column} is {text!r}, must be a number from 0 on, or a percentage such as 2 %."
@@ -339,7 +328,7 @@ def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float],
     return value
 
 
-def _quantity(text: str, units: Mapping[str, float]) -> float | None:
+def quantity_of(text: str, units: Mapping[str, float]) -> float | None:
     """The value of a number with one of the units; None if it is none."""
     if (parts := re.fullmatch(r"([-+.\d]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%]*)", text)) is None:
         return None

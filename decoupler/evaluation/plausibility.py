@@ -27,6 +27,7 @@ FALSE_ALARMS = 1e-4
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
 CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
 UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board
+KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sensor has so few ohms
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
 Turn = Callable[[FloatArray], FloatArray]
@@ -117,6 +118,8 @@ def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> 
     forces = force_columns(data.force_n, component)
     if len(forces) > 1 and _is_constant(forces) and _scattered(columns, data):
         return f"{_alike(forces)}, though the resistances differ by more than noise: give their loads"
+    if forward is None and columns.size and KILOOHM[0] <= columns.min() <= columns.max() <= KILOOHM[1]:
+        return f"all resistances are {columns.min():.3g} to {columns.max():.3g}, as in kΩ: give them in Ω, times 1000"
     if forward is None or not columns.size:
         return None
     times = float(np.median(columns) / np.median(forward.at_rest_ohm()))

@@ -251,7 +251,8 @@ class Decoupler:
         modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
         force_n = self.inverse.forces(modelled)
         slopes = self.inverse.forward.relative_slopes(force_n)
-        return self.ensemble.differences(force_n, slopes, columns_ohm)
+        without_offset = columns_ohm if self.calibration is None else columns_ohm - self.calibration.offset_ohm
+        return self.ensemble.differences(force_n, slopes, without_offset)
 
     @property
     def is_identified(self) -> bool:

@@ -69,8 +69,9 @@ def decoder_of(
     calibration = Calibration(found.state.gain, found.state.offset_ohm)
 
     def read(force_n: FloatArray) -> FloatArray:
-        shown = calibration.shown(forward.resistances(force_n))
-        drawn = found.ensemble.drawn(force_n, forward.relative_slopes(force_n), shown)
+        of_gain = calibration.gain * forward.resistances(force_n)
+        drawn = calibration.offset_ohm + of_gain
+        drawn += found.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain)
         drawn += reading_deviation(drawn, noise, bits) * generator.standard_normal(drawn.shape)
         return np.maximum(drawn, MIN_CALIBRATED_OHM)
 

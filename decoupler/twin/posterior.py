@@ -5,7 +5,7 @@ that all units share, forces that are not quite known) is solved for together; w
 correction of its influence) is marginalised pillar by pillar. Widths that nobody states follow from the pairs, too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,6 @@ BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1
 BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
-AT_ONCE = 10_000  #: readings of pillars whose derivatives are worked on together
 MIN_NOISE = 1e-6  #: relative error that readings have at least
 
 
@@ -44,21 +43,6 @@ class Readings:
     noise: float
     bits: int | None
     scale: FloatArray  #: (n,): of all deviations of a pair; above 1 if its load or its reading was not as stated
-
-    def of_pairs(self, which: NDArray[np.int64]) -> "Readings":
-        """The readings of some pairs, by their numbers."""
-        kept = np.flatnonzero(np.isin(self.pair, which))
-        place = {int(pair): k for k, pair in enumerate(which)}
-        return replace(
-            self,
-            resistance_ohm=self.resistance_ohm[which],
-            read=self.read[which],
-            force_n=self.force_n[which],
-            acting_n=self.acting_n[which],
-            unknown_n=self.unknown_n[kept],
-            pair=np.array([place[int(pair)] for pair in self.pair[kept]], dtype=np.int64),
-            scale=self.scale[which],
-        )
 
     def variance_ohm2(self) -> FloatArray:
         """Variance of the readings about their resistances, (n, P) [Ω²]."""
@@ -111,22 +95,6 @@ class State:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Pillars:
-    """Readings of b pillars of a kind, linearised about a state and whitened."""
-
-    pillars: NDArray[np.int64]  #: (b,): their numbers
-    shared: FloatArray  #: A, (b, n, g): derivatives by what pillars share
-    columns: NDArray[np.int64]  #: (g,): their places among all that is shared
-    own: FloatArray  #: J, (b, n, m): by each pillar's own unknowns, as `_own` has them
-    misfit: FloatArray  #: r, (b, n): readings less model
-
-    def with_misfit(self, own: FloatArray) -> FloatArray:
-        """A, and r as it would be without what pillars have of their own, (P, m): (b, n, g + 1)."""
-        misfit = self.misfit[..., None] + self.own @ own[self.pillars][..., None]
-        return np.concatenate([self.shared, misfit], axis=2)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
     """A sensor as its pairs show it."""
 
@@ -140,7 +108,13 @@ class Posterior:
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
 
 
-def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int = 0) -> Posterior:
+def infer(
+    expected: Expectation,
+    readings: Readings,
+    draws: int = 32,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Posterior:
     """Infer a sensor from pairs.
 
     Parameters
@@ -151,6 +125,8 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
         Size of the ensemble.
     seed : int
         Of its draws.
+    progress : callable
+        Called with the part of the whole that each step takes.
 
     Notes
     -----
@@ -161,6 +137,7 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
     """
     stated, state = expected.widths, State.as_expected(expected, len(readings.unknown_n))
     for _ in range(MAX_STEPS):
+        progress(1.0 / (MAX_STEPS + 1))
         state, evidence = _improved(expected, readings, state)
         widths = evidence.widths(stated, expected.widths)
         readings = replace(readings, scale=np.maximum(readings.scale * evidence.scale, 1.0))
@@ -170,6 +147,11 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
         if max(change, evidence.moved) < CONVERGED:
             break
     return _drawn(expected, readings, state, draws, seed)
+
+
+def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
+    """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
+    return found.state.gain * _shown(found.expected, found.state, force_n)[1] + found.state.offset_ohm
 
 
 def forces_under(readings: Readings, unknown: FloatArray) -> FloatArray:
@@ -221,40 +203,104 @@ def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[F
     return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
 
 
-def _linearised(expected: Expectation, readings: Readings, state: State, weight: FloatArray) -> Iterator[_Pillars]:
-    """Readings about a state, whitened by `weight` (n, P), some pillars of a kind at a time."""
-    n, P = weight.shape
-    k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
-    widths, pair = expected.widths, readings.pair
-    force_n = forces_under(readings, state.unknown)
-    near = expected.near_forces(force_n) * widths.shared
-    v, modelled = _shown(expected, state, force_n)
-    misfit = weight * (readings.resistance_ohm - state.gain * modelled - state.offset_ohm)
-    slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * weight)[..., None] * expected.sign * v  # by v, (n, P, C)
-    scaled = weight * state.gain * modelled
-    B, sizes = state.influence(expected), expected.sizes * widths.own
-    first, latent = k + 1, k + 1 + 3 * n_shared
-    at_once = max(1, AT_ONCE // n)
-    for kind in range(kinds):
-        ours = kind + kinds * np.arange(P // kinds)
-        shared = first + 3 * n_shared * kind + np.arange(3 * n_shared)
-        columns = np.concatenate([np.arange(first), shared, first + state.shared.size + np.arange(len(pair))])
-        for p in np.split(ours, range(at_once, len(ours), at_once)):
-            s = np.ascontiguousarray(slope[:, p].swapaxes(0, 1))
-            A = np.zeros((len(p), n, latent + len(pair)))
-            for j in range(k):
-                moved = expected.by_rest_mm[j, p, None] + force_n @ expected.by_influence[j, p].swapaxes(1, 2)
-                A[..., j] = (s * moved).sum(axis=2) + (scaled[:, p] * expected.by_log_c[j, p]).T
-            A[..., k] = widths.resistivity * scaled[:, p].T
-            beside = near[:, p // kinds].swapaxes(0, 1)
-            A[..., first:latent] = (s[..., :3, None] * beside[:, :, None]).reshape(len(p), n, -1)
-            moved = readings.unknown_n @ B[p].swapaxes(1, 2)
-            A[:, pair, latent + np.arange(len(pair))] = (s[:, pair] * moved).sum(axis=2)
-            J = np.empty((len(p), n, 2 + 3 * Q))
-            J[..., 0] = widths.gain * (weight[:, p] * modelled[:, p]).T
-            J[..., 1] = widths.offset * expected.rest_ohm[p, None] * weight[:, p].T
-            J[..., 2:] = (s[..., :3, None] * (force_n * sizes[p, None])[:, :, None]).reshape(len(p), n, -1)
-            yield _Pillars(pillars=p, shared=A, columns=columns, own=J, misfit=misfit[:, p].T)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pillar:
+    """Readings of one pillar, linearised about a state and whitened: misfit ≈ D x + J (z + T y).
+
+    x are parameters, resistivity and unknown parts of forces, z the pillar's own unknowns as `_own` has them. A shared
+    correction y moves a pillar as one of its own would: T has one entry a column.
+    """
+
+    D: FloatArray  #: (n, k + 1 + n_unknown)
+    J: FloatArray  #: (n, m)
+    misfit: FloatArray  #: r, (n,): readings less model
+    places: NDArray[np.int64]  #: of x, then of y, among all that is shared
+    rows: NDArray[np.int64]  #: (n_y,): of T's entries, among z
+    factors: FloatArray  #: (n_y,): these entries
+
+    def by_shared(self, shared: FloatArray) -> FloatArray:
+        """Whitened readings (n, ...) by what is shared, (g, ...)."""
+        x, y = np.split(shared[self.places], [self.D.shape[1]])
+        z = np.zeros((self.J.shape[1], *y.shape[1:]))
+        z[self.rows] = (self.factors * y.T).T
+        return self.D @ x + self.J @ z
+
+
+class _Linear:
+    """All readings about a state, linearised and whitened; each pillar's own unknowns are marginalised.
+
+    ``N`` and ``rhs`` are (1 + Σ Aᵀ S⁻¹ A) and Σ Aᵀ S⁻¹ r − x of what pillars share.
+    """
+
+    def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
+        self.expected, self.readings, self.state = expected, readings, state
+        self.weight, self.unsure = _weights(expected, readings, state)
+        self.own = _own(expected, state)
+        self._force_n = forces_under(readings, state.unknown)
+        v, modelled = _shown(expected, state, self._force_n)
+        self._misfit = self.weight * (readings.resistance_ohm - state.gain * modelled - state.offset_ohm)
+        self._gain = self.weight * modelled
+        self._slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * self.weight)[..., None] * expected.sign * v
+        self._B = state.influence(expected)
+        x, P = _flat(state), expected.n_pillars
+        self.N, self.rhs = np.eye(len(x)), -x
+        self.known, self.left = np.empty((P, 3)), np.empty(self.weight.shape)
+        self._half = []
+        for p in range(P):
+            pillar = self.pillar(p)
+            marginal = Marginal(pillar.J)
+            self._half.append(marginal.half)
+            self.known[p], self.left[:, p] = marginal.known(2), marginal.left()
+            y = pillar.misfit + pillar.J @ self.own[p]
+            X, Z = marginal.solved(np.column_stack([pillar.D, y]))
+            by_y = Z[pillar.rows] * pillar.factors[:, None]
+            among_y = marginal.between(pillar.rows) * np.outer(pillar.factors, pillar.factors)
+            sums = pillar.D.T @ X
+            self.N[np.ix_(pillar.places, pillar.places)] += np.block(
+                [[sums[:, :-1], by_y[:, :-1].T], [by_y[:, :-1], among_y]]
+            )
+            self.rhs[pillar.places] += np.concatenate([sums[:, -1], by_y[:, -1]])
+
+    def pillar(self, p: int) -> _Pillar:
+        """Pillar number p."""
+        expected, state, pair = self.expected, self.state, self.readings.pair
+        k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
+        n, n_axes = len(self.weight), Q // expected.n_units
+        unit, kind = divmod(p, kinds)
+        s, scaled, widths = self._slope[:, p], state.gain[p] * self._gain[:, p], expected.widths
+        moved = (self._force_n @ expected.by_influence[:, p].reshape(-1, Q).T).reshape(n, k, s.shape[1])
+        D = np.zeros((n, k + 1 + len(pair)))
+        D[:, :k] = np.einsum("nc,nkc->nk", s, moved + expected.by_rest_mm[:, p])
+        D[:, :k] += scaled[:, None] * expected.by_log_c[:, p]
+        D[:, k] = widths.resistivity * scaled
+        D[pair, k + 1 + np.arange(len(pair))] = (s[pair] * (self.readings.unknown_n @ self._B[p].T)).sum(axis=1)
+        sizes_n = self._force_n * (expected.sizes[p] * widths.own)
+        J = np.empty((n, 2 + 3 * Q))
+        J[:, 0] = widths.gain * self._gain[:, p]
+        J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
+        np.multiply(s[:, :3, None], sizes_n[:, None], out=J[:, 2:].reshape(n, 3, Q))
+        near = np.flatnonzero(expected.near[unit] >= 0)
+        forces = (expected.near[unit, near, None] * n_axes + np.arange(n_axes)).ravel()
+        columns = (near[:, None] * n_axes + np.arange(n_axes)).ravel()
+        of_axis = np.arange(3)[:, None]
+        ratio = np.repeat(expected.near_mm_per_n[near] * widths.shared, n_axes)
+        ratio = ratio / (expected.sizes[p, forces] * widths.own)
+        first = k + 1 + 3 * n_shared * kind
+        places = [np.arange(k + 1), k + 1 + state.shared.size + np.arange(len(pair))]
+        return _Pillar(
+            D=D,
+            J=J,
+            misfit=self._misfit[:, p],
+            places=np.concatenate([*places, (first + of_axis * n_shared + columns).ravel()]),
+            rows=(2 + of_axis * Q + forces).ravel(),
+            factors=np.tile(ratio, 3),
+        )
+
+    def pillars(self) -> Iterator[tuple[int, _Pillar, Marginal]]:
+        """Each pillar with its number and its marginal."""
+        for p, half in enumerate(self._half):
+            pillar = self.pillar(p)
+            yield p, pillar, Marginal(pillar.J, half)
 
 
 @dataclass(kw_only=True)
@@ -279,47 +325,27 @@ class _Evidence:
 
 def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[State, _Evidence]:
     """The state after a Gauss-Newton step, and what the step says of the widths."""
-    x = _flat(state)
-    n_shared_first = len(state.parameters) + 1
-    weight, unsure = _weights(expected, readings, state)
-    own = _own(expected, state)
-    N, rhs = np.eye(len(x)), -x
-    squares = dict.fromkeys(("gain", "offset", "own", "misfit"), 0.0)
-    known = dict.fromkeys(squares, 0.0)
-    solved = []
-    errors, expected_errors = np.full((2, len(weight)), BELIEF_IN_PAIRS)
-    for part in _linearised(expected, readings, state, weight):
-        marginal = Marginal(part.own)
-        Y = part.with_misfit(own)
-        X, to_own = marginal.solved(Y)
-        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X.reshape(-1, X.shape[2])
-        N[np.ix_(part.columns, part.columns)] += sums[:, :-1]
-        rhs[part.columns] += sums[:, -1]
-        left, determined = marginal.leverage()
-        for name, which in (("gain", slice(0, 1)), ("offset", slice(1, 2)), ("own", slice(2, None))):
-            known[name] += float(determined[:, which].sum())
-        known["misfit"] += float((unsure[:, part.pillars].T * left).sum())
-        expected_errors += (readings.read[:, part.pillars].T * left).sum(axis=0)
-        solved.append((part.pillars, part.columns, X, to_own))
-    factor = cho_factor(N, lower=True)
-    step = cho_solve(factor, rhs)
-    step *= min(1.0, FARTHEST / max(np.abs(step[:n_shared_first]).max(), 1e-12))
-    found = np.empty_like(own)
-    for p, columns, X, to_own in solved:
-        left_over = np.append(-step[columns], 1.0)[:, None]
-        found[p] = to_own(left_over)[..., 0]
-        noise = (X @ left_over)[..., 0]  # the readings' own errors, whitened
-        squares["misfit"] += float((unsure[:, p].T * noise**2).sum())
-        errors += (noise**2).sum(axis=0)
+    linear = _Linear(expected, readings, state)
+    own, n_first = linear.own, len(state.parameters) + 1
+    known = dict(zip(("gain", "offset", "own"), linear.known.sum(axis=0).tolist(), strict=True))
+    known["misfit"] = float((linear.unsure * linear.left).sum())
+    expected_errors = BELIEF_IN_PAIRS + (readings.read * linear.left).sum(axis=1)
+    factor = cho_factor(linear.N, lower=True)
+    step = cho_solve(factor, linear.rhs)
+    step *= min(1.0, FARTHEST / max(np.abs(step[:n_first]).max(), 1e-12))
+    found, noise = np.empty_like(own), np.empty_like(linear.weight)
+    for p, pillar, marginal in linear.pillars():  # the readings' own errors, whitened, and the pillars' own unknowns
+        noise[:, p], found[p] = marginal.solved(pillar.misfit + pillar.J @ own[p] - pillar.by_shared(step))
+    squares = {"misfit": float((linear.unsure * noise**2).sum()), "own": float((found[:, 2:] ** 2).sum())}
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
-    squares["own"] = float((found[:, 2:] ** 2).sum())
-    moved = _unflat(state, x + step)
+    errors = BELIEF_IN_PAIRS + (noise**2).sum(axis=1)
+    moved = _unflat(state, _flat(state) + step)
     if state.shared.size:
-        half = solve_triangular(factor[0], np.eye(len(N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
-        of_shared = slice(n_shared_first, n_shared_first + state.shared.size)
+        half = solve_triangular(factor[0], np.eye(len(linear.N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
+        of_shared = slice(n_first, n_first + state.shared.size)
         known["shared"] = float(state.shared.size - (half[:, of_shared] ** 2).sum())
         squares["shared"] = float((moved.shared**2).sum())
-    improved = _descended(expected, readings, moved, own, found, weight)
+    improved = _descended(expected, readings, moved, own, found, linear.weight)
     farthest = max(float(np.abs(step).max()), float(np.abs(_own(expected, improved) - own).max()))
     return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
 
@@ -365,40 +391,65 @@ def _in_other_widths(state: State, old: Widths, new: Widths) -> State:
 def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Posterior:
     """The posterior about the most probable state, with draws from it."""
     generator = np.random.default_rng(seed)
-    weight, _ = _weights(expected, readings, state)
-    x, P, n, own = _flat(state), expected.n_pillars, len(weight), _own(expected, state)
-    m = own.shape[1]
-    N = np.eye(len(x))
-    own_draws, by_shared = np.empty((P, m, draws)), []
-    deviations, excess = np.empty((P, 2)), []
-    for part in _linearised(expected, readings, state, weight):
-        marginal, p = Marginal(part.own), part.pillars
-        X, to_own = marginal.solved(part.with_misfit(own))
-        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X[..., :-1].reshape(-1, X.shape[2] - 1)
-        N[np.ix_(part.columns, part.columns)] += sums
-        prior = generator.standard_normal((len(p), m, draws))
-        own_draws[p] = marginal.drawn(prior, generator.standard_normal((len(p), n, draws)))
-        by_shared.append((p, part.columns, to_own))
-        left, determined = marginal.leverage()
-        deviations[p] = np.sqrt(1.0 - determined[:, :2])
-        excess.append((X[..., -1] ** 2 / left)[readings.read[:, p].T])
-    factor = np.linalg.cholesky(N)
-    shared_draws = solve_triangular(factor, generator.standard_normal((len(N), draws)), lower=True, trans="T")
-    for p, columns, to_own in by_shared:
-        own_draws[p] -= to_own(np.concatenate([shared_draws[columns], np.zeros((1, draws))]))
+    linear = _Linear(expected, readings, state)
+    n, own = len(linear.weight), linear.own
+    factor = np.linalg.cholesky(linear.N)
+    shared_draws = solve_triangular(factor, generator.standard_normal((len(factor), draws)), lower=True, trans="T")
+    own_draws, noise = np.empty((*own.shape, draws)), np.empty_like(linear.weight)
+    for p, pillar, marginal in linear.pillars():
+        prior = generator.standard_normal((own.shape[1], draws))
+        own_draws[p] = marginal.drawn(prior, generator.standard_normal((n, draws)))
+        own_draws[p] -= marginal.solved(pillar.by_shared(shared_draws))[1]
+        noise[:, p] = marginal.solved(pillar.misfit + pillar.J @ own[p])[0]
     k = len(state.parameters)
-    inverse = cho_solve((factor, True), np.eye(len(N))[:, :k])[:k]
-    widths = expected.widths
+    widths, deviations = expected.widths, np.sqrt(1.0 - linear.known[:, :2])
     return Posterior(
         expected=expected,
         state=state,
-        covariance=inverse,
+        covariance=cho_solve((factor, True), np.eye(len(factor))[:, :k])[:k],
         gain_deviation=widths.gain * deviations[:, 0],
         offset_deviation_ohm=widths.offset * expected.rest_ohm * deviations[:, 1],
         ensemble=_ensemble(expected, state, own_draws, shared_draws),
         scale=readings.scale,
-        excess=float(np.concatenate(excess).mean()),
+        excess=float((noise**2 / linear.left)[readings.read].mean()),
     )
+
+
+def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """What all other pairs leave open of some pairs' readings.
+
+    Returns
+    -------
+    array, shape (len(which), P)
+        Readings less what the other pairs foretell [Ω]; 0 where not read.
+    array, shape (len(which), P, P)
+        Covariance of what they foretell, without the reading's own error [Ω²].
+
+    Notes
+    -----
+    The PRESS residual of linear regression, a pair at a time, about the most probable sensor: [C⁻¹]ₙₙ⁻¹ [C⁻¹ r]ₙ with
+    C = 1 + J Jᵀ + A Aᵀ of all whitened readings r. Widths stay as all pairs led to them.
+    """
+    linear = _Linear(found.expected, replace(readings, scale=found.scale), found.state)
+    half = np.linalg.inv(np.linalg.cholesky(linear.N))
+    step = half.T @ (half @ linear.rhs)
+    shape = len(which), found.expected.n_pillars
+    noise, left, by_shared = np.empty(shape), np.empty(shape), np.empty((*shape, len(half)))
+    for p, pillar, marginal in linear.pillars():
+        A = np.concatenate([pillar.D, pillar.J[:, pillar.rows] * pillar.factors], axis=1)
+        r = pillar.misfit + pillar.J @ linear.own[p] - A @ step[pillar.places]
+        X = marginal.solved(np.column_stack([A, r]))[0][which]
+        by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
+        left[:, p] = marginal.left_of(which)
+    C = -by_shared @ by_shared.swapaxes(1, 2)
+    diagonal = np.arange(shape[1])
+    C[:, diagonal, diagonal] += left
+    covariance: FloatArray = np.linalg.inv(C).astype(np.float64, copy=False)
+    error = (covariance @ noise[..., None])[..., 0]
+    covariance[:, diagonal, diagonal] -= 1.0
+    weight = linear.weight[which]
+    deviation = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+    return error * deviation, covariance * deviation[:, None] * deviation[..., None]
 
 
 def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: FloatArray) -> Ensemble:

@@ -67,10 +67,11 @@ def simulate_twin(
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     force_n = force_columns(samples.force_n, decoder.component)
     forward = decoder.inverse.forward
-    shown = forward.resistances(force_n)
+    shown = of_gain = forward.resistances(force_n)
     if decoder.calibration is not None:
-        shown = decoder.calibration.shown(shown)
-    drawn = decoder.ensemble.drawn(force_n, forward.relative_slopes(force_n), shown, numbers.start)
+        of_gain = decoder.calibration.gain * shown
+        shown = of_gain + decoder.calibration.offset_ohm
+    drawn = shown + decoder.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., pillars] = np.maximum(drawn, MIN_CALIBRATED_OHM).reshape(*exact_ohm.shape[:3], -1)
