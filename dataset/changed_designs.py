@@ -28,7 +28,7 @@ def parameters_that_bend(response: ArrayResponse) -> dict[str, float]:
 
 
 def on_changed_designs(
-    response: ArrayResponse, force_n: FloatArray, progress: Callable[[str], None] = lambda step: None
+    response: ArrayResponse, force_n: FloatArray, progress: Callable[[str, float], None] = lambda name, share: None
 ) -> dict[str, tuple[FloatArray, FloatArray, NDArray[np.bool_]]]:
     """Answers of designs with one parameter a deviation off, from the cache if they are there.
 
@@ -39,27 +39,30 @@ def on_changed_designs(
     force_n : array, shape (m, k, 3)
         Along x, y, z; z negative pushes down [N].
     progress : callable
-        Takes the parameter that is worked on.
+        Takes each parameter that is done, and its share of the work.
 
     Returns
     -------
     dict
-        By parameter, and "" for the design as meant: displacements of the electrodes (m, k, 2, 3) [mm]; squares of the lengths that eq. 1 of the design
-        as meant needs for the resistances, (m, k, 3) [mm²]; which are answers, (m,).
+        By parameter, and "" for the design as meant: displacements of the electrodes (m, k, 2, 3) [mm]; squares of the
+        lengths that eq. 1 of the design as meant needs for the resistances, (m, k, 3) [mm²]; which are answers, (m,).
     """
     require_finite(response.design)
     found = {}
     grids = None
-    for name, deviation in {"": 0.0, **parameters_that_bend(response)}.items():
-        progress(name or "the design")
+    designs = {"": 0.0, **parameters_that_bend(response)}
+    for name, deviation in designs.items():
 
         def solved(name: str = name, deviation: float = deviation) -> dict[str, FloatArray]:
             nonlocal grids
             grids = _grid_influence(response.design) if grids is None else grids
             return _solved(response, name, deviation, force_n, grids)
 
-        key = digest("changed designs", VERSION, METHOD, response.content_hash, response.design, name, deviation, force_n)
+        key = digest(
+            "changed designs", VERSION, METHOD, response.content_hash, response.design, name, deviation, force_n
+        )
         arrays, _, _ = kept("changed.npz", key, solved, read_arrays, write_arrays)
+        progress(name or "the design", 1.0 / len(designs))
         found[name] = arrays["displacement_mm"], arrays["squares_mm2"], arrays["settled"].astype(bool)
     return found
 

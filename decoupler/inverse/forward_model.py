@@ -147,7 +147,9 @@ class ForwardModel:
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]."""
         if self.maps is not None:
             state_n = self.maps.states(force_n)
-            squares = self.linear.lengths(state_n) ** 2 + self.maps.values(state_n)[..., N_AXES:].reshape(len(force_n), -1)
+            squares = self.linear.lengths(state_n) ** 2 + self.maps.values(state_n)[..., N_AXES:].reshape(
+                len(force_n), -1
+            )
             return np.sqrt(np.maximum(squares, 0.0))
         return self._norms(self.vectors(force_n))
 
@@ -213,7 +215,8 @@ class ModelInverse:
         """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
 
         `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
-        relative. `read` gives lengths (n, n_pillars) [mm] as they will be read under forces (n, n_forces) [N], with their errors: the inverse then errs least in the mean square, and is not as exact as the lengths are.
+        relative. `read` gives lengths (n, n_pillars) [mm] as they will be read under forces (n, n_forces) [N], with
+        their errors: the inverse then errs least in the mean square, and is not as exact as the lengths are.
 
         Notes
         -----

@@ -122,15 +122,8 @@ class Posterior:
         return Found(force_n=here.force_n, covariance_n2=covariance, chi2=here.chi2 / read.sum())
 
 
-class _Samples:
-    """Arrays of samples, the first dimension of each."""
-
-    def part(self, which: NDArray[np.int64]) -> Self:
-        return replace(self, **{name: values[which] for name, values in vars(self).items() if name != "precision"})
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Given(_Samples):
+class _Given:
     """What is known of n samples."""
 
     y: FloatArray  #: measured squares of lengths, (n, P) [mm²]
@@ -138,9 +131,13 @@ class _Given(_Samples):
     first_n: FloatArray  #: (n, Q)
     precision: FloatArray  #: (Q, Q), of all samples
 
+    def part(self, which: NDArray[np.int64]) -> Self:
+        """Some of the samples."""
+        return replace(self, y=self.y[which], whiten=self.whiten[which], first_n=self.first_n[which])
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Point(_Samples):
+class _Point:
     """States of n samples, linearised."""
 
     state: FloatArray  #: (n, Q)
@@ -175,7 +172,12 @@ class _Point(_Samples):
         """Gauss-Newton's matrix (n, Q, Q) and right-hand side (n, Q)."""
         JW = self.by_state.swapaxes(1, 2) * self.weight[:, None]
         KP = self.by_force.swapaxes(1, 2) @ precision
-        return JW @ self.by_state + KP @ self.by_force, (JW @ self.missing[..., None] + KP @ self.off_n[..., None])[..., 0]
+        down = JW @ self.missing[..., None] + KP @ self.off_n[..., None]
+        return JW @ self.by_state + KP @ self.by_force, down[..., 0]
+
+    def part(self, which: NDArray[np.int64]) -> Self:
+        """Some of the samples."""
+        return replace(self, **{name: values[which] for name, values in vars(self).items()})
 
     def replace(self, which: NDArray[np.int64], other: "_Point") -> None:
         """Let other points replace some samples'."""

@@ -12,13 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps
+from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED, N_FEATURES, OWN
 from geometry.layout import FloatArray
 
 FULL = 4.0  #: full scale of a state's numbers, in their standard deviations
 #: features that corrections shared by all units have: the own and the neighbours' states to the first order, products
 #: of the own to the second, and with the square of the pressing one to the third
-_CORRECTED = ([(i,) for i in range(3)], [(i, j) for i in range(3) for j in range(i, 3)], [(0, 2, 2), (1, 2, 2), (2, 2, 2)])
+_CORRECTED = (
+    [(i,) for i in range(3)],
+    [(i, j) for i in range(3) for j in range(i, 3)],
+    [(0, 2, 2), (1, 2, 2), (2, 2, 2)],
+)
 
 
 def _shared() -> tuple[NDArray[np.int64], FloatArray]:

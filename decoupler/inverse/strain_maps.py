@@ -211,7 +211,7 @@ class StrainMaps:
 
     @cached_property
     def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Weights as matrices: of z (126, 9 m), of neighbours' o (72, 15 m), of their pairs (360, m), of the rest (82, m)."""
+        """Weights as matrices, of z (126, 9 m), neighbours' o (72, 15 m), their pairs (360, m), first order (82, m)."""
         own, pressing, alone, first = np.split(self.weights, _ENDS)
         m = self.weights.shape[1]
         with_own, with_pressing = (

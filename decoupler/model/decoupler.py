@@ -12,7 +12,16 @@ import numpy as np
 from dataset.measurement import reading_deviation
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
-from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_blocks, pillar_columns, readable_columns, rowwise
+from decoupler.data.columns import (
+    Calibration,
+    Component,
+    Resting,
+    Scaling,
+    in_blocks,
+    pillar_columns,
+    readable_columns,
+    rowwise,
+)
 from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.posterior import Found, Posterior
@@ -76,8 +85,8 @@ class Decoupler:
 
         Notes
         -----
-        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain that
-        is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
+        that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
         columns = self.columns(resistance_ohm)
         n = len(columns)

@@ -11,10 +11,10 @@ from safetensors.numpy import save
 
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import FEW, N_AXES, N_FEATURES, OWN, StrainMaps
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
@@ -311,9 +311,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         maps = StrainMaps(**held("posterior.forward.maps"))
         specimen = Specimen(**held("posterior.specimen")) if "specimen_factor" in arrays else None
         forward = ForwardModel(**held("posterior.forward"), maps=maps)
-        posterior = Posterior(
-            forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior")
-        )
+        posterior = Posterior(forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior"))
     if "inverse_matrix" in arrays:
         uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
     component, dead = component_named(header["component"]), arrays.get("dead")

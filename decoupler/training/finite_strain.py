@@ -1,5 +1,6 @@
 """Learns the two maps of finite strain from few samples whose displacements are known."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.twin.usual_loads import images_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -143,13 +145,19 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
     state_n = states_of(data.displacement_mm, forward.maps.influence)
     force_n = data.force_n.reshape(len(data), -1)
     A = np.column_stack([force_n, np.ones(len(data))])
-    to_state = np.linalg.solve(A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1]), A.T @ state_n)
+    G = A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1])
+    to_state = np.linalg.solve(G, A.T @ state_n).astype(np.float64)
     Q = force_n.shape[1]
     return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:LOADS])
 
 
 def drawn_samples(
-    posterior: Posterior, loads_n: FloatArray, design: SensorDesign | None, noise: float, bits: int | None, seed: int = 0
+    posterior: Posterior,
+    loads_n: FloatArray,
+    design: SensorDesign | None,
+    noise: float,
+    bits: int | None,
+    seed: int = 0,
 ) -> Samples:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
 
@@ -174,7 +182,9 @@ def drawn_samples(
     assert maps is not None
     known_n = maps.nearest_states(posterior.loads_n)[0]
     left_n = known_n - np.column_stack([posterior.loads_n, np.ones(len(known_n))]) @ posterior.to_state
-    states = np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
+    states = (
+        np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
+    )
     own, known = maps.own(states), np.append(maps.own(known_n), np.zeros((1, len(maps.near), OWN)), axis=0)
     low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
     states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
@@ -206,10 +216,19 @@ def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
     return (newtons * np.array([1.0, 1.0, -1.0])).reshape(count, -1)
 
 
+def trained_on(
+    drawn: Samples, training: TrainingConfig | None = None, progress: Callable[[int, float], None] = lambda *_: None
+) -> Decoupler:
+    """The network that answers first, trained on draws. Loads torch."""
+    from decoupler.training.trainer import train
+
+    return train(drawn, "all", NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
+
+
 def refined(net: Decoupler, posterior: Posterior, drawn: Samples) -> Decoupler:
     """A network that was trained on draws, with the posterior that takes its answers as start and prior."""
     some = drawn[:JUDGED]
     off_n = net.outputs(net.columns(some.resistance_ohm)) - force_columns(some.force_n, net.component)
-    precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n))
+    precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n)).astype(np.float64)
     resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.bits)
     return replace(net, posterior=replace(posterior, precision=precision), resting=resting)

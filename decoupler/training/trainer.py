@@ -36,11 +36,11 @@ from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
 from decoupler.training.finite_strain import (
     DRAWS,
-    HIDDEN,
     drawn_samples,
     loads_like,
     posterior_of,
     refined,
+    trained_on,
     with_strain_maps,
 )
 from decoupler.training.levenberg_marquardt import train_lm
@@ -121,7 +121,7 @@ def train(
         data = data[data.is_finite]
         posterior = posterior_of(with_strain_maps(response, parts, data), data)
         drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), data.design, data.noise, data.bits)
-        net = train(drawn_data, parts.name, NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
+        net = trained_on(drawn_data, training, progress)
         recipe = model_cache_key(given, parts.name, network, training, response)
         made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
         return replace(refined(net, posterior, drawn_data), made_from=made_from)

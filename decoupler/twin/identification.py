@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -35,21 +35,43 @@ MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """One sensor as its pairs show it."""
+    """One sensor as its pairs show it; P pillars are those that its decoder reads."""
 
     design: SensorDesign | None  #: as it was meant; None if no design was stated
-    posterior: Posterior
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
+    parameters: dict[str, tuple[float, float]]  #: most probable value and standard deviation, by the design's keys
+    covariance: FloatArray  #: of the parameters in their order, over their deviations before any pair, (k, k)
+    resistivity: float  #: over the design's
+    gain: FloatArray  #: of each pillar, (P,)
+    gain_deviation: FloatArray  #: (P,)
+    offset_ohm: FloatArray  #: (P,)
+    offset_deviation_ohm: FloatArray  #: (P,)
+    excess: float  #: χ² of the readings over their number: 1 if all is as modelled
+    posterior: Posterior | None = None  #: of linear rubber; None at finite strain
     next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """Most probable value and standard deviation of each uncertain parameter of the design, by its key."""
-        expected, state = self.posterior.expected, self.posterior.state
+    @classmethod
+    def of(cls, found: Posterior, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
+        """The twin of linear rubber."""
+        expected, state = found.expected, found.state
         values = expected.values + expected.deviations * state.parameters
-        deviations = expected.deviations * np.sqrt(self.posterior.covariance.diagonal())
-        return {name: (float(a), float(b)) for name, a, b in zip(expected.names, values, deviations, strict=True)}
+        deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
+        rows = zip(expected.names, values, deviations, strict=True)
+        return cls(
+            design=design,
+            decoder=decoder,
+            n_pairs=n_pairs,
+            parameters={name: (float(value), float(deviation)) for name, value, deviation in rows},
+            covariance=found.covariance,
+            resistivity=math.exp(expected.widths.resistivity * state.resistivity),
+            gain=state.gain,
+            gain_deviation=found.gain_deviation,
+            offset_ohm=state.offset_ohm,
+            offset_deviation_ohm=found.offset_deviation_ohm,
+            excess=found.excess,
+            posterior=found,
+        )
 
 
 def identify(
@@ -123,7 +145,7 @@ def identify(
         )
         if n > 1 and response is not None and _contradicted(found, expected.widths):
             decoder = _widened(decoder, found, readings)
-    return Twin(design=decoder.design, posterior=found, decoder=decoder, n_pairs=n)
+    return Twin.of(found, decoder.design, decoder, n)
 
 
 def _contradicted(found: Posterior, stated: Widths) -> bool:

@@ -1,21 +1,28 @@
 """A specimen at finite strain from measured pairs: the same unknowns as of a linear one, on the maps of its design."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from dataset.changed_designs import on_changed_designs
+from dataset.changed_designs import YOUNG, on_changed_designs
 from dataset.measurement import reading_deviation
 from dataset.samples import SampleError
+from decoupler.data.columns import Calibration
+from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.specimen import SHARED, Specimen
 from decoupler.inverse.strain_maps import FEW, N_AXES
-from decoupler.training.finite_strain import states_of
+from decoupler.training.finite_strain import DRAWS, drawn_samples, refined, states_of, trained_on
 from decoupler.twin.expectation import Widths
+from decoupler.twin.identification import Twin, readings_of
+from decoupler.twin.usual_loads import images_of
 from geometry.layout import FloatArray
+from geometry.tolerances import usual_deviations, value_of
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -32,7 +39,7 @@ def changes_by_parameters(
     designed: ForwardModel,
     response: "ArrayResponse",
     force_n: FloatArray,
-    progress: Callable[[str], None] = lambda step: None,
+    progress: Callable[[str, float], None] = lambda name, share: None,
 ) -> tuple[list[str], FloatArray]:
     """Uncertain parameters of a design, and what one deviation of each changes in the maps' weights of `FEW`.
 
@@ -151,9 +158,7 @@ def infer_specimen(
             by_n = np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2)
             X = specimen.derivatives(model, state_n) * (1.0 + gain)[:, None] / rest[:, None]
             Z = np.zeros((n, P, len(pair)))
-            Z[pair, :, np.arange(len(pair))] = (
-                (by_n[pair] @ unknown_n[..., None])[..., 0] * (1.0 + gain) / rest
-            )
+            Z[pair, :, np.arange(len(pair))] = (by_n[pair] @ unknown_n[..., None])[..., 0] * (1.0 + gain) / rest
             there_are &= np.abs(X).max(axis=(1, 2)) < FOLDED
             if not there_are.any():
                 raise SampleError("no pair has forces that this design bears at finite strain: are they in newtons?")
@@ -167,7 +172,7 @@ def infer_specimen(
             evidence, x, covariance, misfit, excess = found
             mean = root @ x[:U]
             spread = root @ covariance[:U, :U] @ root.T
-            factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(prior)))
+            factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(prior))).astype(np.float64)
             specimen, latent = replace(specimen, unknowns=mean, factor=factor), x[U:]
         if best is None or evidence > best[0]:
             best = evidence, specimen, misfit, excess
@@ -190,7 +195,7 @@ def _prior(specimen: Specimen, widths: Widths, young: float, shared: float, n_pi
 def _solved(
     A: FloatArray, z: FloatArray, variance: FloatArray, misfit: float
 ) -> tuple[float, FloatArray, FloatArray, float, float]:
-    """Evidence, mean and covariance of x in z = A x + errors, x of variance 1 before; the misfit, χ² over the number."""
+    """Evidence, mean and covariance of x in z = A x + errors, x of variance 1 before; misfit; χ² over the number."""
     whitened = A / np.sqrt(variance)[:, None]
     target = z / np.sqrt(variance)
     M = whitened.T @ whitened + np.eye(A.shape[1])
@@ -199,5 +204,104 @@ def _solved(
     x = np.linalg.solve(L.T, half)
     cost = target @ target - half @ half
     evidence = -0.5 * cost - np.log(L.diagonal()).sum() - 0.5 * np.log(variance).sum()
-    inverse = np.linalg.inv(M)
-    return float(evidence), x, inverse, misfit, float(cost / len(z))
+    inverse = np.linalg.inv(M).astype(np.float64)
+    return float(evidence), x.astype(np.float64), inverse, misfit, float(cost / len(z))
+
+
+def identify_at_strain(
+    pairs: Pairs,
+    response: "ArrayResponse",
+    designed: Posterior,
+    tolerances: Mapping[str, float] | None = None,
+    loads_n: FloatArray | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Twin:
+    """Identify a sensor at finite strain from measured pairs.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    response : ArrayResponse
+        Of the sensor as designed.
+    designed : Posterior
+        Of the design at finite strain: that of a decoder which was trained on its samples.
+    tolerances : mapping, optional
+        Standard deviations of parameters by their keys; default: `geometry.tolerances.usual_deviations`.
+    loads_n : array, shape (n, rows, cols, 3), optional
+        Loads like those that the sensor will meet [N]; default: images of those that the design has seen.
+    seed : int
+    progress : callable
+        Takes each share of the work as it is done.
+
+    Raises
+    ------
+    SampleError
+        If the pairs are of another array, or no pair has forces that the design bears.
+    """
+    design = response.design
+    rows, cols = design.array.rows, design.array.cols
+    if pairs.force_n.shape[1:3] != (rows, cols):
+        raise SampleError("the pairs are of another array than the design: give this array's design.")
+    readings = readings_of(pairs, [0, 1, 2], [0, 1, 2])
+    usual = usual_deviations(design)
+    stated = usual | dict(tolerances or {})
+    names, changes = changes_by_parameters(
+        designed.forward, response, designed.loads_n[:HELD], lambda name, share: progress(0.6 * share)
+    )
+    changes = changes * np.array([stated[name] / usual[name] for name in names])[:, None, None]
+    young = next(name for name in YOUNG if name in usual)
+    widths, P = Widths(), designed.forward.n_pillars
+    with threadpool_limits(1, "blas"):
+        found = infer_specimen(
+            designed.forward,
+            changes,
+            widths,
+            stated[young] / value_of(design, young),
+            np.where(readings.read, readings.resistance_ohm, np.nan),
+            readings.force_n,
+            readings.unknown_n,
+            readings.pair,
+            pairs.noise,
+            pairs.bits,
+        )
+        progress(0.05)
+        specimen = found.specimen
+        gain, offset, modulus, parameters, _ = specimen.parts
+        own = replace(designed, forward=specimen.model(designed.forward), specimen=specimen, misfit=found.misfit)
+        if loads_n is None:
+            loads_n = images_of(designed.loads_n.reshape(-1, rows, cols, 3), [0, 1, 2], DRAWS)
+        draws = drawn_samples(own, loads_n.reshape(len(loads_n), -1), design, pairs.noise, pairs.bits, seed)
+        progress(0.1)
+        decoder = refined(trained_on(draws), own, draws)
+    rest_ohm = designed.forward.linear.at_rest_ohm()
+    dead = ~readings.read.any(axis=0).reshape(rows, cols, -1)
+    decoder = replace(
+        decoder,
+        calibration=Calibration(1.0 + gain, offset * rest_ohm),
+        dead=dead if dead.any() else None,
+        made_from={"identified_on": pairs.content_hash, "pairs": len(pairs)},
+    )
+    covariance = specimen.factor @ specimen.factor.T
+    at = [2 * P, *range(2 * P + 1, 2 * P + 1 + len(names))]
+    deviation = np.sqrt(covariance.diagonal())
+    young_mpa = value_of(design, young)
+    values = {young: (young_mpa * float(np.exp(modulus[0])), young_mpa * float(deviation[2 * P]))}
+    for place, name in enumerate(names):
+        by = stated[name] * np.array([parameters[place], deviation[2 * P + 1 + place]])
+        values[name] = value_of(design, name) + float(by[0]), float(by[1])
+    common = 1.0 + float(gain.mean())
+    progress(0.25)
+    return Twin(
+        design=design,
+        decoder=decoder,
+        n_pairs=len(pairs),
+        parameters=values,
+        covariance=covariance[np.ix_(at, at)],
+        resistivity=common,
+        gain=(1.0 + gain) / common,
+        gain_deviation=deviation[:P],
+        offset_ohm=offset * rest_ohm,
+        offset_deviation_ohm=deviation[P : 2 * P] * rest_ohm,
+        excess=found.excess,
+    )

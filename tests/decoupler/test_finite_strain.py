@@ -1,4 +1,4 @@
-"""Finite strain: maps of a made-up law come back from samples, derivatives are slopes, and the posterior decodes them."""
+"""Finite strain: maps of a made-up law come back from samples, derivatives are slopes, the posterior decodes them."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from decoupler import SampleError, component_named, train
 from decoupler.export.checked import ExportError, export_model
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.specimen import Specimen
-from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED, N_FEATURES, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
 from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import with_strain_maps
 from tests.decoupler.synthetic_sensor import labelled, response, sensor

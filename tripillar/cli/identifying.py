@@ -64,7 +64,10 @@ def identify(
         ),
     ] = None,
     finite: Annotated[
-        Path | None, typer.Option(help="Samples of the design at finite strain (.nc): what linear rubber misses.")
+        Path | None, typer.Option(help="Samples of the design at finite strain (.nc), displacements included.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Model of the design at finite strain, trained on such samples: for --finite.")
     ] = None,
     next_: Annotated[int, typer.Option("--next", help="Number of loads to propose to measure next.")] = 0,
     have: Annotated[
@@ -86,8 +89,10 @@ def identify(
     """
     _require_sense(data, port, loads, keep, out, next_)
     require_positive(seconds=seconds, timeout=timeout)
-    require_other(out, data, loads, design, finite)
-    require_other(twin_file, data, loads, design, finite, out)
+    require_other(out, data, loads, design, finite, model)
+    require_other(twin_file, data, loads, design, finite, model, out)
+    if finite is not None and model is not None:
+        raise DesignError("give --finite or --model, not both: each holds the design at finite strain.")
     if twin_file is not None and out is None:
         raise DesignError("--twin names the model file that it goes with: give --out FILE, too.")
     if have is not None and not next_:
@@ -97,7 +102,7 @@ def identify(
     if not 0 <= next_ <= identifying.MAX_NEXT:
         raise DesignError(f"--next {next_} must be from 0 to {identifying.MAX_NEXT}.")
     from dataset import read_samples
-    from decoupler.model.model_file import write_model
+    from decoupler.model.model_file import read_model, write_model
     from decoupler.twin.twin_file import write_twin
 
     sensor = _sensor(data, design)
@@ -124,13 +129,13 @@ def identify(
             sensor,
             usual=usual,
             tolerances=tolerances,
-            finite=None if finite is None else read_samples(finite, labels_only=True),
+            finite=read_samples(finite) if finite is not None else None if model is None else read_model(model),
             next_loads=next_,
             have=have,
             force=force,
             caller=caller(data or Path(str(port)), bars),
         )
-    excess = twin.posterior.excess
+    excess = twin.excess
     result: dict[str, Any] = {
         "pairs": twin.n_pairs,
         "parameters": {name: list(value) for name, value in twin.parameters.items()},

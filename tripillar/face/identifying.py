@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples
     from decoupler.data.load_table import KnownLoad
     from decoupler.data.pairs import Pairs
-    from decoupler.inverse.effective_forces import EffectiveForces
+    from decoupler.inverse.posterior import Posterior as ForcePosterior
+    from decoupler.model.decoupler import Decoupler
     from decoupler.twin.identification import Twin
     from decoupler.twin.next_load import NextLoad
     from fem.array.response import ArrayResponse
@@ -32,7 +33,7 @@ def identify(
     *,
     usual: str | None = None,
     tolerances: Mapping[str, float] | None = None,
-    finite: "AnySamples | None" = None,
+    finite: "AnySamples | Decoupler | None" = None,
     next_loads: int = 0,
     have: str | Path | None = None,
     force: bool = False,
@@ -52,8 +53,8 @@ def identify(
         Protocol of loads like those that the sensor will meet; default: of samples their own, else contact.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
-    finite : Samples, optional
-        Samples of the design at finite strain: what linear rubber misses.
+    finite : Samples or Decoupler, optional
+        Samples of the design at finite strain, displacements included, or a model that was trained on such.
     next_loads : int
         Number of loads to propose to measure next, in the twin's ``next_loads``.
     have : str or path, optional
@@ -130,16 +131,18 @@ def identify(
     response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, caller.bars, tolerances)
     checked, forced = checked_pairs(few, response, force, caller)
     loads_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
-    correction = None if finite is None or response is None else _correction(finite, response)
+    at_strain = None if finite is None or response is None else _at_strain(finite, response, caller)
     advance = caller.bars.begin("identify", total=1)
-    twin = identify(
-        checked,
-        response,
-        sensitivities,
-        loads_n=loads_n,
-        correction=correction,
-        progress=lambda share: advance(share, f"{len(checked)} pairs"),
-    )
+
+    def passed(share: float) -> None:
+        advance(share, f"{len(checked)} pairs")
+
+    if at_strain is not None and response is not None:
+        from decoupler.twin.specimen_at_strain import identify_at_strain
+
+        twin = identify_at_strain(checked, response, at_strain, tolerances, loads_n, progress=passed)
+    else:
+        twin = identify(checked, response, sensitivities, loads_n=loads_n, progress=passed)
     if sensor is not None and next_loads:
         proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, caller.bars, checked, twin)
         twin = replace(twin, next_loads=proposed)
@@ -205,20 +208,29 @@ def with_derivatives(
     return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
 
 
-def _correction(finite: "AnySamples", response: "ArrayResponse") -> "EffectiveForces | None":
-    """The correction of a design's response by its samples at finite strain."""
+def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: "Caller") -> "ForcePosterior":
+    """The posterior of a design at finite strain, of a model or learned from samples."""
     from dataset.stored import in_memory
-    from decoupler.data.columns import component_named, force_columns, pillar_columns
-    from decoupler.inverse.forward_model import ForwardModel
-    from decoupler.training.finite_strain import at_finite_strain
+    from decoupler.data.columns import component_named
+    from decoupler.model.decoupler import Decoupler
+    from decoupler.training.finite_strain import posterior_of, with_strain_maps
 
-    samples, everything = in_memory(finite), component_named("all")
-    size = response.design.array.rows, response.design.array.cols
-    if samples.shape != size:
-        raise FileFormatError(f"the samples at finite strain are not of the design's {size[0]} × {size[1]} units.")
-    columns = pillar_columns(samples.resistance_ohm, everything), force_columns(samples.force_n, everything)
-    electrodes = ForwardModel.of(replace(response, conducted=None), everything).influence
-    return at_finite_strain(ForwardModel.of(response, everything), size, *columns, electrodes).correction
+    if isinstance(finite, Decoupler):
+        if finite.posterior is None or finite.posterior.specimen is not None:
+            raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
+        size, found = (finite.rows, finite.cols), finite.posterior
+    else:
+        samples = in_memory(finite)
+        samples = samples[samples.is_finite]
+        size, found = samples.shape, None
+    if size != (response.design.array.rows, response.design.array.cols):
+        raise DesignError(
+            f"finite strain is of an array of {size[0]} × {size[1]} units, the design is another: give that of its own."
+        )
+    if found is None:
+        caller.say("learning finite strain from the samples")
+        found = posterior_of(with_strain_maps(response, component_named("all"), samples), samples)
+    return found
 
 
 def _possible(design: SensorDesign, count: int, have: str | Path | None) -> "list[KnownLoad]":
@@ -251,7 +263,7 @@ def next_loads_of(
     from tripillar.terminal.progress import Bars
 
     possible, usual_n = _possible(design, count, have), usual_loads(design, usual)
-    if twin is not None and twin.decoder.component.name == "all":
+    if twin is not None and twin.posterior is not None and twin.decoder.component.name == "all":
         expected, state = twin.posterior.expected, twin.posterior.state
     else:
         response, sensitivities = with_derivatives(design, bars or Bars(quiet=True), tolerances)
