@@ -200,9 +200,7 @@ def test_samples_at_finite_strain_of_another_array_are_refused(house):
     pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
     with pytest.raises(FileFormatError, match="at finite strain are not of the design's 3 × 3 units"):
-        identifying.identify(
-            pairs, DESIGN, finite=Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
-        )
+        identifying.identify(pairs, DESIGN, finite=other)
 
 
 def test_pairs_of_another_array_are_refused_in_a_line(house):
