@@ -15,8 +15,9 @@ from decoupler.inverse.limits import exact_inverse
 from decoupler.twin.decoder import forward_of
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
+from decoupler.twin.linearised import State
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
-from decoupler.twin.posterior import State, infer
+from decoupler.twin.posterior import infer
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response

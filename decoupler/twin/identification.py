@@ -16,8 +16,9 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
 from decoupler.twin.expectation import Expectation, Widths
+from decoupler.twin.linearised import Readings
 from decoupler.twin.next_load import NextLoad
-from decoupler.twin.posterior import Posterior, Readings, infer, predicted, without_each
+from decoupler.twin.posterior import Posterior, infer, predicted, without_each
 from decoupler.twin.usual_loads import images_of, loads_like
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray

@@ -18,7 +18,7 @@ from decoupler.data.load_table import NOISE as READ_NOISE
 from decoupler.data.load_table import UNITS_N, KnownLoad, known_forces, quantity_of
 from decoupler.data.pairs import Pairs
 from decoupler.twin.expectation import Expectation
-from decoupler.twin.posterior import State
+from decoupler.twin.linearised import State
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray

@@ -1,21 +1,19 @@
 """The posterior of a sensor, from what is expected of it and measured pairs: Gauss-Newton, everything normal.
 
-A pillar reads R = g c Σ s (d + B F)² + o. What all pillars share (parameters of the design, resistivity, the correction
-that all units share, forces that are not quite known) is solved for together; what is a pillar's own (gain, offset,
-correction of its influence) is marginalised pillar by pillar. Widths that nobody states follow from the pairs, too.
+What all pillars share is solved for together; what is a pillar's own is marginalised, see `linearised`.
+Widths that nobody states follow from the pairs, too.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from dataset.measurement import reading_deviation
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, Widths
-from decoupler.twin.marginal import Marginal
+from decoupler.twin.linearised import Linear, Readings, State, flat, forces_under, own_unknowns, shown, with_own
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -27,71 +25,6 @@ BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1
 BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
-MIN_NOISE = 1e-6  #: relative error that readings have at least
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
-    """n readings of P pillars, as columns, and the Q forces under them."""
-
-    resistance_ohm: FloatArray  #: (n, P); anything where not read
-    read: NDArray[np.bool_]  #: (n, P)
-    force_n: FloatArray  #: (n, Q): expected; effective forces, if the model has a correction for finite strain
-    acting_n: FloatArray  #: (n, Q): forces that these stand for
-    unknown_n: FloatArray  #: (n_unknown, Q): directions in which forces may differ, a standard deviation each
-    pair: NDArray[np.int64]  #: (n_unknown,): of which pair
-    noise: float
-    bits: int | None
-    scale: FloatArray  #: (n,): of all deviations of a pair; above 1 if its load or its reading was not as stated
-
-    def variance_ohm2(self) -> FloatArray:
-        """Variance of the readings about their resistances, (n, P) [Ω²]."""
-        deviation = reading_deviation(self.resistance_ohm, self.noise, self.bits)
-        return deviation**2 + (MIN_NOISE * self.resistance_ohm) ** 2
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class State:
-    """One sensor that may be; unknowns are in standard deviations of their priors if no unit is stated."""
-
-    parameters: FloatArray  #: (k,)
-    resistivity: float  #: logarithm of its ratio to the design's, in standard deviations
-    shared: FloatArray  #: (kinds, 3, n_shared)
-    unknown: FloatArray  #: (n_unknown,): ξ of the forces
-    gain: FloatArray  #: g, (P,)
-    offset_ohm: FloatArray  #: o, (P,)
-    own: FloatArray  #: (P, 3, Q) [mm/N]
-
-    @classmethod
-    def as_expected(cls, expected: Expectation, n_unknown: int) -> "State":
-        """The prior's mean."""
-        P, _, Q = expected.influence.shape
-        kinds = P // expected.n_units
-        n_shared = expected.near.shape[1] * (Q // expected.n_units)
-        return cls(
-            parameters=np.zeros(len(expected.names)),
-            resistivity=0.0,
-            shared=np.zeros((kinds, 3, n_shared)),
-            unknown=np.zeros(n_unknown),
-            gain=np.ones(P),
-            offset_ohm=np.zeros(P),
-            own=np.zeros((P, 3, Q)),
-        )
-
-    def influence(self, expected: Expectation) -> FloatArray:
-        """B, (P, C, Q) [mm/N]."""
-        B = expected.influence + np.tensordot(self.parameters, expected.by_influence, axes=1)
-        B[:, :3] += self.own + expected.shared_influence(self.shared * expected.widths.shared)
-        return B
-
-    def rest_mm(self, expected: Expectation) -> FloatArray:
-        """d, (P, C)."""
-        return expected.rest_mm + np.tensordot(self.parameters, expected.by_rest_mm, axes=1)
-
-    def ohm_per_mm2(self, expected: Expectation) -> FloatArray:
-        """c, (P,), of the sensor's own size and resistivity."""
-        logarithm = self.parameters @ expected.by_log_c + expected.widths.resistivity * self.resistivity
-        return expected.ohm_per_mm2 * np.exp(logarithm)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,156 +84,7 @@ def infer(
 
 def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
     """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
-    return found.state.gain * _shown(found.expected, found.state, force_n)[1] + found.state.offset_ohm
-
-
-def forces_under(readings: Readings, unknown: FloatArray) -> FloatArray:
-    """Forces on the pads (n, Q) [N] for ξ (n_unknown,)."""
-    force_n = readings.force_n.copy()
-    np.add.at(force_n, readings.pair, unknown[:, None] * readings.unknown_n)
-    return force_n
-
-
-def _own(expected: Expectation, state: State) -> FloatArray:
-    """Gain, offset and correction of each pillar, (P, 2 + 3Q), in standard deviations."""
-    widths = expected.widths
-    parts = [
-        (state.gain[:, None] - 1.0) / widths.gain,
-        (state.offset_ohm / (widths.offset * expected.rest_ohm))[:, None],
-        (state.own / (widths.own * expected.sizes[:, None])).reshape(len(state.gain), -1),
-    ]
-    return np.concatenate(parts, axis=1)
-
-
-def _with_own(expected: Expectation, state: State, own: FloatArray) -> State:
-    """The state with these unknowns of the pillars, as `_own` has them."""
-    widths = expected.widths
-    return replace(
-        state,
-        gain=1.0 + widths.gain * own[:, 0],
-        offset_ohm=widths.offset * expected.rest_ohm * own[:, 1],
-        own=own[:, 2:].reshape(state.own.shape) * (widths.own * expected.sizes[:, None]),
-    )
-
-
-def _shown(expected: Expectation, state: State, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Vectors v = d + B F (n, P, C) [mm], and resistances without gain and offset, c Σ s v², (n, P) [Ω]."""
-    P, C, Q = expected.influence.shape
-    v = (force_n @ state.influence(expected).reshape(-1, Q).T).reshape(-1, P, C) + state.rest_mm(expected)
-    return v, state.ohm_per_mm2(expected) * np.einsum("pi,npi,npi->np", expected.sign, v, v)
-
-
-def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[FloatArray, FloatArray]:
-    """One over the deviation of each reading, (n, P) [1/Ω], 0 where not read; fraction of the variance that is misfit.
-
-    A misfit is relative to the distance from the sensor's own rest.
-    """
-    rest_ohm = state.ohm_per_mm2(expected) * (expected.sign * state.rest_mm(expected) ** 2).sum(axis=1)
-    distance = readings.resistance_ohm - state.gain * rest_ohm - state.offset_ohm
-    misfit_ohm2 = (expected.widths.misfit * distance) ** 2
-    variance = (readings.variance_ohm2() + misfit_ohm2) * readings.scale[:, None] ** 2
-    misfit_ohm2 *= readings.scale[:, None] ** 2
-    return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pillar:
-    """Readings of one pillar, linearised about a state and whitened: misfit ≈ D x + J (z + T y).
-
-    x are parameters, resistivity and unknown parts of forces, z the pillar's own unknowns as `_own` has them. A shared
-    correction y moves a pillar as one of its own would: T has one entry a column.
-    """
-
-    D: FloatArray  #: (n, k + 1 + n_unknown)
-    J: FloatArray  #: (n, m)
-    misfit: FloatArray  #: r, (n,): readings less model
-    places: NDArray[np.int64]  #: of x, then of y, among all that is shared
-    rows: NDArray[np.int64]  #: (n_y,): of T's entries, among z
-    factors: FloatArray  #: (n_y,): these entries
-
-    def by_shared(self, shared: FloatArray) -> FloatArray:
-        """Whitened readings (n, ...) by what is shared, (g, ...)."""
-        x, y = np.split(shared[self.places], [self.D.shape[1]])
-        z = np.zeros((self.J.shape[1], *y.shape[1:]))
-        z[self.rows] = (self.factors * y.T).T
-        return self.D @ x + self.J @ z
-
-
-class _Linear:
-    """All readings about a state, linearised and whitened; each pillar's own unknowns are marginalised.
-
-    ``N`` and ``rhs`` are (1 + Σ Aᵀ S⁻¹ A) and Σ Aᵀ S⁻¹ r − x of what pillars share.
-    """
-
-    def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
-        self.expected, self.readings, self.state = expected, readings, state
-        self.weight, self.unsure = _weights(expected, readings, state)
-        self.own = _own(expected, state)
-        self._force_n = forces_under(readings, state.unknown)
-        v, modelled = _shown(expected, state, self._force_n)
-        self._misfit = self.weight * (readings.resistance_ohm - state.gain * modelled - state.offset_ohm)
-        self._gain = self.weight * modelled
-        self._slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * self.weight)[..., None] * expected.sign * v
-        self._B = state.influence(expected)
-        x, P = _flat(state), expected.n_pillars
-        self.N, self.rhs = np.eye(len(x)), -x
-        self.known, self.left = np.empty((P, 3)), np.empty(self.weight.shape)
-        self._half = []
-        for p in range(P):
-            pillar = self.pillar(p)
-            marginal = Marginal(pillar.J)
-            self._half.append(marginal.half)
-            self.known[p], self.left[:, p] = marginal.known(2), marginal.left()
-            y = pillar.misfit + pillar.J @ self.own[p]
-            X, Z = marginal.solved(np.column_stack([pillar.D, y]))
-            by_y = Z[pillar.rows] * pillar.factors[:, None]
-            among_y = marginal.between(pillar.rows) * np.outer(pillar.factors, pillar.factors)
-            sums = pillar.D.T @ X
-            self.N[np.ix_(pillar.places, pillar.places)] += np.block(
-                [[sums[:, :-1], by_y[:, :-1].T], [by_y[:, :-1], among_y]]
-            )
-            self.rhs[pillar.places] += np.concatenate([sums[:, -1], by_y[:, -1]])
-
-    def pillar(self, p: int) -> _Pillar:
-        """Pillar number p."""
-        expected, state, pair = self.expected, self.state, self.readings.pair
-        k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
-        n, n_axes = len(self.weight), Q // expected.n_units
-        unit, kind = divmod(p, kinds)
-        s, scaled, widths = self._slope[:, p], state.gain[p] * self._gain[:, p], expected.widths
-        moved = (self._force_n @ expected.by_influence[:, p].reshape(-1, Q).T).reshape(n, k, s.shape[1])
-        D = np.zeros((n, k + 1 + len(pair)))
-        D[:, :k] = np.einsum("nc,nkc->nk", s, moved + expected.by_rest_mm[:, p])
-        D[:, :k] += scaled[:, None] * expected.by_log_c[:, p]
-        D[:, k] = widths.resistivity * scaled
-        D[pair, k + 1 + np.arange(len(pair))] = (s[pair] * (self.readings.unknown_n @ self._B[p].T)).sum(axis=1)
-        sizes_n = self._force_n * (expected.sizes[p] * widths.own)
-        J = np.empty((n, 2 + 3 * Q))
-        J[:, 0] = widths.gain * self._gain[:, p]
-        J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
-        np.multiply(s[:, :3, None], sizes_n[:, None], out=J[:, 2:].reshape(n, 3, Q))
-        near = np.flatnonzero(expected.near[unit] >= 0)
-        forces = (expected.near[unit, near, None] * n_axes + np.arange(n_axes)).ravel()
-        columns = (near[:, None] * n_axes + np.arange(n_axes)).ravel()
-        of_axis = np.arange(3)[:, None]
-        ratio = np.repeat(expected.near_mm_per_n[near] * widths.shared, n_axes)
-        ratio = ratio / (expected.sizes[p, forces] * widths.own)
-        first = k + 1 + 3 * n_shared * kind
-        places = [np.arange(k + 1), k + 1 + state.shared.size + np.arange(len(pair))]
-        return _Pillar(
-            D=D,
-            J=J,
-            misfit=self._misfit[:, p],
-            places=np.concatenate([*places, (first + of_axis * n_shared + columns).ravel()]),
-            rows=(2 + of_axis * Q + forces).ravel(),
-            factors=np.tile(ratio, 3),
-        )
-
-    def pillars(self) -> Iterator[tuple[int, _Pillar, Marginal]]:
-        """Each pillar with its number and its marginal."""
-        for p, half in enumerate(self._half):
-            pillar = self.pillar(p)
-            yield p, pillar, Marginal(pillar.J, half)
+    return found.state.gain * shown(found.expected, found.state, force_n)[1] + found.state.offset_ohm
 
 
 @dataclass(kw_only=True)
@@ -325,7 +109,7 @@ class _Evidence:
 
 def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[State, _Evidence]:
     """The state after a Gauss-Newton step, and what the step says of the widths."""
-    linear = _Linear(expected, readings, state)
+    linear = Linear(expected, readings, state)
     own, n_first = linear.own, len(state.parameters) + 1
     known = dict(zip(("gain", "offset", "own"), linear.known.sum(axis=0).tolist(), strict=True))
     known["misfit"] = float((linear.unsure * linear.left).sum())
@@ -339,14 +123,14 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
     squares = {"misfit": float((linear.unsure * noise**2).sum()), "own": float((found[:, 2:] ** 2).sum())}
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
     errors = BELIEF_IN_PAIRS + (noise**2).sum(axis=1)
-    moved = _unflat(state, _flat(state) + step)
+    moved = _unflat(state, flat(state) + step)
     if state.shared.size:
         half = solve_triangular(factor[0], np.eye(len(linear.N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
         of_shared = slice(n_first, n_first + state.shared.size)
         known["shared"] = float(state.shared.size - (half[:, of_shared] ** 2).sum())
         squares["shared"] = float((moved.shared**2).sum())
     improved = _descended(expected, readings, moved, own, found, linear.weight)
-    farthest = max(float(np.abs(step).max()), float(np.abs(_own(expected, improved) - own).max()))
+    farthest = max(float(np.abs(step).max()), float(np.abs(own_unknowns(expected, improved) - own).max()))
     return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
 
 
@@ -356,8 +140,8 @@ def _descended(
     """The state with each pillar's own unknowns on the way from `own` to `found`, as far as its misfit falls."""
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        tried = _with_own(expected, state, unknowns)
-        _, modelled = _shown(expected, tried, force_n)
+        tried = with_own(expected, state, unknowns)
+        _, modelled = shown(expected, tried, force_n)
         misfit = weight * (readings.resistance_ohm - tried.gain * modelled - tried.offset_ohm)
         return (misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1)
 
@@ -368,12 +152,7 @@ def _descended(
         if not worse.any():
             break
         size[worse] *= 0.5
-    return _with_own(expected, state, own + size * (found - own))
-
-
-def _flat(state: State) -> FloatArray:
-    """All that pillars share, as one vector."""
-    return np.concatenate([state.parameters, [state.resistivity], state.shared.ravel(), state.unknown])
+    return with_own(expected, state, own + size * (found - own))
 
 
 def _unflat(state: State, x: FloatArray) -> State:
@@ -391,7 +170,7 @@ def _in_other_widths(state: State, old: Widths, new: Widths) -> State:
 def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Posterior:
     """The posterior about the most probable state, with draws from it."""
     generator = np.random.default_rng(seed)
-    linear = _Linear(expected, readings, state)
+    linear = Linear(expected, readings, state)
     n, own = len(linear.weight), linear.own
     factor = np.linalg.cholesky(linear.N)
     shared_draws = solve_triangular(factor, generator.standard_normal((len(factor), draws)), lower=True, trans="T")
@@ -416,7 +195,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
 
 
 def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """What all other pairs leave open of some pairs' readings.
+    """Errors of some pairs' readings as foretold by all other pairs, and how sure these are.
 
     Returns
     -------
@@ -430,7 +209,7 @@ def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64])
     The PRESS residual of linear regression, a pair at a time, about the most probable sensor: [C⁻¹]ₙₙ⁻¹ [C⁻¹ r]ₙ with
     C = 1 + J Jᵀ + A Aᵀ of all whitened readings r. Widths stay as all pairs led to them.
     """
-    linear = _Linear(found.expected, replace(readings, scale=found.scale), found.state)
+    linear = Linear(found.expected, replace(readings, scale=found.scale), found.state)
     half = np.linalg.inv(np.linalg.cholesky(linear.N))
     step = half.T @ (half @ linear.rhs)
     shape = len(which), found.expected.n_pillars

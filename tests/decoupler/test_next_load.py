@@ -7,8 +7,8 @@ import pytest
 
 from decoupler.data.columns import component_named
 from decoupler.twin.expectation import Expectation
+from decoupler.twin.linearised import State
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
-from decoupler.twin.posterior import State
 from fem.array.sensitivities import ResponseSensitivities
 from tests.decoupler.synthetic_sensor import response, sensor
 

@@ -258,8 +258,8 @@ def next_loads_of(
     """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
     from decoupler.data.columns import component_named
     from decoupler.twin.expectation import Expectation
+    from decoupler.twin.linearised import State
     from decoupler.twin.next_load import next_loads
-    from decoupler.twin.posterior import State
     from tripillar.terminal.progress import Bars
 
     possible, usual_n = _possible(design, count, have), usual_loads(design, usual)
