@@ -1,19 +1,21 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import LEAF, write_leaves
+from dataset.measurement import ReadingError
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
 from dataset.zarr_folder import is_zarr
-from geometry.design import SensorDesign
+from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import PILLARS, FloatArray
@@ -104,6 +106,20 @@ class Samples:
     def blocks(self, size: int = LEAF) -> "Iterator[Samples]":
         """All samples in order, so many at a time, as `StoredSamples.blocks` gives those that memory does not hold."""
         return (self[start : start + size] for start in range(0, len(self), size))
+
+    @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, and the drifts that its design states where these are larger."""
+        return errors_of(self)
+
+    def drifted(self, generator: np.random.Generator) -> "Samples":
+        """With the drifts that its design states where its readings were drawn with less."""
+        own, stated = _own_errors(self), self.errors
+        left = {spec.name: _beyond(getattr(stated, spec.name), getattr(own, spec.name)) for spec in fields(Drifts)}
+        further = ReadingError(**left)
+        if not further.has_drift:
+            return self
+        return replace(self, resistance_ohm=further.drifted(self.resistance_ohm, generator))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,7 +214,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
         raise SampleError("no samples to join: give at least one data set.")
     first = parts[0]
     for number, part in enumerate(parts[1:], 2):
-        for name in ("design", "noise", "bits"):
+        for name in ("design", "noise", "bits", "errors"):
             if getattr(part, name) != getattr(first, name):
                 raise SampleError(
                     f"data set {number} has another {name} than the first: join samples of one sensor, read alike."
@@ -212,6 +228,35 @@ def joined(parts: Sequence[Samples]) -> Samples:
     kept = {name: value for name, value in first.made_from.items() if name not in WHOLE_FILE}
     arrays |= {"strain_model": model if model.any() else None, "error_estimate": None, "iterations": None}
     return replace(first, **arrays, made_from=kept)
+
+
+class _Read(Protocol):
+    """Samples, in memory or not."""
+
+    noise: float
+    bits: int | None
+    made_from: dict[str, Any]
+    design: SensorDesign | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the array."""
+
+
+def errors_of(data: _Read) -> ReadingError:
+    """Errors of readings with the larger of the drifts that the samples' attributes and their design state."""
+    return _own_errors(data).with_drifts_of(None if data.design is None else data.design.electrics)
+
+
+def _own_errors(data: _Read) -> ReadingError:
+    """Errors that the readings were drawn with, by the samples' attributes."""
+    errors = ReadingError(noise=data.noise, bits=data.bits)
+    return errors.with_drifts_of(stated_imperfections(data.made_from, *data.shape))
+
+
+def _beyond(stated: float, own: float) -> float:
+    """Deviation that makes one deviation of another, both of independent errors."""
+    return math.sqrt(max(stated**2 - own**2, 0.0))
 
 
 def _concatenated(held: Sequence[FloatArray | None]) -> FloatArray | None:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, KNOWN, LEAF, LEAF_SIZE, leaves_hash, n_leaves
-from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples
+from dataset.measurement import ReadingError
+from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples, errors_of
 from dataset.variables import COORDINATES, MAX_N, MAX_OHM, MIN_OHM
 from dataset.zarr_folder import is_zarr, open_zarr
 from geometry.design import SensorDesign
@@ -102,6 +103,11 @@ class StoredSamples:
             leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
             hashes = dict(zip(LABELS, map(list, zip(*leaves, strict=True)), strict=True))
         return leaves_hash(hashes)
+
+    @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, as of `Samples`."""
+        return errors_of(self)
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:

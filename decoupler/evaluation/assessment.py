@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset import Samples
-from dataset.measurement import measured
+from dataset.measurement import ReadingError
 from dataset.protocols import LIGHT_N
 from decoupler.data.columns import force_columns, readable_columns
 from decoupler.data.enough import ENOUGH, AnySamples, drawn
@@ -82,7 +82,7 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
         own = ForwardModel.of(response, component)
         if decoupler.inverse is not None and decoupler.ensemble is not None:
             own = decoupler.inverse.forward  # the sensor that was identified
-        light = light_touches(decoupler, own, data.noise, data.bits)
+        light = light_touches(decoupler, own, data.errors)
     covered = None
     if decoupler.uncertainty is not None:
         predicted = decoupler.forces(data.resistance_ohm)
@@ -126,8 +126,8 @@ def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
 
 
-def light_touches(decoupler: Decoupler, forward: ForwardModel, noise: float, bits: int | None) -> dict[str, LightTouch]:
-    """Errors by force on the sensor that the model knows, gains and offsets included, read with this noise.
+def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingError) -> dict[str, LightTouch]:
+    """Errors by force on the sensor that the model knows, gains and offsets included, read with these errors.
 
     `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.
     """
@@ -139,11 +139,11 @@ def light_touches(decoupler: Decoupler, forward: ForwardModel, noise: float, bit
     ohms = forward.resistances(force_n)
     if decoupler.calibration is not None:
         ohms = decoupler.calibration.shown(ohms)
-    ohms = measured(ohms, noise, bits, generator)
+    ohms = errors.read(ohms.reshape(len(ohms), decoupler.rows, decoupler.cols, -1), generator).reshape(ohms.shape)
     missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
     rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))
     readable = readable_columns(decoupler.component, decoupler.dead, forward.n_pillars)
-    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], noise, bits, readable), axes)
+    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], errors.noise, errors.bits, readable), axes)
     limit_n = np.sqrt((limit_n**2).mean(axis=(0, 1)))
     covered = None
     if decoupler.uncertainty is not None:

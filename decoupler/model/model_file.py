@@ -9,6 +9,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
 from decoupler.inverse.effective_forces import N_FEATURES, OWN, EffectiveForces
@@ -19,11 +20,11 @@ from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty
 from decoupler.model.usual import UsualLoads
-from geometry.design import SensorDesign
+from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.layout import PILLAR_TOP, PILLARS
-from geometry.storage.files import digest, write_bytes
+from geometry.storage.files import digest, stated, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
 
@@ -93,7 +94,8 @@ def model_cache_key(
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
     dead = data.dead if data.dead is not None and data.dead.any() else None
     parts = (FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
-    return digest(*parts, *([data.is_finite] if data.is_finite.any() else []))
+    later = [data.is_finite] if data.is_finite.any() else []
+    return digest(*parts, *later, *([data.errors] if data.errors.has_drift else []))
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -110,7 +112,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "made_from": decoupler.made_from,
     }
     if decoupler.uncertainty is not None:
-        header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
+        header |= stated(decoupler.uncertainty.errors)
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     write_bytes(path, *sealed(content))
@@ -164,8 +166,8 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
     Raises
     ------
     FileFormatError
-        If the array's size differs, or, where both sides state their design, any value of it; of a twin any that it
-        does not find out.
+        If the array's size differs, or, where both sides state their design, any value of it but drifts; of a twin any
+        that it does not find out.
     """
     rows, cols = data.shape
     differences = [
@@ -186,6 +188,7 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
 def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool = False) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
     free = uncertain_keys(model) | uncertain_keys(data) if of_twin else set()  # as it was meant, as it was measured
+    free |= {f"electrics.{spec.name}" for spec in fields(Drifts)}  # how far readings drift makes no other sensor
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
@@ -259,6 +262,11 @@ def _holds_pillars(forward: ForwardModel) -> bool:
     return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
 
 
+def _errors(header: dict[str, Any]) -> ReadingError:
+    """Errors of the readings; a drift that the header does not state is none."""
+    return ReadingError(**{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header})
+
+
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
     if header["format"] != FORMAT:
         raise ValueError(f"format is {header['format']}, not {FORMAT}: of another version, train it again")
@@ -284,7 +292,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         forward = ForwardModel(**held("inverse.forward"), correction=correction)
         inverse = ModelInverse(forward=forward, **held("inverse"))
     if "inverse_matrix" in arrays:
-        uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
+        uncertainty = Uncertainty(**held("uncertainty"), errors=_errors(header))
     component, dead = component_named(header["component"]), arrays.get("dead")
     if "least_squares" in arrays:
         least_squares = LeastSquares(component=component, **held("least_squares"), dead=dead)

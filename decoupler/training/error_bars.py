@@ -6,6 +6,7 @@ Both come from the errors on its training set, or on measured pairs, had each sa
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.measurement import ReadingError
 from decoupler.data.repeats import over_loads
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
@@ -52,8 +53,7 @@ def fitted_uncertainty(
     decoupler: Decoupler,
     columns_ohm: FloatArray,
     force_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    reading: ReadingError,
     ridge: float,
     load: NDArray[np.int64],
     n_light: int = 0,
@@ -66,8 +66,8 @@ def fitted_uncertainty(
     decoupler : Decoupler
     columns_ohm, force_n : arrays, shapes (n, n_in) and (n, n_out)
         Readings [Ω] and forces [N]; the last `n_light` samples are light.
-    noise, bits
-        Of the readings, as `dataset.measurement.reading_deviation` takes them.
+    reading : ReadingError
+        Errors of the readings.
     ridge : float
         λ on the output weights.
     load : array, shape (n,)
@@ -100,7 +100,7 @@ def fitted_uncertainty(
     misfits, ratios = [], []
     for part in parts:
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
-        through = decoupler.noise_variance(columns_ohm[some], noise, bits)
+        through = decoupler.noise_variance(columns_ohm[some], reading)
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
         if part[0]:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
@@ -112,8 +112,7 @@ def fitted_uncertainty(
         np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
     ]
     return Uncertainty(
-        noise=noise,
-        bits=bits,
+        errors=reading,
         inverse_matrix=G,
         misfit_n2=misfits[0],
         unexplained_n2=unexplained,
