@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
-from geometry.design import quantity
+from geometry.design import quantity, require_sound
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import stated
@@ -41,6 +41,11 @@ class Imperfections(ReadingError):
     dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
 
     def __post_init__(self) -> None:
+        require_sound(self)
+        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
+            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
+        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
         super().__post_init__()
         if not 0 <= self.gain_spread < 1:
             raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
@@ -48,8 +53,6 @@ class Imperfections(ReadingError):
             raise DesignError(f"offset_ohm={self.offset_ohm:g} must be from 0 to 1e6; it is a standard deviation.")
         if not 0 <= self.specimen < 2**63:
             raise DesignError(f"specimen={self.specimen} must be from 0 to below 2⁶³.")
-        if self.noise > 0.1:  # ten deviations from a negative resistance
-            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
         if not (isinstance(self.dead_pillars, tuple) and all(map(_is_place, self.dead_pillars))):
             raise DesignError(
                 f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and one of the pillars "

@@ -42,9 +42,9 @@ class ReadingError(Drifts):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.noise < 0:
-            raise DesignError(f"noise={self.noise:g} must not be below 0; 0.001 is 0.1 % of the resistance.")
+            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
         if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
+            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
 
     @property
     def is_exact(self) -> bool:
@@ -53,7 +53,17 @@ class ReadingError(Drifts):
 
     @property
     def has_drift(self) -> bool:
-        return bool(self.drift or self.drift_tilt or self.drift_pillar)
+        return any(self._drifts)
+
+    def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
+        """The drifts alone that, beside those of readings drawn with `own`, make them these."""
+        pairs = zip(self._drifts, own._drifts, strict=True)
+        drift, tilt, pillar = (float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs)
+        return ReadingError(drift=drift, drift_tilt=tilt, drift_pillar=pillar)
+
+    @property
+    def _drifts(self) -> tuple[float, float, float]:
+        return self.drift, self.drift_tilt, self.drift_pillar
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
@@ -74,7 +84,7 @@ class ReadingError(Drifts):
         return np.sqrt(self.deviation(resistance_ohm) ** 2 + (shared**2).sum(axis=2))
 
     def _patterns(self, rows: int, cols: int) -> FloatArray:
-        """Relative change at each unit by a standard deviation of the drift, of its tilt along x and along y, (k, 3)."""
+        """Relative change at each unit by a deviation of the drift, of its tilt along x and along y, (k, 3)."""
         along_y, along_x = (np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1) for size in (rows, cols))
         y, x = np.meshgrid(along_y, along_x, indexing="ij")
         tilted = self.drift_tilt * np.stack([x.reshape(-1), y.reshape(-1)], axis=1)

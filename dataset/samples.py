@@ -1,11 +1,10 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from dataset.leaves import LEAF, write_leaves
 from dataset.measurement import ReadingError
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
 from dataset.zarr_folder import is_zarr
-from geometry.design import Drifts, SensorDesign
+from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import PILLARS, FloatArray
@@ -110,13 +109,12 @@ class Samples:
     @property
     def errors(self) -> ReadingError:
         """Errors that its readings have, and the drifts that its design states where these are larger."""
-        return errors_of(self)
+        own = own_errors(self.noise, self.bits, self.made_from, self.shape)
+        return own if self.design is None else own.with_drifts_of(self.design.electrics)
 
     def drifted(self, generator: np.random.Generator) -> "Samples":
         """With the drifts that its design states where its readings were drawn with less."""
-        own, stated = _own_errors(self), self.errors
-        left = {spec.name: _beyond(getattr(stated, spec.name), getattr(own, spec.name)) for spec in fields(Drifts)}
-        further = ReadingError(**left)
+        further = self.errors.drifts_beyond(own_errors(self.noise, self.bits, self.made_from, self.shape))
         if not further.has_drift:
             return self
         return replace(self, resistance_ohm=further.drifted(self.resistance_ohm, generator))
@@ -230,33 +228,9 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return replace(first, **arrays, made_from=kept)
 
 
-class _Read(Protocol):
-    """Samples, in memory or not."""
-
-    noise: float
-    bits: int | None
-    made_from: dict[str, Any]
-    design: SensorDesign | None
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the array."""
-
-
-def errors_of(data: _Read) -> ReadingError:
-    """Errors of readings with the larger of the drifts that the samples' attributes and their design state."""
-    return _own_errors(data).with_drifts_of(None if data.design is None else data.design.electrics)
-
-
-def _own_errors(data: _Read) -> ReadingError:
-    """Errors that the readings were drawn with, by the samples' attributes."""
-    errors = ReadingError(noise=data.noise, bits=data.bits)
-    return errors.with_drifts_of(stated_imperfections(data.made_from, *data.shape))
-
-
-def _beyond(stated: float, own: float) -> float:
-    """Deviation that makes one deviation of another, both of independent errors."""
-    return math.sqrt(max(stated**2 - own**2, 0.0))
+def own_errors(noise: float, bits: int | None, attributes: Mapping[str, Any], shape: tuple[int, int]) -> ReadingError:
+    """Errors that readings were drawn with, the drifts by a dataset's attributes."""
+    return ReadingError(noise=noise, bits=bits).with_drifts_of(stated_imperfections(attributes, *shape))
 
 
 def _concatenated(held: Sequence[FloatArray | None]) -> FloatArray | None:

@@ -137,13 +137,15 @@ class Decoupler:
         if self.uncertainty is None:
             raise SampleError("this model knows no uncertainty: train it again.")
         found, columns = self.uncertainty, self.columns(resistance_ohm)
-        own_n2, (scale, _) = self._own_variance(columns)
+        own_n2, (scale, two) = self._own_variance(columns)
+        # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
+        wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns, found.errors):
+        for chunk, factors in self._error_factors(columns, found.errors, found.drift_factor):
             variance[chunk] += (factors**2).sum(axis=2)
-            by_error = (weights[None] * scale[chunk, :, None]).swapaxes(1, 2) @ factors
+            by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
-        covariance += np.einsum("no,oi,oj->nij", own_n2 * scale**2, weights, weights, optimize=True)
+        covariance += np.einsum("no,oi,oj->nij", own_n2 * wide**2, weights, weights, optimize=True)
         shape = (-1, self.rows, self.cols, len(self.component.axes))
         return (np.sqrt(variance) * scale).reshape(shape), covariance
 
@@ -198,7 +200,7 @@ class Decoupler:
         found = self.uncertainty
         assert found is not None
         own_n2, (one, two) = self._own_variance(columns_ohm)
-        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors))
+        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors, found.drift_factor))
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
@@ -208,17 +210,21 @@ class Decoupler:
         force_n = self.output_scaling.unscale(A @ self.output_weights.T)
         return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
-    def noise_variance(self, columns_ohm: FloatArray, errors: ReadingError) -> FloatArray:
+    def noise_variance(
+        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
+    ) -> FloatArray:
         """Variance of the forces (n, n_out) [N²] that errors of the readings and of the sensor's model cause.
 
         Readings are (n, n_in) [Ω].
         """
         found = np.zeros((len(columns_ohm), len(self.output_weights)))
-        for chunk, factors in self._error_factors(columns_ohm, errors):
+        for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
             found[chunk] = (factors**2).sum(axis=2)
         return found
 
-    def _error_factors(self, columns_ohm: FloatArray, errors: ReadingError) -> Iterator[tuple[slice, FloatArray]]:
+    def _error_factors(
+        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None
+    ) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
 
         Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
@@ -230,7 +236,10 @@ class Decoupler:
             chunk = slice(start, start + DERIVATIVES)
             slopes, columns = self.derivatives(columns_ohm[chunk]), columns_ohm[chunk]
             factors = slopes * errors.deviation(columns)[:, None]
-            common = [slopes @ errors.shared(columns, self.rows, self.cols)] if errors.has_drift else []
+            common = []
+            if errors.has_drift:
+                shared = slopes @ errors.shared(columns, self.rows, self.cols)
+                common.append(shared if drift_factor is None else shared @ drift_factor)
             if self.ensemble is not None:
                 differences = self._ensemble_differences(columns)
                 common.append(slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble)))

@@ -66,6 +66,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
     "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
     "light_n2": ("uncertainty.light_n2", ("1",)),
+    "drift_factor": ("uncertainty.drift_factor", ("drifts", "drifts")),
     "usual_low_n": ("usual.low_n", ("axes",)),
     "usual_high_n": ("usual.high_n", ("axes",)),
     "friction": ("usual.friction", ("1",)),
@@ -251,8 +252,13 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "finite features": N_FEATURES,
         "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
         "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
+        "drifts": 0 if decoupler.uncertainty is None else _n_drifts(decoupler.uncertainty.errors, rows, cols),
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
+
+
+def _n_drifts(errors: ReadingError, rows: int, cols: int) -> int:
+    return errors.shared(np.ones((1, rows * cols)), rows, cols).shape[2]
 
 
 def _holds_pillars(forward: ForwardModel) -> bool:
@@ -284,7 +290,11 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        return {field: arrays[name] for field, name in mine.items() if name in arrays or name != "sign"}
+        return {
+            field: arrays[name]
+            for field, name in mine.items()
+            if name in arrays or name not in ("sign", "drift_factor")
+        }
 
     inverse = uncertainty = least_squares = None
     if network.feature == "inverse":

@@ -32,6 +32,9 @@ class Uncertainty:
     misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, at rest and under light touches
     widths_at_rest: FloatArray  #: (2, n_axes)
     light_n2: FloatArray  #: (1,): mean square of the forces of a light training sample [N²]
+    #: (m, m): how far forces err along what m shared drifts do, a Cholesky factor in deviations of each; above 1, as
+    #: load that is taken for drift counts, too. None without shared drifts
+    drift_factor: FloatArray | None = None
 
     def own_variance(
         self, A: FloatArray, force_n: FloatArray, half_range_n: FloatArray

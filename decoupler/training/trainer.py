@@ -103,8 +103,8 @@ def train(
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
     must not move rest, which data under load do not hold: light samples are added.
 
-    Readings are given the drifts that the design states, where they have less: what is learned then leans on them as
-    little as they can be trusted.
+    Readings are given the drifts that the design states, where they have less. Hidden nodes learn
+    single draws of the drifts by heart: errors then are those on the samples kept for validation.
 
     Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
     to all of them by least squares, block by block.
@@ -137,6 +137,7 @@ def train(
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     start = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     load = load_numbers(data.force_n)
+    judged = None
     load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
     with _one_torch_thread(), torch.no_grad():
         hidden, output = start.hidden.detach(), start.output.detach()
@@ -147,6 +148,7 @@ def train(
         if training.trainer == "varpro":
             order = _mixed(load, training)
             held_out = _n_held_out(load[order], training) if start.skip else 0  # a plain net has no linear map instead
+            judged = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
@@ -165,7 +167,7 @@ def train(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(trained, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix, judged)
     if forward is not None and forward.correction is not None:  # errors on its own samples say too little
         unseen_n2 = np.tile(forward.correction.misfit_n**2, len(uncertainty.misfit_n2) // 3)
         uncertainty = replace(uncertainty, misfit_n2=np.maximum(uncertainty.misfit_n2, unseen_n2))

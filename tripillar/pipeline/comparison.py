@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from dataset import Imperfections, Samples
+from dataset.measurement import ReadingError
 from decoupler.data.columns import COMPONENTS, Component
 from decoupler.data.pairs import Pairs
-from dataset.measurement import ReadingError
 from decoupler.evaluation.assessment import light_touches
 from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
 from decoupler.inverse.forward_model import ForwardModel
