@@ -1,6 +1,6 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -212,10 +212,10 @@ def joined(parts: Sequence[Samples]) -> Samples:
         raise SampleError("no samples to join: give at least one data set.")
     first = parts[0]
     for number, part in enumerate(parts[1:], 2):
-        for name in ("design", "noise", "bits", "errors"):
+        for name, said in (("design", "design"), ("noise", "noise"), ("bits", "bits"), ("errors", "drift")):
             if getattr(part, name) != getattr(first, name):
                 raise SampleError(
-                    f"data set {number} has another {name} than the first: join samples of one sensor, read alike."
+                    f"data set {number} has another {said} than the first: join samples of one sensor, read alike."
                 )
         if part.force_n.shape[1:] != first.force_n.shape[1:] or not np.array_equal(_dead(part), _dead(first)):
             raise SampleError(f"data set {number} has other pillars than the first: join samples of one sensor.")

@@ -132,7 +132,7 @@ def fitted_uncertainty(
 def _drift_factor(
     decoupler: Decoupler, columns_ohm: FloatArray, errors_n: FloatArray, reading: ReadingError
 ) -> FloatArray | None:
-    """`Uncertainty.drift_factor` from readings (n, n_in) [Ω] and errors (n, n_out) [N] of training; None without drifts.
+    """`Uncertainty.drift_factor` by readings (n, n_in) [Ω] and errors (n, n_out) [N] of training; None without drift.
 
     Notes
     -----
