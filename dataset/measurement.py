@@ -14,7 +14,7 @@ from geometry.design import Drifts, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
-LEAST_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
+MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
 
@@ -101,7 +101,7 @@ class ReadingError(Drifts):
         n, rows, cols, _ = resistance_ohm.shape
         common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
         own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
-        return resistance_ohm * np.maximum(1.0 + common + own, LEAST_LEFT)
+        return resistance_ohm * np.maximum(1.0 + common + own, MIN_LEFT)
 
     def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, n_pillars) [Ω] as measured: drift, noise, and the converter's steps last."""

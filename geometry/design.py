@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, Layout, footprint, min_span
@@ -147,8 +147,13 @@ EQUATIONS = ("eq1", "conduction")
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """What readings may have drifted by since the sensor was last at rest: standard deviations, relative."""
+    """Relative standard deviations of what readings may have drifted by since the sensor was last tared."""
 
+    #: lines of comment in design files
+    NOTES: ClassVar[tuple[str, ...]] = (
+        "The paper states no drift. Rubber filled with carbon black drifts with warmth, humidity and rest; typical are",
+        "drift = 0.005, drift_tilt = 0.005, drift_pillar = 0.002. Measure yours: unloaded, an hour, in its usual room.",
+    )
     drift: float = quantity(0.0, "deviation of a drift that all resistances share, relative: 0.005 is 0.5 %", True)
     drift_tilt: float = quantity(0.0, "of one linear over the array along x and along y, at its outermost units", True)
     drift_pillar: float = quantity(0.0, "of one that each pillar has on its own", True)

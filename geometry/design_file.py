@@ -30,6 +30,7 @@ def design_to_toml(design: SensorDesign) -> str:
         if is_dataclass(value):
             tables.append(f"\n[{spec.name}]  # {spec.metadata['meaning']}")
             tables.extend(_key_line(value, key) for key in _keys(value))
+            tables.extend(f"# {note}" for note in getattr(value, "NOTES", ()))
         else:
             lines.append(_key_line(design, spec))
     return "\n".join([*lines, *tables, ""])
