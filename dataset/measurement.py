@@ -67,7 +67,12 @@ class ReadingError(Drifts):
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
-        return reading_deviation(resistance_ohm, float(np.hypot(self.noise, self.drift_pillar)), self.bits)
+        return reading_deviation(resistance_ohm, self.own_relative, self.bits)
+
+    @property
+    def own_relative(self) -> float:
+        """Relative standard deviation of what each reading has by itself, the converter's steps apart."""
+        return float(np.hypot(self.noise, self.drift_pillar))
 
     def shared(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
         """Changes of readings by one standard deviation of each drift that pillars share, (n, P) -> (n, P, m) [Ω].

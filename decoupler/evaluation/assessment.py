@@ -112,13 +112,21 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
     usual_n = force_columns(data.force_n, component)
     forward = ForwardModel.of(response, component)
     readable = readable_columns(component, decoupler.dead, forward.n_pillars)
-    reading = usual_n[every], data.noise, data.bits, readable
-    bounds = cramer_rao(forward, *reading), bayes(forward, *reading, usual_n)
+    own, shared = _drifting(data.errors, data.shape)
+    reading = usual_n[every], own, data.bits, readable
+    bounds = cramer_rao(forward, *reading, shared), bayes(forward, *reading, usual_n, shared)
     unbiased, biased = (_by_axis(bound, component.axes) for bound in bounds)
     return [
         Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
         for one, other in zip(unbiased, biased, strict=True)
     ]
+
+
+def _drifting(errors: ReadingError, size: tuple[int, int]) -> tuple[float, Callable[[FloatArray], FloatArray] | None]:
+    """Relative error of each reading alone, and what drifts change in all, as limits take them."""
+    rows, cols = size
+    shared = partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None
+    return errors.own_relative, shared
 
 
 def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
@@ -143,7 +151,8 @@ def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingEr
     missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
     rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))
     readable = readable_columns(decoupler.component, decoupler.dead, forward.n_pillars)
-    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], errors.noise, errors.bits, readable), axes)
+    own, shared = _drifting(errors, (decoupler.rows, decoupler.cols))
+    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], own, errors.bits, readable, shared), axes)
     limit_n = np.sqrt((limit_n**2).mean(axis=(0, 1)))
     covered = None
     if decoupler.uncertainty is not None:
