@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dataset.csv_file import read_csv
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, KNOWN, LEAF, LEAF_SIZE, leaves_hash, n_leaves
-from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples
+from dataset.measurement import ReadingError
+from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples, own_errors
 from dataset.variables import COORDINATES, MAX_N, MAX_OHM, MIN_OHM
 from dataset.zarr_folder import is_zarr, open_zarr
 from geometry.design import SensorDesign
@@ -102,6 +103,12 @@ class StoredSamples:
             leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
             hashes = dict(zip(LABELS, map(list, zip(*leaves, strict=True)), strict=True))
         return leaves_hash(hashes)
+
+    @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, as of `Samples`."""
+        own = own_errors(self.noise, self.bits, self.made_from, self.shape)
+        return own if self.design is None else own.with_drifts_of(self.design.electrics)
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:

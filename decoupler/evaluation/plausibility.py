@@ -173,8 +173,8 @@ def explained(data: Samples, component: Component, forward: ForwardModel) -> flo
     moved, _ = _motions(data, component, forward, NONE)
     left = _left(data, component, forward)
     columns = pillar_columns(data.resistance_ohm, component, data.dead)
-    columns = columns[:, readable_columns(component, data.dead, columns.shape[1])]
-    noise = float((0.25 * (reading_deviation(columns, data.noise, data.bits) / columns) ** 2).sum())
+    readable = readable_columns(component, data.dead, columns.shape[1])
+    noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
 
@@ -263,10 +263,12 @@ def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> flo
 
 
 def _scattered(columns: FloatArray, data: Samples) -> bool:
-    """Check whether readings (n, n_columns) of one load scatter more than noise.
+    """Check whether readings (n, n_columns) of one load scatter more than noise; drifts may scatter them anyhow.
 
     The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).
     """
+    if data.errors.has_drift:
+        return False
     size = columns.mean(axis=0)
     noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
     deviation = np.hypot(noise, EDGE * steps)

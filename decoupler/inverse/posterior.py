@@ -10,7 +10,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import reading_deviation
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import N_AXES
@@ -59,7 +58,12 @@ class Posterior:
         return self.specimen.derivatives(self.forward, state_n) @ self.specimen.factor
 
     def found(
-        self, resistance_ohm: FloatArray, first_n: FloatArray, noise: float, bits: int | None, read: NDArray[np.bool_]
+        self,
+        resistance_ohm: FloatArray,
+        first_n: FloatArray,
+        deviation_ohm: FloatArray,
+        shared_ohm: FloatArray,
+        read: NDArray[np.bool_],
     ) -> Found:
         """Most probable forces.
 
@@ -69,8 +73,8 @@ class Posterior:
             Of a sensor as modelled [Ω].
         first_n : array, shape (n, Q)
             First answers.
-        noise, bits
-            Of the readings, as `dataset.measurement.reading_deviation` takes them.
+        deviation_ohm, shared_ohm : arrays, shapes (n, P) and (n, P, m)
+            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω].
         read : array, shape (P,)
             Pillars that are read.
 
@@ -82,23 +86,31 @@ class Posterior:
         maps and specimen together. A sample gives the same bits alone and in any batch.
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(first_n), CHUNK)]
-        found = [self._found(resistance_ohm[part], first_n[part], noise, bits, read) for part in parts]
+        given = resistance_ohm, first_n, deviation_ohm, shared_ohm
+        found = [self._found(read, *(values[part] for values in given)) for part in parts]
         names = Found.__dataclass_fields__
         return Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in names})
 
     def _found(
-        self, resistance_ohm: FloatArray, first_n: FloatArray, noise: float, bits: int | None, read: NDArray[np.bool_]
+        self,
+        read: NDArray[np.bool_],
+        resistance_ohm: FloatArray,
+        first_n: FloatArray,
+        deviation_ohm: FloatArray,
+        shared_ohm: FloatArray,
     ) -> Found:
         n, Q = first_n.shape
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
         state = (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
-        variance = (reading_deviation(resistance_ohm, noise, bits) / c) ** 2 + self.squares_variance(state)
+        variance = (deviation_ohm / c) ** 2 + self.squares_variance(state)
         variance = np.where(read, variance, UNREAD * variance)
-        if self.specimen is None:
+        factors = shared_ohm / c[:, None]
+        if self.specimen is not None:
+            factors = np.concatenate([factors, self.squares_factors(state)], axis=2)
+        if not factors.shape[2]:
             whiten = np.eye(len(read)) / np.sqrt(variance)[:, None]
         else:
-            factors = self.squares_factors(state)
             covariance = factors @ factors.swapaxes(1, 2) + variance[:, None] * np.eye(len(read))
             whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         given = _Given(y=resistance_ohm / c, whiten=whiten, first_n=first_n, precision=self.precision)

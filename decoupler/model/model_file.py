@@ -9,6 +9,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
@@ -21,11 +22,11 @@ from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty
 from decoupler.model.usual import UsualLoads
-from geometry.design import SensorDesign
+from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.layout import PILLAR_TOP, PILLARS
-from geometry.storage.files import digest, write_bytes
+from geometry.storage.files import digest, stated, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
 
@@ -80,6 +81,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
     "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
     "light_n2": ("uncertainty.light_n2", ("1",)),
+    "drift_factor": ("uncertainty.drift_factor", ("drifts", "drifts")),
     "usual_low_n": ("usual.low_n", ("axes",)),
     "usual_high_n": ("usual.high_n", ("axes",)),
     "friction": ("usual.friction", ("1",)),
@@ -108,7 +110,8 @@ def model_cache_key(
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
     dead = data.dead if data.dead is not None and data.dead.any() else None
     parts = (FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
-    return digest(*parts, *([data.is_finite] if data.is_finite.any() else []))
+    later = [data.is_finite] if data.is_finite.any() else []
+    return digest(*parts, *later, *([data.errors] if data.errors.has_drift else []))
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -127,7 +130,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
     if decoupler.posterior is not None:
         header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
-        header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
+        header |= stated(decoupler.uncertainty.errors)
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     write_bytes(path, *sealed(content))
@@ -181,8 +184,8 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
     Raises
     ------
     FileFormatError
-        If the array's size differs, or, where both sides state their design, any value of it; of a twin any that it
-        does not find out.
+        If the array's size differs, or, where both sides state their design, any value of it but drifts; of a twin any
+        that it does not find out.
     """
     rows, cols = data.shape
     differences = [
@@ -203,6 +206,7 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
 def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool = False) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
     free = uncertain_keys(model) | uncertain_keys(data) if of_twin else set()  # as it was meant, as it was measured
+    free |= {f"electrics.{spec.name}" for spec in fields(Drifts)}  # how far readings drift makes no other sensor
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
@@ -274,8 +278,13 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "finite features": N_FEATURES,
         "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
         "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
+        "drifts": 0 if decoupler.uncertainty is None else _n_drifts(decoupler.uncertainty.errors, rows, cols),
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
+
+
+def _n_drifts(errors: ReadingError, rows: int, cols: int) -> int:
+    return errors.shared(np.ones((1, rows * cols)), rows, cols).shape[2]
 
 
 def _holds_pillars(forward: ForwardModel) -> bool:
@@ -283,6 +292,11 @@ def _holds_pillars(forward: ForwardModel) -> bool:
     near = np.zeros(1) if forward.maps is None else forward.maps.near
     stands = (forward.top >= 0) & (forward.top < n_electrodes)
     return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
+
+
+def _errors(header: dict[str, Any]) -> ReadingError:
+    """Errors of the readings; a drift that the header does not state is none."""
+    return ReadingError(**{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header})
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
@@ -302,7 +316,8 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        return {field: arrays[name] for field, name in mine.items() if name in arrays or field != "sign"}
+        optional = ("sign", "drift_factor")
+        return {field: arrays[name] for field, name in mine.items() if name in arrays or field not in optional}
 
     inverse = posterior = uncertainty = least_squares = None
     if network.feature == "inverse":
@@ -313,7 +328,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         forward = ForwardModel(**held("posterior.forward"), maps=maps)
         posterior = Posterior(forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior"))
     if "inverse_matrix" in arrays:
-        uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
+        uncertainty = Uncertainty(**held("uncertainty"), errors=_errors(header))
     component, dead = component_named(header["component"]), arrays.get("dead")
     if "least_squares" in arrays:
         least_squares = LeastSquares(component=component, **held("least_squares"), dead=dead)

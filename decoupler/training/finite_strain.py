@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import nnls
 
-from dataset.measurement import measured
+from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
@@ -152,12 +152,7 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
 
 
 def drawn_samples(
-    posterior: Posterior,
-    loads_n: FloatArray,
-    design: SensorDesign | None,
-    noise: float,
-    bits: int | None,
-    seed: int = 0,
+    posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
 ) -> Samples:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
 
@@ -168,7 +163,7 @@ def drawn_samples(
         Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
         left out, and a tenth is made lighter.
     design : SensorDesign
-    noise, bits
+    errors : ReadingError
         Of the readings.
     seed : int
 
@@ -201,10 +196,15 @@ def drawn_samples(
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
     y, forces = np.concatenate(squares), np.concatenate(force_n)
     possible = (y > 0).all(axis=1)
-    rows, cols = (design.array.rows, design.array.cols) if design else (1, len(maps.near))
-    shape = (-1, rows, cols, N_AXES)
-    ohms = measured((forward.ohm_per_mm2 * y[possible]).reshape(shape), noise, bits, generator)
-    return Samples(force_n=forces[possible].reshape(shape), resistance_ohm=ohms, design=design, noise=noise, bits=bits)
+    shape = (-1, design.array.rows, design.array.cols, N_AXES)
+    return Samples(
+        force_n=forces[possible].reshape(shape),
+        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible]).reshape(shape), generator),
+        design=design,
+        noise=errors.noise,
+        bits=errors.bits,
+        made_from={name: value for name, value in vars(errors).items() if name.startswith("drift")},
+    )
 
 
 def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:

@@ -68,7 +68,9 @@ def sums_over(
         Called with the number of samples of each block.
     """
 
-    def of(block: Samples) -> tuple[Sums, int]:
+    def of(numbered: tuple[int, Samples]) -> tuple[Sums, int]:
+        number, block = numbered
+        block = block.drifted(np.random.default_rng([number, 0]))
         columns_ohm = pillar_columns(block.resistance_ohm, trained.component, trained.dead)
         force_n = force_columns(block.force_n, trained.component)
         chunks = [slice(start, start + CHUNK) for start in range(0, len(block), CHUNK)]
@@ -76,7 +78,7 @@ def sums_over(
         return _added(iter(parts)), len(block)
 
     def counting() -> Iterator[Sums]:
-        for part, n in in_order(of, data.blocks(BLOCK)):
+        for part, n in in_order(of, enumerate(data.blocks(BLOCK))):
             counted(n)
             yield part
 

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset import Samples, measured
-from dataset.measurement import reading_deviation
+from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.columns import (
     MIN_CALIBRATED_OHM,
@@ -55,6 +54,7 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
+DRIFTS = 1  #: number of the stream of random drifts that the readings are given beside their own
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
@@ -111,6 +111,9 @@ def train(
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
     must not move rest, which data under load do not hold: light samples are added.
 
+    Readings are given the drifts that the design states, where they have less. Hidden nodes learn
+    single draws of the drifts by heart: errors then are those on the samples kept for validation.
+
     Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
     to all of them by least squares, block by block.
     """
@@ -120,7 +123,7 @@ def train(
     if data.is_finite.any() and parts.name == "all" and response is not None:
         data = data[data.is_finite]
         posterior = posterior_of(with_strain_maps(response, parts, data), data)
-        drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), data.design, data.noise, data.bits)
+        drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), response.design, data.errors)
         net = trained_on(drawn_data, training, progress)
         recipe = model_cache_key(given, parts.name, network, training, response)
         made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
@@ -129,6 +132,7 @@ def train(
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
     data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
+    data = data.drifted(np.random.default_rng([seed, DRIFTS]))
     columns_ohm = pillar_columns(data.resistance_ohm, parts, data.dead)
     force_n = force_columns(data.force_n, parts)
     forward = None
@@ -147,6 +151,7 @@ def train(
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     start = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     load = load_numbers(data.force_n)
+    judged = None
     load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
     with _one_torch_thread(), torch.no_grad():
         hidden, output = start.hidden.detach(), start.output.detach()
@@ -157,6 +162,7 @@ def train(
         if training.trainer == "varpro":
             order = _mixed(load, training)
             held_out = _n_held_out(load[order], training) if start.skip else 0  # a plain net has no linear map instead
+            judged = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
@@ -175,7 +181,7 @@ def train(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(trained, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light, matrix)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix, judged)
     return replace(
         trained,
         uncertainty=uncertainty,
@@ -272,11 +278,12 @@ def _light_samples_too(
     G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
     left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
-    by_noise = (0.5 * reading_deviation(columns_ohm, data.noise, data.bits) / root) ** 2
+    by_noise = (0.5 * data.errors.total(columns_ohm, *data.shape) / root) ** 2
     excess = (left_out**2 - by_noise)[:, readable].mean(axis=0)
     if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
         return columns_ohm, force_n, 0
-    light_ohm = measured((light + A_light @ linear) ** 2, data.noise, data.bits, generator)
+    light_ohm = ((light + A_light @ linear) ** 2).reshape(len(light), *data.shape, -1)
+    light_ohm = data.errors.read(light_ohm, generator).reshape(light.shape)
     return np.concatenate([columns_ohm, light_ohm]), all_n, len(light_n)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from dataset.changed_designs import YOUNG, on_changed_designs
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import Calibration
 from decoupler.data.pairs import Pairs
@@ -101,8 +101,8 @@ def infer_specimen(
     force_n: FloatArray,
     unknown_n: FloatArray,
     pair: NDArray[np.int64],
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
+    size: tuple[int, int],
 ) -> Inferred:
     """The most probable specimen, and the covariance of its unknowns.
 
@@ -121,8 +121,11 @@ def infer_specimen(
         Forces [N], z positive presses.
     unknown_n : array, shape (m, 3 k)
         Directions in which the forces of pair `pair` (m,) may differ, a standard deviation each [N].
-    noise, bits
-        Of the readings.
+    errors : ReadingError
+        Of the readings; what pillars share of them is taken for what they have of their own.
+
+    size : tuple
+        Rows and columns of the array.
 
     Raises
     ------
@@ -138,7 +141,7 @@ def infer_specimen(
     rest = np.sqrt((designed.linear.lengths(np.zeros((1, designed.n_forces)))[0]) ** 4)
     measured = resistance_ohm / designed.ohm_per_mm2 / rest
     read = np.isfinite(measured)
-    reading = reading_deviation(np.where(read, resistance_ohm, 1.0), noise, bits) / designed.ohm_per_mm2 / rest
+    reading = errors.total(np.where(read, resistance_ohm, 1.0), *size) / designed.ohm_per_mm2 / rest
     best: tuple[float, Specimen, float, float] | None = None
     for shared in SHARED_WIDTHS:
         specimen = Specimen.as_designed(changes, P)
@@ -244,6 +247,7 @@ def identify_at_strain(
     if pairs.force_n.shape[1:3] != (rows, cols):
         raise SampleError("the pairs are of another array than the design: give this array's design.")
     readings = readings_of(pairs, [0, 1, 2], [0, 1, 2])
+    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(design.electrics)
     usual = usual_deviations(design)
     stated = usual | dict(tolerances or {})
     names, changes = changes_by_parameters(
@@ -262,8 +266,8 @@ def identify_at_strain(
             readings.force_n,
             readings.unknown_n,
             readings.pair,
-            pairs.noise,
-            pairs.bits,
+            errors,
+            (rows, cols),
         )
         progress(0.05)
         specimen = found.specimen
@@ -271,7 +275,7 @@ def identify_at_strain(
         own = replace(designed, forward=specimen.model(designed.forward), specimen=specimen, misfit=found.misfit)
         if loads_n is None:
             loads_n = images_of(designed.loads_n.reshape(-1, rows, cols, 3), [0, 1, 2], DRAWS)
-        draws = drawn_samples(own, loads_n.reshape(len(loads_n), -1), design, pairs.noise, pairs.bits, seed)
+        draws = drawn_samples(own, loads_n.reshape(len(loads_n), -1), design, errors, seed)
         progress(0.1)
         decoder = refined(trained_on(draws), own, draws)
     rest_ohm = designed.forward.linear.at_rest_ohm()

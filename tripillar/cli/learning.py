@@ -84,6 +84,15 @@ def dataset(
     cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
     bits: Annotated[int | None, typer.Option(help="Bits of the converter; default: exact readings.")] = None,
+    drift: Annotated[
+        float, typer.Option(help="Standard deviation of a sample's drift that all readings share, relative.")
+    ] = 0.0,
+    drift_tilt: Annotated[
+        float, typer.Option(help="Standard deviation of its drift linear over the array, at the rim, along each axis.")
+    ] = 0.0,
+    drift_pillar: Annotated[
+        float, typer.Option(help="Standard deviation of its drift of each pillar alone, relative.")
+    ] = 0.0,
     gain_spread: GainSpreadOption = 0.0,
     offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
@@ -159,6 +168,9 @@ def dataset(
         cap=cap,
         noise=noise,
         bits=bits,
+        drift=drift,
+        drift_tilt=drift_tilt,
+        drift_pillar=drift_pillar,
         gain_spread=gain_spread,
         offset_ohm=offset,
         specimen=specimen,
