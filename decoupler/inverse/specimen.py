@@ -49,13 +49,15 @@ class Specimen:
     """
 
     changes: FloatArray  #: of the weights of `FEW` by one deviation of each parameter, (n_parameters, 292, 3 + p)
+    shift: FloatArray  #: of the same weights, whatever the parameters, (292, 3 + p)
     unknowns: FloatArray  #: (U,)
     factor: FloatArray  #: L of their covariance L Lᵀ, (U, U)
 
     @classmethod
-    def as_designed(cls, changes: FloatArray, n_pillars: int) -> Self:
+    def as_designed(cls, changes: FloatArray, n_pillars: int, shift: FloatArray | None = None) -> Self:
         """The design's own values, held to be exact."""
-        nothing = cls(changes=changes, unknowns=np.zeros(0), factor=np.zeros((0, 0)))
+        still = np.zeros(changes.shape[1:]) if shift is None else shift
+        nothing = cls(changes=changes, shift=still, unknowns=np.zeros(0), factor=np.zeros((0, 0)))
         size = nothing.n_unknowns(n_pillars)
         return replace(nothing, unknowns=np.zeros(size), factor=np.zeros((size, size)))
 
@@ -81,7 +83,7 @@ class Specimen:
         assert maps is not None
         _, _, modulus, parameters, shared = self.parts
         weights = maps.weights.copy()
-        weights[FEW] += np.tensordot(parameters, self.changes, axes=1)
+        weights[FEW] += self.shift + np.tensordot(parameters, self.changes, axes=1)
         weights[FEW[SHARED], N_AXES:] += shared * _at_rest(designed, shared.shape[1]) / AT_FULL_SCALE[:, None]
         stiffer = np.exp(modulus[0])
         weights[:, :N_AXES] *= stiffer

@@ -65,6 +65,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "precision": ("posterior.precision", ("out", "out")),
     "loads_n": ("posterior.loads_n", ("loads", "out")),
     "specimen_changes": ("posterior.specimen.changes", ("parameters", "few", "forces and pillars")),
+    "specimen_shift": ("posterior.specimen.shift", ("few", "forces and pillars")),
     "specimen_unknowns": ("posterior.specimen.unknowns", ("unknowns",)),
     "specimen_factor": ("posterior.specimen.factor", ("unknowns", "unknowns")),
     "centre_n": ("inverse.centre_n", ("out",)),
@@ -194,7 +195,8 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        of_specimen = decoupler.posterior is not None and decoupler.posterior.specimen is not None
+        of_twin = of_specimen or decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from dataset.changed_designs import YOUNG, on_changed_designs
+from dataset.changed_designs import ChangedDesigns
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import Calibration
@@ -21,66 +21,66 @@ from decoupler.training.finite_strain import DRAWS, drawn_samples, refined, stat
 from decoupler.twin.expectation import Widths
 from decoupler.twin.identification import Twin, readings_of
 from decoupler.twin.usual_loads import images_of
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.tolerances import usual_deviations, value_of
+from geometry.tolerances import RESISTIVITY, changed, nearest, usual_deviations, value_of
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 HELD = 40  #: loads that other designs are solved under
 RIDGE = 3e-4  #: of the changes by parameters, per row, of features of root mean square 1
+YOUNG = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that loads are in proportion to
+REFINEMENTS = 2  #: times that the design which was found is solved itself
 ROUNDS = 4  #: of Gauss-Newton over the unknowns
 SHARED_WIDTHS = (3e-4, 1e-3, 3e-3)  #: of corrections that all units share, over the square at rest, at full scale
 MISFITS = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)  #: of a reading beyond what is known, over its rest
 FOLDED = 3.0  #: change of a reading over its rest by one deviation of an unknown, beyond which a pair is near a fold
 
 
-def changes_by_parameters(
-    designed: ForwardModel,
-    response: "ArrayResponse",
-    force_n: FloatArray,
-    progress: Callable[[str, float], None] = lambda name, share: None,
-) -> tuple[list[str], FloatArray]:
-    """Uncertain parameters of a design, and what one deviation of each changes in the maps' weights of `FEW`.
+class NearDesigns:
+    """What other designs change in the maps' weights of `FEW`, by answers under some loads.
 
     Parameters
     ----------
     designed : ForwardModel
-        Of the design at finite strain.
+        Of the design as meant, at finite strain.
     response : ArrayResponse
+        Of the same.
     force_n : array, shape (m, 3 k)
         Loads that other designs are solved under [N]; z positive presses.
-
-    Returns
-    -------
-    list of str
-    array, shape (n_parameters, 292, 3 + p)
-
-    Notes
-    -----
-    χ changes by the forces that the design would bear in the other's state, ρ by the squares that it would not show.
-    Both are fitted less what the maps miss of the design itself under the same loads.
     """
-    maps = designed.maps
-    assert maps is not None
-    m, k = len(force_n), len(maps.near)
-    answers = on_changed_designs(response, force_n.reshape(m, k, N_AXES) * (1.0, 1.0, -1.0), progress)
-    at = {name: states_of(moved, maps.influence) for name, (moved, _, _) in answers.items()}
-    own, changes = designed.at_states(at[""]), []
-    missed = answers[""][1].reshape(m, -1) - own[0]
-    for name in (names := [name for name in answers if name]):
-        _, squares, sound = answers[name]
-        other = designed.at_states(at[name])
-        sound = sound & answers[""][2]
-        force = (own[2] - other[2]).reshape(m, k, -1)[sound]
-        square = (squares.reshape(m, -1) - other[0] - missed).reshape(m, k, -1)[sound]
-        A = maps.few(at[name])[sound].reshape(-1, len(FEW))
+
+    def __init__(self, designed: ForwardModel, response: "ArrayResponse", force_n: FloatArray) -> None:
+        maps = designed.maps
+        assert maps is not None
+        self._designed, self._maps, self._shape = designed, maps, (len(force_n), len(maps.near), -1)
+        self._designs = ChangedDesigns(response, force_n.reshape(self._shape) * (1.0, 1.0, -1.0))
+        self._own = self._designs.answers(response.design)
+        y, _, self._force_n, _ = designed.at_states(states_of(self._own.displacement_mm, maps.influence))
+        self._missed = self._own.squares_mm2.reshape(y.shape) - y
+
+    def change(self, other: SensorDesign) -> FloatArray:
+        """Change of the weights that makes the maps those of another design, (292, 3 + p).
+
+        Notes
+        -----
+        χ changes by the forces that the design as meant would bear in the other's state, ρ by the squares that it would
+        not show. Both are fitted less what the maps miss of the design as meant under the same loads.
+        """
+        answers = self._designs.answers(other)
+        state_n = states_of(answers.displacement_mm, self._maps.influence)
+        y, _, force_n, _ = self._designed.at_states(state_n)
+        sound = answers.settled & self._own.settled
+        squares = answers.squares_mm2.reshape(y.shape) - y - self._missed
+        parts = [(self._force_n - force_n).reshape(self._shape), squares.reshape(self._shape)]
+        targets = np.concatenate(parts, axis=2)[sound].reshape(-1, self._maps.weights.shape[1])
+        A = self._maps.few(state_n)[sound].reshape(-1, len(FEW))
         size = np.sqrt((A**2).mean(axis=0))
-        A = A / np.where(size > 0, size, 1.0)
-        targets = np.concatenate([force, square], axis=2).reshape(len(A), -1)
+        usable = np.where(size > 0, size, 1.0)  # no pad of small arrays has some neighbours
+        A = A / usable
         weights = np.linalg.solve(A.T @ A + RIDGE * len(A) * np.eye(len(FEW)), A.T @ targets)
-        changes.append(np.where(size[:, None] > 0, weights / np.where(size > 0, size, 1.0)[:, None], 0.0))
-    return names, np.array(changes).reshape(len(names), len(FEW), -1)
+        return np.where(size[:, None] > 0, weights / usable[:, None], 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,6 +95,7 @@ class Inferred:
 def infer_specimen(
     designed: ForwardModel,
     changes: FloatArray,
+    shift: FloatArray,
     widths: Widths,
     young: float,
     resistance_ohm: FloatArray,
@@ -109,8 +110,8 @@ def infer_specimen(
     Parameters
     ----------
     designed : ForwardModel
-    changes : array
-        As `changes_by_parameters` gives them, each for a standard deviation.
+    changes, shift : arrays
+        As `Specimen` has them.
     widths : Widths
         Of resistivity, gain and offset.
     young : float
@@ -123,7 +124,6 @@ def infer_specimen(
         Directions in which the forces of pair `pair` (m,) may differ, a standard deviation each [N].
     errors : ReadingError
         Of the readings; what pillars share of them is taken for what they have of their own.
-
     size : tuple
         Rows and columns of the array.
 
@@ -144,7 +144,7 @@ def infer_specimen(
     reading = errors.total(np.where(read, resistance_ohm, 1.0), *size) / designed.ohm_per_mm2 / rest
     best: tuple[float, Specimen, float, float] | None = None
     for shared in SHARED_WIDTHS:
-        specimen = Specimen.as_designed(changes, P)
+        specimen = Specimen.as_designed(changes, P, shift)
         U = len(specimen.unknowns)
         prior = _prior(specimen, widths, young, shared, P)
         root = np.linalg.cholesky(prior)
@@ -250,26 +250,41 @@ def identify_at_strain(
     errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(design.electrics)
     usual = usual_deviations(design)
     stated = usual | dict(tolerances or {})
-    names, changes = changes_by_parameters(
-        designed.forward, response, designed.loads_n[:HELD], lambda name, share: progress(0.6 * share)
-    )
-    changes = changes * np.array([stated[name] / usual[name] for name in names])[:, None, None]
+    near = NearDesigns(designed.forward, response, designed.loads_n[:HELD])
     young = next(name for name in YOUNG if name in usual)
-    widths, P = Widths(), designed.forward.n_pillars
+    names = [name for name in usual if name not in (young, RESISTIVITY)]
+    share = 0.6 / (len(names) + REFINEMENTS)
+    by_deviation = []
+    for name in names:
+        by_deviation.append(near.change(changed(design, name, usual[name])) * stated[name] / usual[name])
+        progress(share)
+    changes, shift = np.array(by_deviation), np.zeros_like(by_deviation[0])
+    P = designed.forward.n_pillars
     with threadpool_limits(1, "blas"):
-        found = infer_specimen(
-            designed.forward,
-            changes,
-            widths,
-            stated[young] / value_of(design, young),
-            np.where(readings.read, readings.resistance_ohm, np.nan),
-            readings.force_n,
-            readings.unknown_n,
-            readings.pair,
-            errors,
-            (rows, cols),
-        )
-        progress(0.05)
+        for refinement in range(REFINEMENTS + 1):
+            found = infer_specimen(
+                designed.forward,
+                changes,
+                shift,
+                Widths(),
+                stated[young] / value_of(design, young),
+                np.where(readings.read, readings.resistance_ohm, np.nan),
+                readings.force_n,
+                readings.unknown_n,
+                readings.pair,
+                errors,
+                (rows, cols),
+            )
+            if refinement < REFINEMENTS:  # about the design that was found, changes by single parameters add up
+                of_parameters = found.specimen.parts[3]
+                wanted = {
+                    name: value_of(design, name) + stated[name] * float(by)
+                    for name, by in zip(names, of_parameters, strict=True)
+                }
+                other = nearest(design, wanted)
+                made = [(value_of(other, name) - value_of(design, name)) / max(stated[name], 1e-300) for name in names]
+                shift = near.change(other) - np.tensordot(made, changes, axes=1)
+                progress(share)
         specimen = found.specimen
         gain, offset, modulus, parameters, _ = specimen.parts
         own = replace(designed, forward=specimen.model(designed.forward), specimen=specimen, misfit=found.misfit)
@@ -295,7 +310,7 @@ def identify_at_strain(
         by = stated[name] * np.array([parameters[place], deviation[2 * P + 1 + place]])
         values[name] = value_of(design, name) + float(by[0]), float(by[1])
     common = 1.0 + float(gain.mean())
-    progress(0.25)
+    progress(0.3)
     return Twin(
         design=design,
         decoder=decoder,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, Samples, simulate
+from dataset.measurement import ReadingError
 from decoupler import train
 from decoupler.data.pairs import Pairs
 from decoupler.model.model_file import read_model, write_model
@@ -128,7 +129,8 @@ def test_draws_read_as_the_pairs_do_whatever_the_offsets(response, sensitivities
     pairs = Pairs.of(replace(samples, resistance_ohm=samples.resistance_ohm + offset_ohm))
     model = identify(pairs, response, sensitivities).decoder
     columns_ohm = pairs.resistance_ohm.reshape(60, -1)
-    of_draws, of_noise = (model.noise_variance(columns_ohm, noise, None).mean() for noise in (0.0, NOISE))
+    errors = ReadingError(), ReadingError(noise=NOISE)
+    of_draws, of_noise = (model.noise_variance(columns_ohm, each).mean() for each in errors)
     assert of_draws < 0.5 * of_noise
 
 
