@@ -1,6 +1,6 @@
 """A specimen at finite strain from measured pairs: the same unknowns as of a linear one, on the maps of its design."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,10 +23,11 @@ from decoupler.twin.identification import Twin, readings_of
 from decoupler.twin.usual_loads import images_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.tolerances import RESISTIVITY, changed, nearest, usual_deviations, value_of
+from geometry.tolerances import changed, nearest, usual_deviations, value_of
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
+    from fem.array.sensitivities import ResponseSensitivities
 
 HELD = 40  #: loads that other designs are solved under
 RIDGE = 3e-4  #: of the changes by parameters, per row, of features of root mean square 1
@@ -35,6 +36,7 @@ REFINEMENTS = 2  #: times that the design which was found is solved itself
 ROUNDS = 4  #: of Gauss-Newton over the unknowns
 SHARED_WIDTHS = (3e-4, 1e-3, 3e-3)  #: of corrections that all units share, over the square at rest, at full scale
 MISFITS = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)  #: of a reading beyond what is known, over its rest
+EXACT = 1e-9  #: deviation of a modulus that is exactly known, relative
 FOLDED = 3.0  #: change of a reading over its rest by one deviation of an unknown, beyond which a pair is near a fold
 
 
@@ -47,15 +49,23 @@ class NearDesigns:
         Of the design as meant, at finite strain.
     response : ArrayResponse
         Of the same.
+    sensitivities : ResponseSensitivities
+        Its derivatives.
     force_n : array, shape (m, 3 k)
         Loads that other designs are solved under [N]; z positive presses.
     """
 
-    def __init__(self, designed: ForwardModel, response: "ArrayResponse", force_n: FloatArray) -> None:
+    def __init__(
+        self,
+        designed: ForwardModel,
+        response: "ArrayResponse",
+        sensitivities: "ResponseSensitivities",
+        force_n: FloatArray,
+    ) -> None:
         maps = designed.maps
         assert maps is not None
         self._designed, self._maps, self._shape = designed, maps, (len(force_n), len(maps.near), -1)
-        self._designs = ChangedDesigns(response, force_n.reshape(self._shape) * (1.0, 1.0, -1.0))
+        self._designs = ChangedDesigns(response, sensitivities, force_n.reshape(self._shape) * (1.0, 1.0, -1.0))
         self._own = self._designs.answers(response.design)
         y, _, self._force_n, _ = designed.at_states(states_of(self._own.displacement_mm, maps.influence))
         self._missed = self._own.squares_mm2.reshape(y.shape) - y
@@ -214,8 +224,8 @@ def _solved(
 def identify_at_strain(
     pairs: Pairs,
     response: "ArrayResponse",
+    sensitivities: "ResponseSensitivities",
     designed: Posterior,
-    tolerances: Mapping[str, float] | None = None,
     loads_n: FloatArray | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
@@ -227,10 +237,10 @@ def identify_at_strain(
     pairs : Pairs
     response : ArrayResponse
         Of the sensor as designed.
+    sensitivities : ResponseSensitivities
+        Its derivatives, and the deviations of parameters before anything is measured.
     designed : Posterior
         Of the design at finite strain: that of a decoder which was trained on its samples.
-    tolerances : mapping, optional
-        Standard deviations of parameters by their keys; default: `geometry.tolerances.usual_deviations`.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: images of those that the design has seen.
     seed : int
@@ -249,10 +259,10 @@ def identify_at_strain(
     readings = readings_of(pairs, [0, 1, 2], [0, 1, 2])
     errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(design.electrics)
     usual = usual_deviations(design)
-    stated = usual | dict(tolerances or {})
-    near = NearDesigns(designed.forward, response, designed.loads_n[:HELD])
+    stated = dict(zip(sensitivities.parameters, sensitivities.deviation.tolist(), strict=True))
+    near = NearDesigns(designed.forward, response, sensitivities, designed.loads_n[:HELD])
     young = next(name for name in YOUNG if name in usual)
-    names = [name for name in usual if name not in (young, RESISTIVITY)]
+    names = [name for name in stated if name != young]
     share = 0.6 / (len(names) + REFINEMENTS)
     by_deviation = []
     for name in names:
@@ -267,7 +277,7 @@ def identify_at_strain(
                 changes,
                 shift,
                 Widths(),
-                stated[young] / value_of(design, young),
+                max(stated.get(young, 0.0) / value_of(design, young), EXACT),
                 np.where(readings.read, readings.resistance_ohm, np.nan),
                 readings.force_n,
                 readings.unknown_n,
@@ -282,7 +292,7 @@ def identify_at_strain(
                     for name, by in zip(names, of_parameters, strict=True)
                 }
                 other = nearest(design, wanted)
-                made = [(value_of(other, name) - value_of(design, name)) / max(stated[name], 1e-300) for name in names]
+                made = [(value_of(other, name) - value_of(design, name)) / stated[name] for name in names]
                 shift = near.change(other) - np.tensordot(made, changes, axes=1)
                 progress(share)
         specimen = found.specimen

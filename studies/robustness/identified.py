@@ -74,7 +74,7 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
         if own.posterior is None:
             twin = identify(given, response, sensitivities, "all")
         else:
-            twin = identify_at_strain(given, response, own.posterior)
+            twin = identify_at_strain(given, response, sensitivities, own.posterior)
         seconds = process_time() - start
         rows.append(row(count, assess(twin.decoder, test, None), seconds))
     return rows

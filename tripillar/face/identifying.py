@@ -137,10 +137,10 @@ def identify(
     def passed(share: float) -> None:
         advance(share, f"{len(checked)} pairs")
 
-    if at_strain is not None and response is not None:
+    if at_strain is not None and response is not None and sensitivities is not None:
         from decoupler.twin.specimen_at_strain import identify_at_strain
 
-        twin = identify_at_strain(checked, response, at_strain, tolerances, loads_n, progress=passed)
+        twin = identify_at_strain(checked, response, sensitivities, at_strain, loads_n, progress=passed)
     else:
         twin = identify(checked, response, sensitivities, loads_n=loads_n, progress=passed)
     if sensor is not None and next_loads:
