@@ -66,8 +66,9 @@ VARIED = {
     "stiff pads": {"pad": Pad(kind="stiff")},
     "softer matrix": {"matrix": 1.5, "rows": 1},
     "pillars 40 times as soft": {"pillar": 0.5, "matrix": 20.0},
+    "softer matrix under stiff pads": {"matrix": 1.5, "pad": Pad(kind="stiff")},
 }
-LONG = ("pillars 40 times as soft",)
+LONG = ("pillars 40 times as soft", "softer matrix under stiff pads")
 
 
 @pytest.mark.parametrize(
