@@ -74,7 +74,7 @@ LONG = ("pillars 40 times as soft", "softer matrix under stiff pads")
 @pytest.mark.parametrize(
     "varied", [pytest.param(value, id=key, marks=[pytest.mark.long] * (key in LONG)) for key, value in VARIED.items()]
 )
-def test_estimates_cover_errors_over_designs(varied):
+def test_estimates_cover_errors_over_designs(varied, shared_cache):
     """The coarsest cell against a finer stage, ports of degree 7, in every place of 2 × 2 units (1 × 2 of a softer
     matrix): no error above its estimate, no estimate idle."""
     pillar, matrix = (
