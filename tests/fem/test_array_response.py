@@ -66,14 +66,15 @@ VARIED = {
     "stiff pads": {"pad": Pad(kind="stiff")},
     "softer matrix": {"matrix": 1.5, "rows": 1},
     "pillars 40 times as soft": {"pillar": 0.5, "matrix": 20.0},
+    "softer matrix under stiff pads": {"matrix": 1.5, "pad": Pad(kind="stiff")},
 }
-LONG = ("pillars 40 times as soft",)
+LONG = ("pillars 40 times as soft", "softer matrix under stiff pads")
 
 
 @pytest.mark.parametrize(
     "varied", [pytest.param(value, id=key, marks=[pytest.mark.long] * (key in LONG)) for key, value in VARIED.items()]
 )
-def test_estimates_cover_errors_over_designs(varied):
+def test_estimates_cover_errors_over_designs(varied, shared_cache):
     """The coarsest cell against a finer stage, ports of degree 7, in every place of 2 × 2 units (1 × 2 of a softer
     matrix): no error above its estimate, no estimate idle."""
     pillar, matrix = (
