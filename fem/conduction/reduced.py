@@ -20,11 +20,11 @@ from geometry.layout import FloatArray, pillar_ends, pillar_sections
 
 MESH = (3, 1, True)  #: order, levels, and whether it is cut across; what it gets wrong at rest is put right
 DROPPED = 2e-4  #: of the energy of the potentials' changes, by compression
-POINTS = 600  #: of the cubature
+POINTS = 600  #: most points of the cubature
 #: rows of the cubature's equations by a deformation, beside those of conductances, and their weight: these errors enter
 #: the conductances squared
 RESIDUALS, RESIDUAL_WEIGHT = 12, 0.02
-AT_ONCE = 40  #: points taken together
+AT_ONCE, MAX_ROUNDS = 40, 400  #: points taken together, and how often; a hundred times are enough for 600
 CANDIDATES = 12_000  #: points of the mesh from which they are taken
 
 #: points (n, 3) [mm] at rest in the unit's frame, each one's pillar and volume (n,), to deformations (n, 3, 3)
@@ -133,16 +133,18 @@ def _integrands(
 def _cubature(rows: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:
     """Which points of (n_rows, n_points), and what weights above 0, give nearly the sums that are wanted (n_rows,).
 
-    Non-negative least squares (Lawson & Hanson) that takes several points at once and ends at `POINTS`.
+    Non-negative least squares (Lawson & Hanson) that takes several points at once and ends at `POINTS`, or at a third
+    as many as there are equations.
     """
     size = np.linalg.norm(rows, axis=0)
     chosen: IntArray = np.zeros(0, dtype=np.int64)
     weights: FloatArray = np.zeros(0)
     left = wanted
-    while len(chosen) < POINTS:
+    most = min(POINTS, len(rows) // 3)
+    for _ in range(MAX_ROUNDS):
         score = left @ rows / size
         score[chosen] = -np.inf
-        new = np.argsort(-score, kind="stable")[:AT_ONCE]
+        new = np.argsort(-score, kind="stable")[: min(AT_ONCE, most - len(chosen))]
         chosen, weights = np.concatenate([chosen, new]), np.concatenate([weights, np.zeros(len(new))])
         gram, moment = rows[:, chosen].T @ rows[:, chosen], rows[:, chosen].T @ wanted
         while True:
@@ -156,6 +158,8 @@ def _cubature(rows: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArra
             chosen, weights, gram, moment = chosen[kept], weights[kept], gram[np.ix_(kept, kept)], moment[kept]
         weights = np.asarray(best)
         left = wanted - rows[:, chosen] @ weights
+        if len(chosen) >= most:
+            break
     return chosen, weights
 
 
