@@ -1,22 +1,23 @@
 """Imperfections of a real sensor: its pillars differ, its readings are noisy, and some pillars cannot be read.
 
 `Imperfections` describes one specimen and how it is read; `Imperfections.apply` takes exact resistances to measured
-ones: gain and offset of each pillar, then noise, then the converter, and last what is dead reads as open.
+ones: gain and offset of each pillar, drift, noise, then the converter, and last what is dead reads as open.
 """
 
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import SENSE_OHM, Readout, measured
+from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
 from geometry.design import quantity, require_sound
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
+from geometry.storage.files import stated
 from geometry.wiring import crossing_of_pillar, crossings
 
 OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
@@ -25,7 +26,7 @@ Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imperfections:
+class Imperfections(ReadingError):
     """One physical specimen and how it is read; the default is a perfect sensor.
 
     Wires as in `geometry.wiring`: row wire 2i carries the z and x pillars of array row i, 2i+1 its y pillars; column
@@ -35,24 +36,23 @@ class Imperfections:
     gain_spread: float = quantity(0.0, "each pillar's resistance has a factor, uniform in 1 ± gain_spread")
     offset_ohm: float = quantity(0.0, "standard deviation of what is added to each pillar's resistance")
     specimen: int = quantity(0, "seed of the specimen's factors and offsets")
-    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
-    bits: int | None = None  #: resolution of the converter; None measures exactly
     dead_pillars: tuple[Place, ...] = ()  #: pillars that are broken, as (row, col, name)
     dead_rows: tuple[int, ...] = ()  #: broken row wires, from 0 to below 2·rows
     dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
 
     def __post_init__(self) -> None:
         require_sound(self)
+        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
+            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
+        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
+        super().__post_init__()
         if not 0 <= self.gain_spread < 1:
             raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
         if not 0 <= self.offset_ohm <= 1e6:  # far below OPEN_OHM
             raise DesignError(f"offset_ohm={self.offset_ohm:g} must be from 0 to 1e6; it is a standard deviation.")
         if not 0 <= self.specimen < 2**63:
             raise DesignError(f"specimen={self.specimen} must be from 0 to below 2⁶³.")
-        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
-            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
-        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
         if not (isinstance(self.dead_pillars, tuple) and all(map(_is_place, self.dead_pillars))):
             raise DesignError(
                 f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and one of the pillars "
@@ -143,30 +143,29 @@ class Imperfections:
                 "choose another specimen."
             )
         if readout is None:
-            ohms = measured(ohms, self.noise, self.bits, generator)
+            ohms = self.read(ohms, generator)
         else:
-            ohms = measured(ohms, self.noise, None, generator)
+            ohms = measured(self.drifted(ohms, generator), self.noise, None, generator)
             ohms[:, dead] = OPEN_OHM
             ohms = readout.measured(ohms, generator)
         ohms[:, dead] = OPEN_OHM
         return ohms
 
     def as_attributes(self) -> dict[str, Any]:
-        """Every field as a NetCDF attribute can hold it; what is None or empty is left out."""
-        plain = asdict(self) | {"dead_pillars": [",".join(map(str, place)) for place in self.dead_pillars]}
-        lists = {name: list(value) if isinstance(value, tuple) else value for name, value in plain.items()}
-        return {name: value for name, value in lists.items() if value is not None and value != []}
+        """Every field as a NetCDF attribute can hold it; what is None, empty or no drift is left out."""
+        plain = stated(self) | {"dead_pillars": [",".join(map(str, place)) for place in self.dead_pillars]}
+        return {name: value for name, value in plain.items() if value is not None and value != []}
 
 
 def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int) -> Imperfections:
     """The imperfections that a file's attributes state; one that is missing or makes no sense stays at its default."""
-    stated = Imperfections()
+    found = Imperfections()
     for name in {spec.name for spec in fields(Imperfections)} & set(attributes):
         with suppress(DesignError):
-            more = replace(stated, **{name: _from_attribute(name, attributes[name])})
+            more = replace(found, **{name: _from_attribute(name, attributes[name])})
             more.dead_mask(rows, cols)  # refuses what the array does not have
-            stated = more
-    return stated
+            found = more
+    return found
 
 
 def place_of(text: str) -> Place:

@@ -1,17 +1,20 @@
-"""Measurement of a resistance: relative noise, and the steps of an analogue-to-digital converter.
+"""Measurement of a resistance: drift since the tare, relative noise, and the steps of an analogue-to-digital converter.
 
 The converter sees a voltage divider: the pillar between the supply and the input, a sense resistor between
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.design import Drifts, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
+MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
 
@@ -27,6 +30,87 @@ class Readout(Protocol):
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances that it reads of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingError(Drifts):
+    """Errors of a reading: what each pillar has by itself, and the drifts that pillars share; drawn anew for each."""
+
+    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
+    bits: int | None = None  #: resolution of the converter; None reads exactly
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.noise < 0:
+            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
+        if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
+            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
+
+    @property
+    def is_exact(self) -> bool:
+        """Readings are the resistances themselves."""
+        return self.bits is None and not (self.noise or self.has_drift)
+
+    @property
+    def has_drift(self) -> bool:
+        return any(self._drifts)
+
+    def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
+        """The drifts alone that, beside those of readings drawn with `own`, make them these."""
+        pairs = zip(self._drifts, own._drifts, strict=True)
+        drift, tilt, pillar = (float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs)
+        return ReadingError(drift=drift, drift_tilt=tilt, drift_pillar=pillar)
+
+    @property
+    def _drifts(self) -> tuple[float, float, float]:
+        return self.drift, self.drift_tilt, self.drift_pillar
+
+    def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
+        return reading_deviation(resistance_ohm, self.own_relative, self.bits)
+
+    @property
+    def own_relative(self) -> float:
+        """Relative standard deviation of what each reading has by itself, the converter's steps apart."""
+        return float(np.hypot(self.noise, self.drift_pillar))
+
+    def shared(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
+        """Changes of readings by one standard deviation of each drift that pillars share, (n, P) -> (n, P, m) [Ω].
+
+        The P pillars are in the order of units, as many of each of the rows × cols; m is 0 without such drifts.
+        """
+        unit = self._patterns(rows, cols)
+        pillar = np.repeat(unit, resistance_ohm.shape[1] // len(unit), axis=0)
+        return resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
+
+    def total(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
+        """Standard deviation of readings, of what they share as well, (n, P) [Ω] -> (n, P) [Ω]."""
+        shared = self.shared(resistance_ohm, rows, cols)
+        return np.sqrt(self.deviation(resistance_ohm) ** 2 + (shared**2).sum(axis=2))
+
+    def _patterns(self, rows: int, cols: int) -> FloatArray:
+        """Relative change at each unit by a deviation of the drift, of its tilt along x and along y, (k, 3)."""
+        along_y, along_x = (np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1) for size in (rows, cols))
+        y, x = np.meshgrid(along_y, along_x, indexing="ij")
+        tilted = self.drift_tilt * np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
+        return np.concatenate([np.full((rows * cols, 1), self.drift), tilted], axis=1)
+
+    def drifted(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """Resistances (n, rows, cols, n_pillars) [Ω] with a new drift in every sample; the same if none is stated.
+
+        Draws come from a child of the generator: what it gives next does not depend on the drift.
+        """
+        if not self.has_drift:
+            return resistance_ohm
+        generator = generator.spawn(1)[0]
+        n, rows, cols, _ = resistance_ohm.shape
+        common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
+        own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
+        return resistance_ohm * np.maximum(1.0 + common + own, MIN_LEFT)
+
+    def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
+        """Resistances (n, rows, cols, n_pillars) [Ω] as measured: drift, noise, and the converter's steps last."""
+        return measured(self.drifted(resistance_ohm, generator), self.noise, self.bits, generator)
 
 
 def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import LEAF, write_leaves
+from dataset.measurement import ReadingError
 from dataset.variables import ARRAYS, COORDINATES, SOLVED
 from dataset.zarr_folder import is_zarr
 from geometry.design import SensorDesign
@@ -106,6 +107,19 @@ class Samples:
         return (self[start : start + size] for start in range(0, len(self), size))
 
     @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, and the drifts that its design states where these are larger."""
+        own = own_errors(self.noise, self.bits, self.made_from, self.shape)
+        return own if self.design is None else own.with_drifts_of(self.design.electrics)
+
+    def drifted(self, generator: np.random.Generator) -> "Samples":
+        """With the drifts that its design states where its readings were drawn with less."""
+        further = self.errors.drifts_beyond(own_errors(self.noise, self.bits, self.made_from, self.shape))
+        if not further.has_drift:
+            return self
+        return replace(self, resistance_ohm=further.drifted(self.resistance_ohm, generator))
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the array."""
         rows, cols = self.force_n.shape[1:3]
@@ -198,10 +212,10 @@ def joined(parts: Sequence[Samples]) -> Samples:
         raise SampleError("no samples to join: give at least one data set.")
     first = parts[0]
     for number, part in enumerate(parts[1:], 2):
-        for name in ("design", "noise", "bits"):
+        for name, said in (("design", "design"), ("noise", "noise"), ("bits", "bits"), ("errors", "drift")):
             if getattr(part, name) != getattr(first, name):
                 raise SampleError(
-                    f"data set {number} has another {name} than the first: join samples of one sensor, read alike."
+                    f"data set {number} has another {said} than the first: join samples of one sensor, read alike."
                 )
         if part.force_n.shape[1:] != first.force_n.shape[1:] or not np.array_equal(_dead(part), _dead(first)):
             raise SampleError(f"data set {number} has other pillars than the first: join samples of one sensor.")
@@ -212,6 +226,11 @@ def joined(parts: Sequence[Samples]) -> Samples:
     kept = {name: value for name, value in first.made_from.items() if name not in WHOLE_FILE}
     arrays |= {"strain_model": model if model.any() else None, "error_estimate": None, "iterations": None}
     return replace(first, **arrays, made_from=kept)
+
+
+def own_errors(noise: float, bits: int | None, attributes: Mapping[str, Any], shape: tuple[int, int]) -> ReadingError:
+    """Errors that readings were drawn with, the drifts by a dataset's attributes."""
+    return ReadingError(noise=noise, bits=bits).with_drifts_of(stated_imperfections(attributes, *shape))
 
 
 def _concatenated(held: Sequence[FloatArray | None]) -> FloatArray | None:

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.csv_file import read_csv
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, KNOWN, LEAF, LEAF_SIZE, leaves_hash, n_leaves
-from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples
+from dataset.measurement import ReadingError
+from dataset.samples import LABELS, WHOLE_FILE, SampleError, Samples, own_errors
 from dataset.variables import COORDINATES, MAX_N, MAX_OHM, MIN_OHM
 from dataset.zarr_folder import is_zarr, open_zarr
 from geometry.design import SensorDesign
@@ -25,7 +27,6 @@ from geometry.storage.seal import say_made_anew
 if TYPE_CHECKING:
     import xarray as xr
 
-DATASETS = (".nc", ".zarr")  #: endings of dataset files
 MADE_BY = "tripillar dataset"
 IN_MEMORY = 0.7  #: largest part of the free memory that samples may take
 
@@ -102,6 +103,12 @@ class StoredSamples:
             leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
             hashes = dict(zip(LABELS, map(list, zip(*leaves, strict=True)), strict=True))
         return leaves_hash(hashes)
+
+    @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, as of `Samples`."""
+        own = own_errors(self.noise, self.bits, self.made_from, self.shape)
+        return own if self.design is None else own.with_drifts_of(self.design.electrics)
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:
@@ -193,12 +200,13 @@ def in_memory(samples: "Samples | StoredSamples") -> Samples:
 
 
 def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSamples:
-    """Read a dataset file, whoever made it: NetCDF into memory; of a zarr directory samples are read as they are used.
+    """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
     Parameters
     ----------
     path : Path
-        Resistances and forces must be there; tractions, displacements and lengths may be missing.
+        Resistances and forces must be there; tractions, displacements and lengths may be missing. Axes and pillars may
+        be unlabelled, x, y, z and z, x, y then. Columns of a CSV table are named as `dataset.table` names them.
     labels_only : bool
         True leaves tractions, displacements and lengths in the file: training does not need them.
 
@@ -215,15 +223,19 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     path = Path(path)
     if is_zarr(path):
         return StoredSamples(path, labels_only)
-    wanted, optional = _variables(labels_only)
-    data = _labelled(path, read_netcdf(path, wanted, MADE_BY, optional))
-    arrays: dict[str, Any] = {}
-    for name, values in data.data_vars.items():
-        _require_numbers(path, str(name), values)
-        arrays[str(name)] = values.to_numpy().astype(np.float64, copy=False)
+    attributes: Mapping[str, Any] = {}
+    if path.suffix == ".csv":
+        arrays: dict[str, Any] = read_csv(path)
+    else:
+        wanted, optional = _variables(labels_only)
+        data = _labelled(path, read_netcdf(path, wanted, MADE_BY, optional))
+        arrays, attributes = {}, data.attrs
+        for name, values in data.data_vars.items():
+            _require_numbers(path, str(name), values)
+            arrays[str(name)] = values.to_numpy().astype(np.float64, copy=False)
     _require_sound(path, arrays)
-    samples = Samples(**arrays, **_described(path, data.attrs, *arrays["force_n"].shape[1:3]))
-    if data.attrs.get("content_hash", samples.content_hash) != samples.content_hash:
+    samples = Samples(**arrays, **_described(path, attributes, *arrays["force_n"].shape[1:3]))
+    if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
         raise FileFormatError(_changed(path))
     return samples
 
@@ -236,14 +248,16 @@ def _variables(labels_only: bool) -> tuple[dict[str, tuple[str, ...]], dict[str,
 
 
 def _labelled(path: Path, data: "xr.Dataset") -> "xr.Dataset":
-    """With axes, pillars and electrodes in the order of the contract."""
+    """With axes, pillars and electrodes in the order of the contract, which those without labels have."""
     for dim, labels in COORDINATES.items():
         if dim not in data.dims:
             continue
-        given = [str(label) for label in data[dim].values] if dim in data.coords else None
-        if given is None or sorted(given) != sorted(labels):
+        if dim not in data.coords and data.sizes[dim] == len(labels):
+            continue
+        given = [str(label) for label in data[dim].values] if dim in data.coords else f"of size {data.sizes[dim]}"
+        if not isinstance(given, list) or sorted(given) != sorted(labels):
             raise FileFormatError(
-                f"{path}: coordinate '{dim}' is {given}, expected {labels}: label the {dim} dimension."
+                f"{path}: dimension '{dim}' is {given}, expected {labels}: give these, and label them."
             )
         if given != labels:
             data = data.sel({dim: labels})

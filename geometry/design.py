@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, Layout, footprint, min_span
@@ -140,12 +140,45 @@ class Material:
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 
+MAX_DRIFT = 0.5  #: largest standard deviation of a drift: two of them leave a pillar no resistance
 MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
 EQUATIONS = ("eq1", "conduction")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Electrics:
+class Drifts:
+    """Relative standard deviations of what readings may have drifted by since the sensor was last tared."""
+
+    #: lines of comment in design files
+    NOTES: ClassVar[tuple[str, ...]] = (
+        "The paper states no drift. Rubber filled with carbon black drifts with warmth, humidity and rest; typical are",
+        "drift = 0.005, drift_tilt = 0.005, drift_pillar = 0.002. Measure yours: unloaded, an hour, in its usual room.",
+    )
+    drift: float = quantity(0.0, "deviation of a drift that all resistances share, relative: 0.005 is 0.5 %", True)
+    drift_tilt: float = quantity(0.0, "of one linear over the array along x and along y, at its outermost units", True)
+    drift_pillar: float = quantity(0.0, "of one that each pillar has on its own", True)
+
+    def __post_init__(self) -> None:
+        require_sound(self)
+        for spec in fields(Drifts):
+            value = getattr(self, spec.name)
+            if not 0 <= value <= MAX_DRIFT:
+                raise DesignError(
+                    f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT:g}: a standard deviation relative to the "
+                    "resistance; 0.005 is 0.5 %."
+                )
+
+    def with_drifts_of(self, other: "Drifts | None") -> Self:
+        """A copy with the larger of each drift that both state."""
+        if other is None:
+            return self
+        return replace(
+            self, **{spec.name: max(getattr(self, spec.name), getattr(other, spec.name)) for spec in fields(Drifts)}
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Electrics(Drifts):
     """Model of the resistance of deformed pillars: the paper's eq. 1, or conduction.
 
     Elastoresistance is the relative change of resistivity per strain, m₁₁ along the current and m₁₂ across it (Mason
@@ -157,7 +190,7 @@ class Electrics:
     elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", True)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         given = (self.elastoresistance_along, self.elastoresistance_across)
         if self.model == "eq1" and any(given):
             raise DesignError(

@@ -30,14 +30,22 @@ def design_to_toml(design: SensorDesign) -> str:
         if is_dataclass(value):
             tables.append(f"\n[{spec.name}]  # {spec.metadata['meaning']}")
             tables.extend(_key_line(value, key) for key in _keys(value))
+            tables.extend(f"# {note}" for note in getattr(value, "NOTES", ()))
         else:
             lines.append(_key_line(design, spec))
     return "\n".join([*lines, *tables, ""])
 
 
 def _keys(values: Any) -> list[Any]:
-    """Fields of a table that files hold: those with a meaning."""
-    return [spec for spec in fields(values) if "meaning" in spec.metadata]
+    """Fields of a table that files hold: those with a meaning, inherited ones last."""
+    inherited = {spec.name for kind in _kind(values).__bases__ if is_dataclass(kind) for spec in fields(kind)}
+    return sorted(
+        (spec for spec in fields(values) if "meaning" in spec.metadata), key=lambda spec: spec.name in inherited
+    )
+
+
+def _kind(values: Any) -> type:
+    return values if isinstance(values, type) else type(values)
 
 
 def _key_line(values: Any, spec: Any) -> str:

@@ -15,8 +15,9 @@ from decoupler.inverse.limits import exact_inverse
 from decoupler.twin.decoder import forward_of
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
-from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
-from decoupler.twin.posterior import State, infer
+from decoupler.twin.linearised import State
+from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
+from decoupler.twin.posterior import infer
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response
@@ -62,7 +63,7 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
 def curves(truth: ArrayResponse, expected: Expectation, design: SensorDesign, protocol: str) -> dict[str, FloatArray]:
     """Mean errors, (counts, 3), after chosen and after random loads."""
     test = measured_on(truth, design, protocol, TESTED, TEST_SEED)
-    loads = kitchen_loads(design)
+    loads = loads_at_hand(KITCHEN, design)
     knowledge = Knowledge.before(expected, State.as_expected(expected, 0), SPECIMEN.noise, SPECIMEN.bits)
     usual_n = force_columns(test.force_n, EVERYTHING)
     best, _ = choose(knowledge, [as_columns(load, EVERYTHING) for load in loads], usual_n, max(COUNTS["chosen"]))

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.stored import DATASETS, in_memory, read_samples
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -29,6 +28,9 @@ UNITS_N = {
     "g": 1e-3 * STANDARD_GRAVITY,
     "kg": STANDARD_GRAVITY,
 }  #: that a force may be written in
+PLAIN = {"": 1.0}
+FORCE = "a number of newtons, or with a unit: N, kN, g, kg"
+DEVIATION = "a number from 0 on, or a percentage such as 2 %"
 KINDS = ("pad", "plate", "air", "nothing")
 FORCES = tuple(f"f{axis}_n" for axis in AXES)
 KNOWN = ("error", "tilt", "share")  #: columns that say how well a load is known
@@ -57,30 +59,7 @@ class KnownLoad:
 
 
 def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
-    """Measured pairs of a data set (.nc, .zarr) or a table of loads with readings (.csv).
-
-    Parameters
-    ----------
-    path : Path
-        NetCDF or zarr as `tripillar dataset` writes it, whose forces are exact, or a table as `read_loads` takes it.
-    rows, cols : int
-        Of the array.
-    pad_mm2 : float
-        Area of a pad [mm²], that a pressure acts on.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing or makes no sense, is of another array, or a load has no readings.
-    """
-    if Path(path).suffix in DATASETS:
-        pairs = Pairs.of(in_memory(read_samples(path, labels_only=True)))
-        if pairs.force_n.shape[1:3] != (rows, cols):
-            given = " × ".join(map(str, pairs.force_n.shape[1:3]))
-            raise FileFormatError(
-                f"{path} holds {given} units, the design {rows} × {cols}: give --design of this sensor."
-            )
-        return pairs
+    """Measured pairs of a table of loads with readings; arguments and errors as of `read_loads`."""
     return as_pairs(read_loads(path, rows, cols, pad_mm2), path)
 
 
@@ -132,6 +111,10 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     readings = reading_columns(rows, cols)
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
+    if given := _other_size(header, rows, cols):
+        raise FileFormatError(
+            f"{path}: has readings of {given} units, the design has {rows} × {cols}: give the design of this array."
+        )
     if not lines or "load" not in header or unknown or not {*FORCES, "kpa", "kind"} & {*header}:
         spare = f"; not {', '.join(map(repr, unknown[:3]))}" if unknown else ""
         raise FileFormatError(
@@ -186,6 +169,15 @@ def reading_columns(rows: int, cols: int) -> list[str]:
     return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in PILLARS]
 
 
+def _other_size(header: list[str], rows: int, cols: int) -> str | None:
+    """Rows and columns of the readings of a table, as text, if some are beyond this array."""
+    places = [re.fullmatch(f"r_(\\d+)_(\\d+)_[{''.join(PILLARS)}]", name) for name in header]
+    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places if place]
+    if not units or all(row <= rows and col <= cols for row, col in units):
+        return None
+    return " × ".join(str(max(counts)) for counts in zip(*units, strict=True))
+
+
 def _load(
     path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], rows: int, cols: int, pad_mm2: float
 ) -> KnownLoad:
@@ -196,16 +188,16 @@ def _load(
         part_n, unknown = known_forces(line, rows, cols, pad_mm2, source)
         force_n = force_n + part_n
         unknown_n.append(unknown)
-        times.add(tuple(_number(line, column, source) if line.get(column) else None for column in TIMES))
+        times.add(tuple(_value(line, column, source) if line.get(column) else None for column in TIMES))
         texts = [(line.get(column) or "").strip() for column in reading_columns(rows, cols)]
         if any(texts):
             if resistance_ohm is not None:
                 raise FileFormatError(f"{source}: load '{name}' has readings in two lines: give them in one.")
             columns = zip(reading_columns(rows, cols), texts, strict=True)
-            ohms = [_number(line, column, source) if text else math.nan for column, text in columns]
+            ohms = [_value(line, column, source) if text else math.nan for column, text in columns]
             resistance_ohm = np.reshape(ohms, force_n.shape)
         if (line.get("noise") or "").strip():
-            noise = _deviation(line, "noise", {"": 1.0, "%": 0.01}, NOISE, source)
+            noise = _value(line, "noise", source, {"": 1.0, "%": 0.01}, NOISE, DEVIATION)
     first, *others = times
     if others:
         raise FileFormatError(f"{path}: load '{name}' has lines with different times: give all of them the same.")
@@ -247,26 +239,28 @@ def known_forces(
     nothing = np.zeros((rows, cols, 3)), np.zeros((0, rows, cols, 3))
     if kind == "nothing":
         return nothing
-    share = _deviation(line, "share", {"": 1.0, "%": 0.01}, SHARES.get(kind, 0.0), source)
+    share = _value(line, "share", source, {"": 1.0, "%": 0.01}, SHARES.get(kind, 0.0), DEVIATION)
     if share and kind == "pad":
         raise FileFormatError(f"{source}: share is {line['share']!r}, but one pad takes all: leave it out.")
     pads = _pads(line, rows, cols, kind, source)
     n = int(pads.sum())
     if kind == "air":
-        newtons = 1e-3 * _number(line, "kpa", source) * pad_mm2
+        newtons = 1e-3 * _value(line, "kpa", source) * pad_mm2
         total_n = np.array([0.0, 0.0, newtons])
         _require_bearable(total_n, pad_mm2, source)
         units = {"": 1e-3 * pad_mm2, "kpa": 1e-3 * pad_mm2, "%": 0.01 * abs(newtons)}
-        common_n = _deviation(line, "error", units, ERROR * abs(newtons), source)
+        common_n = _value(line, "error", source, units, ERROR * abs(newtons), DEVIATION)
         own_n = share * abs(newtons) * np.eye(n)
         directions = np.concatenate([np.full((1, n), common_n), own_n])[:, :, None] * [0.0, 0.0, 1.0]
         return _placed(total_n * np.ones((1, n, 1)), pads)[0], _placed(directions, pads)
-    total_n = np.array([_newtons(line, column, source) for column in FORCES])
+    total_n = np.array([_value(line, column, source, UNITS_N, 0.0, FORCE) for column in FORCES])
     _require_bearable(total_n / n, pad_mm2, source)
     size = np.abs(total_n)
     across_n = np.sqrt((size**2).sum() - size**2)
     error_n, tilt_n = (
-        np.array([_deviation(line, name, UNITS_N | {"%": 0.01 * f}, usual * f, source) if f else 0.0 for f in of_n])
+        np.array(
+            [_value(line, name, source, UNITS_N | {"%": 0.01 * f}, usual * f, DEVIATION) if f else 0.0 for f in of_n]
+        )
         for name, usual, of_n in (("error", ERROR, size), ("tilt", TILT, across_n))
     )
     axes = np.diag(np.hypot(error_n, tilt_n))
@@ -315,31 +309,24 @@ def _require_bearable(force_n: FloatArray, pad_mm2: float, source: str) -> None:
         )
 
 
-def _newtons(line: Mapping[str, str], column: str, source: str) -> float:
+def _value(
+    line: Mapping[str, str],
+    column: str,
+    source: str,
+    units: Mapping[str, float] = PLAIN,
+    default: float | None = None,
+    must: str = "a number",
+) -> float:
+    """The number of a column, in one of the units; the default where there is none, if there may be none."""
     text = (line.get(column) or "").strip()
-    if not text:
-        return 0.0
-    if (value := _quantity(text, UNITS_N)) is None:
-        raise FileFormatError(
-            f"{source}: {column} is {text!r}, must be a number of newtons, or with a unit: N, kN, g, kg."
-        )
-    return value
-
-
-def _deviation(line: Mapping[str, str], column: str, units: Mapping[str, float], default: float, source: str) -> float:
-    """A standard deviation in one of the units, "%" among them; the default where there is none."""
-    text = (line.get(column) or "").strip()
-    if not text:
+    if not text and default is not None:
         return default
-    value = _quantity(text, units)
-    if value is None or value < 0:
-        raise FileFormatError(
-            f"{source}: {column} is {text!r}, must be a number from 0 on, or a percentage such as 2 %."
-        )
+    if (value := quantity_of(text, units)) is None or (must == DEVIATION and value < 0):
+        raise FileFormatError(f"{source}: {column} is {text!r}, must be {must}.")
     return value
 
 
-def _quantity(text: str, units: Mapping[str, float]) -> float | None:
+def quantity_of(text: str, units: Mapping[str, float]) -> float | None:
     """The value of a number with one of the units; None if it is none."""
     if (parts := re.fullmatch(r"([-+.\d]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%]*)", text)) is None:
         return None
@@ -347,14 +334,6 @@ def _quantity(text: str, units: Mapping[str, float]) -> float | None:
         if math.isfinite(value := float(parts[1]) * units[parts[2].lower()]):
             return value
     return None
-
-
-def _number(line: Mapping[str, str], column: str, source: str) -> float:
-    text = (line.get(column) or "").strip()
-    with suppress(ValueError):
-        if math.isfinite(value := float(text)):
-            return value
-    raise FileFormatError(f"{source}: {column} is {text!r}, must be a number.")
 
 
 def _whole(text: str, column: str, source: str) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset import Samples
-from dataset.measurement import measured
+from dataset.measurement import ReadingError
 from dataset.protocols import LIGHT_N
 from decoupler.data.columns import force_columns, readable_columns
 from decoupler.data.enough import ENOUGH, AnySamples, drawn
@@ -82,7 +82,7 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
         own = ForwardModel.of(response, component)
         if decoupler.inverse is not None and decoupler.ensemble is not None:
             own = decoupler.inverse.forward  # the sensor that was identified
-        light = light_touches(decoupler, own, data.noise, data.bits)
+        light = light_touches(decoupler, own, data.errors)
     covered = None
     if decoupler.uncertainty is not None:
         predicted = decoupler.forces(data.resistance_ohm)
@@ -112,8 +112,9 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
     usual_n = force_columns(data.force_n, component)
     forward = ForwardModel.of(response, component)
     readable = readable_columns(component, decoupler.dead, forward.n_pillars)
-    reading = usual_n[every], data.noise, data.bits, readable
-    bounds = cramer_rao(forward, *reading), bayes(forward, *reading, usual_n)
+    own, shared = _drifting(data.errors, data.shape)
+    reading = usual_n[every], own, data.bits, readable
+    bounds = cramer_rao(forward, *reading, shared), bayes(forward, *reading, usual_n, shared)
     unbiased, biased = (_by_axis(bound, component.axes) for bound in bounds)
     return [
         Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
@@ -121,13 +122,20 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
     ]
 
 
+def _drifting(errors: ReadingError, size: tuple[int, int]) -> tuple[float, Callable[[FloatArray], FloatArray] | None]:
+    """Relative error of each reading alone, and what drifts change in all, as limits take them."""
+    rows, cols = size
+    shared = partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None
+    return errors.own_relative, shared
+
+
 def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
     return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
 
 
-def light_touches(decoupler: Decoupler, forward: ForwardModel, noise: float, bits: int | None) -> dict[str, LightTouch]:
-    """Errors by force on the sensor that the model knows, gains and offsets included, read with this noise.
+def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingError) -> dict[str, LightTouch]:
+    """Errors by force on the sensor that the model knows, gains and offsets included, read with these errors.
 
     `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.
     """
@@ -139,11 +147,12 @@ def light_touches(decoupler: Decoupler, forward: ForwardModel, noise: float, bit
     ohms = forward.resistances(force_n)
     if decoupler.calibration is not None:
         ohms = decoupler.calibration.shown(ohms)
-    ohms = measured(ohms, noise, bits, generator)
+    ohms = errors.read(ohms.reshape(len(ohms), decoupler.rows, decoupler.cols, -1), generator).reshape(ohms.shape)
     missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
     rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))
     readable = readable_columns(decoupler.component, decoupler.dead, forward.n_pillars)
-    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], noise, bits, readable), axes)
+    own, shared = _drifting(errors, (decoupler.rows, decoupler.cols))
+    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], own, errors.bits, readable, shared), axes)
     limit_n = np.sqrt((limit_n**2).mean(axis=(0, 1)))
     covered = None
     if decoupler.uncertainty is not None:

@@ -27,6 +27,7 @@ FALSE_ALARMS = 1e-4
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
 CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
 UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board
+KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sensor has so few ohms
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
 Turn = Callable[[FloatArray], FloatArray]
@@ -117,6 +118,8 @@ def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> 
     forces = force_columns(data.force_n, component)
     if len(forces) > 1 and _is_constant(forces) and _scattered(columns, data):
         return f"{_alike(forces)}, though the resistances differ by more than noise: give their loads"
+    if forward is None and columns.size and KILOOHM[0] <= columns.min() <= columns.max() <= KILOOHM[1]:
+        return f"all resistances are {columns.min():.3g} to {columns.max():.3g}, as in kΩ: give them in Ω, times 1000"
     if forward is None or not columns.size:
         return None
     times = float(np.median(columns) / np.median(forward.at_rest_ohm()))
@@ -170,8 +173,8 @@ def explained(data: Samples, component: Component, forward: ForwardModel) -> flo
     moved, _ = _motions(data, component, forward, NONE)
     left = _left(data, component, forward)
     columns = pillar_columns(data.resistance_ohm, component, data.dead)
-    columns = columns[:, readable_columns(component, data.dead, columns.shape[1])]
-    noise = float((0.25 * (reading_deviation(columns, data.noise, data.bits) / columns) ** 2).sum())
+    readable = readable_columns(component, data.dead, columns.shape[1])
+    noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
 
@@ -260,10 +263,12 @@ def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> flo
 
 
 def _scattered(columns: FloatArray, data: Samples) -> bool:
-    """Check whether readings (n, n_columns) of one load scatter more than noise.
+    """Check whether readings (n, n_columns) of one load scatter more than noise; drifts may scatter them anyhow.
 
     The sum of N squared normal errors passes x N with a probability of exp(−N (x − 1 − ln x)/2) at most (Chernoff).
     """
+    if data.errors.has_drift:
+        return False
     size = columns.mean(axis=0)
     noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
     deviation = np.hypot(noise, EDGE * steps)

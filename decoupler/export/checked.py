@@ -63,7 +63,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     precision = USUAL[path.suffix] if precision is None else precision
     if precision not in get_args(Precision):
         raise DesignError(f"precision={precision!r} is unknown; choose one of {', '.join(get_args(Precision))}.")
-    if decoupler.inverse is not None and decoupler.inverse.forward.correction is not None:
+    if decoupler.posterior is not None:
         raise ExportError("models that learned finite strain are not exported yet: train one on linear samples alone.")
     dtype = _TYPES[precision]
     resistance_ohm = likely_resistances(decoupler, SAMPLES)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import Component, rowwise
-from decoupler.inverse.effective_forces import EffectiveForces
+from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class ForwardModel:
     top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar; itself if each has its own B
     rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
     ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1
-    correction: EffectiveForces | None = None  #: from forces at finite strain to the effective F of R; None: linear
+    maps: StrainMaps | None = None  #: of finite strain; None: linear, where states are forces
     sign: FloatArray | None = None  #: s, (n_components, n_pillars) in the place of 3; None: all are 1
 
     @classmethod
@@ -94,16 +94,49 @@ class ForwardModel:
 
     @cached_property
     def linear(self) -> "ForwardModel":
-        """The same without its correction: the model of effective forces."""
-        return self if self.correction is None else replace(self, correction=None)
+        """The same without finite strain: the model whose forces are states."""
+        return self if self.maps is None else replace(self, maps=None)
 
-    def effective(self, force_n: FloatArray) -> FloatArray:
-        """Forces that cause the same in the linear model, both (n, n_forces) [N]."""
-        return force_n if self.correction is None else self.correction.effective(force_n)
+    def states(self, force_n: FloatArray) -> FloatArray:
+        """Forces that would move the electrodes so if the array were linear, both (n, n_forces) [N]."""
+        return force_n if self.maps is None else self.maps.states(force_n)
+
+    def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What shows and acts in states (n, n_forces) [N], with derivatives by the state.
+
+        Returns
+        -------
+        array, shape (n, n_pillars)
+            Squares of lengths, resistances over `ohm_per_mm2` [mm²].
+        array, shape (n, n_pillars, n_forces)
+            Their derivatives [mm²/N].
+        array, shape (n, n_forces)
+            Forces [N].
+        array, shape (n, n_forces, n_forces)
+            Their derivatives.
+        """
+        n, Q = state_n.shape
+        vectors = self.linear.vectors(state_n)
+        signed = vectors if self.sign is None else vectors * self.sign
+        squares = (signed * vectors).sum(axis=1)
+        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self._by_component)[:, :, 0]
+        force_n, by_force = state_n, np.tile(np.eye(Q), (n, 1, 1))
+        if self.maps is not None:
+            values, slopes = self.maps.slopes(state_n)
+            squares = squares + values[..., N_AXES:].reshape(n, -1)
+            by_state = by_state + slopes[:, :, N_AXES:].reshape(n, -1, Q)
+            force_n = state_n + values[..., :N_AXES].reshape(n, Q)
+            by_force = by_force + slopes[:, :, :N_AXES].reshape(n, Q, Q)
+        return squares, by_state, force_n, by_force
+
+    @cached_property
+    def _by_component(self) -> FloatArray:
+        """Derivatives of each pillar's vector by the forces, (n_pillars, n_components, n_forces) [mm/N]."""
+        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
+        return np.ascontiguousarray(B.transpose(2, 1, 0))
 
     def vectors(self, force_n: FloatArray) -> FloatArray:
-        """From each lower electrode to the upper one, (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""
-        force_n = self.effective(force_n)
+        """Of the linear array, lower electrode to upper one: (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""
         moved = rowwise(force_n, self.influence).reshape(len(force_n), len(self.rest_mm), -1)
         own = self._own_electrodes  # faster than checking: no index is out of bounds
         vectors = moved if own else moved.take(self.top, axis=2, mode="clip")
@@ -112,8 +145,13 @@ class ForwardModel:
 
     def lengths(self, force_n: FloatArray) -> FloatArray:
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]."""
-        vectors = self.vectors(force_n)
-        return self._norms(vectors)
+        if self.maps is not None:
+            state_n = self.maps.states(force_n)
+            squares = self.linear.lengths(state_n) ** 2 + self.maps.values(state_n)[..., N_AXES:].reshape(
+                len(force_n), -1
+            )
+            return np.sqrt(np.maximum(squares, 0.0))
+        return self._norms(self.vectors(force_n))
 
     def _norms(self, vectors: FloatArray) -> FloatArray:
         """|v| of vectors (n, n_components, n_pillars), shape (n, n_pillars); 0 where the sum of squares is negative."""
@@ -143,12 +181,11 @@ class ForwardModel:
 
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths (n, n_pillars) [mm] and their derivatives (n, n_pillars, n_forces) [mm/N]."""
-        if self.correction is not None:
-            effective_n = self.effective(force_n)
-            lengths, J = self.linear.jacobian(effective_n)
-            _, by_effective = self.correction.jacobian(effective_n)
-            by_force = np.linalg.solve(by_effective.swapaxes(1, 2), J.swapaxes(1, 2)).swapaxes(1, 2)
-            return lengths, np.asarray(by_force, dtype=np.float64)
+        if self.maps is not None:
+            squares, by_state, _, by_force = self.at_states(self.maps.states(force_n))
+            lengths = np.sqrt(np.maximum(squares, MIN_LENGTH_MM**2))
+            J = np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2)
+            return lengths, np.asarray(J / (2.0 * lengths[..., None]), dtype=np.float64)
         vectors = self.vectors(force_n)
         lengths = self._norms(vectors)
         if self.sign is not None:
@@ -159,13 +196,10 @@ class ForwardModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelInverse:
-    """A forward model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ...
-
-    These give effective forces, from which a correction of the model makes those that act.
-    """
+    """A linear array's model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ..."""
 
     forward: ForwardModel
-    centre_n: FloatArray  #: (n_forces,): effective forces where it starts
+    centre_n: FloatArray  #: (n_forces,): where it starts
     centre_mm: FloatArray  #: (n_pillars,): lengths there
     correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
 
@@ -181,8 +215,8 @@ class ModelInverse:
         """The inverse for loads like those of training, shape (n, n_forces) [N], for lighter ones and for none.
 
         `readable` (n_pillars,) says which pillars can be read; the others get no weight. `noise` is that of readings,
-        relative. `read` gives lengths (n, n_pillars) [mm] as they will be read under effective forces (n, n_forces)
-        [N], with their errors: the inverse then errs least in the mean square, and is not as exact as the lengths are.
+        relative. `read` gives lengths (n, n_pillars) [mm] as they will be read under forces (n, n_forces) [N], with
+        their errors: the inverse then errs least in the mean square, and is not as exact as the lengths are.
 
         Notes
         -----
@@ -192,19 +226,18 @@ class ModelInverse:
         elsewhere. The tangent alone (the chord method) leaves 3 to 20 times as much after as many steps; it is kept
         where pillars cannot be read, since there the lengths would be asked for more than they can tell.
         """
-        linear, force_n = forward.linear, forward.effective(force_n)
         centre = force_n.mean(axis=0)
-        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(linear.rest_mm, axis=0)
-        tangent = _tangent(linear, centre, force_n, readable, unsure_mm, exact=read is None)
+        unsure_mm = max(0.5 * noise, MIN_UNSURE) * np.linalg.norm(forward.rest_mm, axis=0)
+        tangent = _tangent(forward, centre, force_n, readable, unsure_mm, exact=read is None)
         usual_n = _enough_loads(force_n)
         loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
         spread_n, enough = np.std(usual_n - centre), ENOUGH if read is None else ENOUGH_AT_REST
-        lengths = (read or linear.lengths)(loads_n)
-        lengths[-1:] = linear.lengths(loads_n[-1:])
+        lengths = (read or forward.lengths)(loads_n)
+        lengths[-1:] = forward.lengths(loads_n[-1:])
         found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
         while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n, enough):
-            residual = np.where(readable, lengths - linear.lengths(found), 0.0)
+            residual = np.where(readable, lengths - forward.lengths(found), 0.0)
             weighted = weight[:, None] * residual
             G = residual.T @ weighted
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
@@ -213,21 +246,16 @@ class ModelInverse:
             before, found = np.std(loads_n - found), found + residual @ correctors[-1]
             if read is not None and np.std(loads_n - found) > GAINED * before:
                 break
-        centre_mm = linear.lengths(centre[None])[0]
+        centre_mm = forward.lengths(centre[None])[0]
         return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
-        effective_n, correction = self.effective(resistance_ohm), self.forward.correction
-        return effective_n if correction is None else correction.actual(effective_n)
-
-    def effective(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Effective forces, from which `forces` follow, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
         lengths = self.forward.lengths_of(resistance_ohm)
         forces = rowwise(lengths - self.centre_mm, self.correctors[0])
         forces += self.centre_n
         for corrector in self.correctors[1:]:
-            forces += rowwise(lengths - self.forward.linear.lengths(forces), corrector)
+            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
         return forces
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -236,11 +264,9 @@ class ModelInverse:
         forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
         by_length = np.broadcast_to(self.correctors[0], (len(lengths), *self.correctors[0].shape))
         for corrector in self.correctors[1:]:
-            modelled, J = self.forward.linear.jacobian(forces)
+            modelled, J = self.forward.jacobian(forces)
             by_length = by_length + corrector - (by_length @ J.swapaxes(1, 2)) @ corrector
             forces = forces + rowwise(lengths - modelled, corrector)
-        if self.forward.correction is not None:
-            by_length = by_length @ self.forward.correction.jacobian(forces)[1].swapaxes(1, 2)
         return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
 
 

@@ -4,7 +4,7 @@
 the estimator that meets the first: Gauss-Newton on the response itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from dataset.samples import SampleError
 from decoupler.inverse.forward_model import ForwardModel
 from geometry.layout import FloatArray
 
+Shared = Callable[[FloatArray], FloatArray]
 CHUNK = 64  #: samples whose derivatives are in memory together
 MAX_STEPS = 50  #: Gauss-Newton steps; a dozen is usual
 CONVERGED = 1e-12  #: relative to the largest force
@@ -25,6 +26,7 @@ def cramer_rao(
     noise: float,
     bits: int | None,
     readable: NDArray[np.bool_] | None = None,
+    shared: Shared | None = None,
 ) -> FloatArray:
     """Least standard deviation of unbiased estimates of forces, (n, n_forces) [N] -> the same shape [N].
 
@@ -36,6 +38,8 @@ def cramer_rao(
         Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
     readable : array, shape (n_pillars,), optional
         Pillars that can be read; default: all. If they are fewer than the forces, every bound is infinite.
+    shared : callable, optional
+        Changes of resistances (n, n_pillars) [Ω] by each error that pillars share, (n, n_pillars, m) [Ω]: drifts.
 
     Notes
     -----
@@ -46,9 +50,11 @@ def cramer_rao(
     if n_readable < forward.n_forces:
         return np.full_like(force_n, np.inf)
     found = np.zeros_like(force_n)
-    if noise or bits is not None:
-        for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
-            found[part] = np.sqrt(((np.linalg.inv(J) * deviation[:, None]) ** 2).sum(axis=2))
+    if noise or bits is not None or shared is not None:
+        for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
+            inverse = np.linalg.inv(J)
+            own, common = inverse * deviation[:, None], inverse @ U
+            found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
     return found
 
 
@@ -59,6 +65,7 @@ def bayes(
     bits: int | None,
     readable: NDArray[np.bool_] | None = None,
     usual_n: FloatArray | None = None,
+    shared: Shared | None = None,
 ) -> FloatArray:
     """Least standard deviation of estimates that know the mean and covariance of the usual forces, as a network does.
 
@@ -73,27 +80,35 @@ def bayes(
     """
     C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
     found = np.empty_like(force_n)
-    for part, J, deviation in _linearised(forward, force_n, noise, bits, readable):
+    for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
         JC = J @ C
         floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
         S = JC @ J.swapaxes(1, 2) + np.maximum(deviation, floor)[..., None] ** 2 * np.eye(J.shape[1])
+        S = S + U @ U.swapaxes(1, 2)
         taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
         found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
     return found
 
 
 def _linearised(
-    forward: ForwardModel, force_n: FloatArray, noise: float, bits: int | None, readable: NDArray[np.bool_] | None
-) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-    """Chunks of samples with the derivatives of the readable lengths and the deviations of their readings."""
+    forward: ForwardModel,
+    force_n: FloatArray,
+    noise: float,
+    bits: int | None,
+    readable: NDArray[np.bool_] | None,
+    shared: Shared | None,
+) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
+    """Chunks of samples: derivatives of the readable lengths, deviations of their errors, changes by shared ones."""
     for start in range(0, len(force_n), CHUNK):
         part = slice(start, start + CHUNK)
         lengths, J = forward.jacobian(force_n[part])
         ohm = forward.ohm_per_mm2 * lengths**2
+        by_ohm = 0.5 * lengths / ohm
         deviation = reading_deviation(ohm, noise, bits) * 0.5 * lengths / ohm
+        U = np.zeros((*ohm.shape, 0)) if shared is None else shared(ohm) * by_ohm[..., None]
         if readable is not None:
-            J, deviation = J[:, readable], deviation[:, readable]
-        yield part, J, deviation
+            J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]
+        yield part, J, deviation, U
 
 
 def exact_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import reading_deviation
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, force_columns, pillar_columns, readable_columns
 from decoupler.inverse.forward_model import ForwardModel
@@ -91,7 +90,8 @@ def without_stuck(data: Samples, component: Component, forward: ForwardModel | N
         expected = modelled / modelled.mean(axis=0) - 1.0
     else:
         expected = _as_most(moved, force_n, component)
-    noise = reading_deviation(columns_ohm.mean(axis=0), data.noise, data.bits) / columns_ohm.mean(axis=0)
+    mean = columns_ohm.mean(axis=0, keepdims=True)
+    noise = (data.errors.total(mean, *data.shape) / mean)[0]
     readable = readable_columns(component, data.dead, columns_ohm.shape[1])
     stuck = readable & _unmoved(moved, expected, noise)
     if not 0 < stuck.sum() <= readable.sum() / 2:

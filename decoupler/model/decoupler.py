@@ -9,12 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
-from decoupler.data.columns import Calibration, Component, Resting, Scaling, in_blocks, pillar_columns, rowwise
+from decoupler.data.columns import (
+    Calibration,
+    Component,
+    Resting,
+    Scaling,
+    in_blocks,
+    pillar_columns,
+    readable_columns,
+    rowwise,
+)
 from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.posterior import Found, Posterior
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig
@@ -44,6 +54,7 @@ class Decoupler:
     output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
     design: SensorDesign | None  #: the sensor of the training data; None if they did not say
     inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
+    posterior: Posterior | None = None  #: of a sensor at finite strain: the network's answer is its start and prior
     calibration: Calibration | None = None  #: gains and offsets of this very sensor; None for one as designed
     resting: Resting | None = None  #: readings at rest; None without a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
@@ -74,8 +85,8 @@ class Decoupler:
 
         Notes
         -----
-        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. A sample gives the
-        same bits alone and in any batch.
+        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
+        that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
         columns = self.columns(resistance_ohm)
         n = len(columns)
@@ -137,14 +148,19 @@ class Decoupler:
         if self.uncertainty is None:
             raise SampleError("this model knows no uncertainty: train it again.")
         found, columns = self.uncertainty, self.columns(resistance_ohm)
-        own_n2, (scale, _) = self._own_variance(columns)
-        variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns, found.noise, found.bits):
-            variance[chunk] += (factors**2).sum(axis=2)
-            by_error = (weights[None] * scale[chunk, :, None]).swapaxes(1, 2) @ factors
-            covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
-        covariance += np.einsum("no,oi,oj->nij", own_n2 * scale**2, weights, weights, optimize=True)
         shape = (-1, self.rows, self.cols, len(self.component.axes))
+        if self.posterior is not None:
+            covariance = self.refined(columns).covariance_n2
+            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(shape), weights.T @ covariance @ weights
+        own_n2, (scale, two) = self._own_variance(columns)
+        # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
+        wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
+        variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
+        for chunk, factors in self._error_factors(columns, found.errors, found.drift_factor):
+            variance[chunk] += (factors**2).sum(axis=2)
+            by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
+            covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
+        covariance += np.einsum("no,oi,oj->nij", own_n2 * wide**2, weights, weights, optimize=True)
         return (np.sqrt(variance) * scale).reshape(shape), covariance
 
     def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -176,9 +192,11 @@ class Decoupler:
                 self._shown(np.zeros_like(self.output_scaling.centre)),
                 self._shown(self.output_scaling.centre),
             )
-        reading = reading_deviation(rest, self.uncertainty.noise, self.uncertainty.bits)
-        by_noise = self.derivatives(rest)[0] * reading
-        covariance = by_noise @ by_noise.T
+        errors = self.uncertainty.errors
+        by_error = self.derivatives(rest)[0] @ np.hstack(
+            [np.diag(errors.deviation(rest)[0]), errors.shared(rest, self.rows, self.cols)[0]]
+        )
+        covariance = by_error @ by_error.T
         deviation_n = np.maximum(self.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
         covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
         if self.inverse is not None:
@@ -195,8 +213,11 @@ class Decoupler:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
         found = self.uncertainty
         assert found is not None
+        if self.posterior is not None:
+            deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm).covariance_n2))
+            return deviation_n, 2.0 * deviation_n
         own_n2, (one, two) = self._own_variance(columns_ohm)
-        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.noise, found.bits))
+        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors, found.drift_factor))
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
@@ -206,44 +227,50 @@ class Decoupler:
         force_n = self.output_scaling.unscale(A @ self.output_weights.T)
         return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
-    def noise_variance(self, columns_ohm: FloatArray, noise: float, bits: int | None) -> FloatArray:
+    def noise_variance(
+        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
+    ) -> FloatArray:
         """Variance of the forces (n, n_out) [N²] that errors of the readings and of the sensor's model cause.
 
         Readings are (n, n_in) [Ω].
         """
         found = np.zeros((len(columns_ohm), len(self.output_weights)))
-        for chunk, factors in self._error_factors(columns_ohm, noise, bits):
+        for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
             found[chunk] = (factors**2).sum(axis=2)
         return found
 
     def _error_factors(
-        self, columns_ohm: FloatArray, noise: float, bits: int | None
+        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None
     ) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
 
-        Errors are one standard deviation of each reading, and each draw of the ensemble over the root of their number.
-        Where nothing errs there is no chunk.
+        Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
+        ensemble over the root of their number. Where nothing errs there is no chunk.
         """
-        if not noise and bits is None and self.ensemble is None:
+        if errors.is_exact and self.ensemble is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
-            slopes = self.derivatives(columns_ohm[chunk])
-            factors = slopes * reading_deviation(columns_ohm[chunk], noise, bits)[:, None]
+            slopes, columns = self.derivatives(columns_ohm[chunk]), columns_ohm[chunk]
+            factors = slopes * errors.deviation(columns)[:, None]
+            common = []
+            if errors.has_drift:
+                shared = slopes @ errors.shared(columns, self.rows, self.cols)
+                common.append(shared if drift_factor is None else shared @ drift_factor)
             if self.ensemble is not None:
-                differences = self._ensemble_differences(columns_ohm[chunk])
-                by_draw = slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble))
-                factors = np.concatenate([factors, by_draw], axis=2)
-            yield chunk, factors
+                differences = self._ensemble_differences(columns)
+                common.append(slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble)))
+            yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
 
     def _ensemble_differences(self, columns_ohm: FloatArray) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""
         assert self.ensemble is not None
         assert self.inverse is not None
         modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
-        effective_n = self.inverse.effective(modelled)
-        slopes = self.inverse.forward.linear.relative_slopes(effective_n)
-        return self.ensemble.differences(effective_n, slopes, columns_ohm)
+        force_n = self.inverse.forces(modelled)
+        slopes = self.inverse.forward.relative_slopes(force_n)
+        without_offset = columns_ohm if self.calibration is None else columns_ohm - self.calibration.offset_ohm
+        return self.ensemble.differences(force_n, slopes, without_offset)
 
     @property
     def is_identified(self) -> bool:
@@ -267,7 +294,10 @@ class Decoupler:
         """The model with half-widths for readings of this relative standard deviation, converter's steps included."""
         if self.uncertainty is None:
             return self
-        return replace(self, uncertainty=replace(self.uncertainty, noise=noise, bits=None))
+        return replace(
+            self,
+            uncertainty=replace(self.uncertainty, errors=replace(self.uncertainty.errors, noise=noise, bits=None)),
+        )
 
     @property
     def reading_noise(self) -> float:
@@ -275,7 +305,8 @@ class Decoupler:
         rest_ohm = self.rest_resistances()
         if self.uncertainty is None or rest_ohm is None:
             return 0.0
-        deviation = reading_deviation(rest_ohm, self.uncertainty.noise, self.uncertainty.bits)
+        errors = replace(self.uncertainty.errors, drift_pillar=0.0)
+        deviation = errors.deviation(rest_ohm)
         return float(np.median(deviation / rest_ohm))
 
     @property
@@ -303,8 +334,8 @@ class Decoupler:
             return []
         limit_n = None
         if self.inverse is not None and self.dead is not None:
-            noise, bits = self.uncertainty.noise, self.uncertainty.bits
-            limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], noise, bits)[0]
+            errors = self.uncertainty.errors
+            limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors.noise, errors.bits)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
@@ -323,6 +354,22 @@ class Decoupler:
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
+        return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
+
+    def refined(self, columns_ohm: FloatArray) -> Found:
+        """What the posterior makes of resistances (n, n_in) [Ω] and of the network's answers."""
+        assert self.posterior is not None
+        assert self.uncertainty is not None
+        readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
+        settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
+        modelled = settled if self.calibration is None else self.calibration.modelled(settled)
+        errors, gain = self.uncertainty.errors, 1.0 if self.calibration is None else self.calibration.gain
+        deviation_ohm = errors.deviation(settled) / gain
+        shared_ohm = (errors.shared(settled, self.rows, self.cols).swapaxes(1, 2) / gain).swapaxes(1, 2)
+        return self.posterior.found(modelled, self.first_answers(columns_ohm), deviation_ohm, shared_ohm, readable)
+
+    def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
+        """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:

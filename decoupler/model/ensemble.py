@@ -28,7 +28,7 @@ class Ensemble:
         slopes : array, shape (n, n_components, P)
             `ForwardModel.relative_slopes` under these forces.
         resistance_ohm : array, shape (n, P)
-            The model's.
+            The model's, without offsets.
         """
         m, P, components, Q = self.influence.shape
         moved = (force_n.astype(self.influence.dtype) @ self.influence.reshape(-1, Q).T).reshape(-1, m, P, components)
@@ -37,13 +37,13 @@ class Ensemble:
         return relative * resistance_ohm[:, None] + self.offset_ohm
 
     def drawn(self, force_n: FloatArray, slopes: FloatArray, resistance_ohm: FloatArray, first: int = 0) -> FloatArray:
-        """Resistances (n, P) [Ω] that sensors of the ensemble have in turn, the sample of number `first` first.
+        """Differences (n, P) [Ω] of the sensors in turn, one a sample, the sample of number `first` first.
 
         Other arguments as of `differences`.
         """
-        found = resistance_ohm.copy()
+        found = np.empty_like(resistance_ohm)
         for sensor in range(len(self)):
             mine = slice((sensor - first) % len(self), None, len(self))
             one = Ensemble(**{name: values[sensor : sensor + 1] for name, values in vars(self).items()})
-            found[mine] += one.differences(force_n[mine], slopes[mine], resistance_ohm[mine])[:, 0]
+            found[mine] = one.differences(force_n[mine], slopes[mine], resistance_ohm[mine])[:, 0]
         return found

@@ -9,21 +9,24 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import Calibration, Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
-from decoupler.inverse.effective_forces import N_FEATURES, OWN, EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.specimen import Specimen
+from decoupler.inverse.strain_maps import FEW, N_AXES, N_FEATURES, OWN, StrainMaps
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import WITHIN, Uncertainty
 from decoupler.model.usual import UsualLoads
-from geometry.design import SensorDesign
+from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.layout import PILLAR_TOP, PILLARS
-from geometry.storage.files import digest, write_bytes
+from geometry.storage.files import digest, stated, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
 
@@ -41,16 +44,30 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "input_half_range": ("input_scaling.half_range", ("seen",)),
     "output_centre": ("output_scaling.centre", ("out",)),
     "output_half_range": ("output_scaling.half_range", ("out",)),
-    "influence": ("inverse.forward.influence", ("out", "components electrodes")),
-    "top": ("inverse.forward.top", ("in",)),
-    "rest_mm": ("inverse.forward.rest_mm", ("components", "in")),
-    "sign": ("inverse.forward.sign", ("components", "in")),
-    "ohm_per_mm2": ("inverse.forward.ohm_per_mm2", ("in",)),
-    "finite_influence": ("inverse.forward.correction.influence", ("out", "electrodes along 3")),
-    "finite_near": ("inverse.forward.correction.near", ("units", "neighbours")),
-    "finite_sizes": ("inverse.forward.correction.sizes", ("own",)),
-    "finite_weights": ("inverse.forward.correction.weights", ("finite features", "3")),
-    "finite_misfit_n": ("inverse.forward.correction.misfit_n", ("3",)),
+    **{
+        f"{prefix}{name}": (f"{owner}.forward.{name}", shape)
+        for prefix, owner in (("", "inverse"), ("finite_", "posterior"))
+        for name, shape in (
+            ("influence", ("out", "components electrodes")),
+            ("top", ("in",)),
+            ("rest_mm", ("components", "in")),
+            ("sign", ("components", "in")),
+            ("ohm_per_mm2", ("in",)),
+        )
+    },
+    "maps_influence": ("posterior.forward.maps.influence", ("out", "electrodes along 3")),
+    "maps_near": ("posterior.forward.maps.near", ("units", "neighbours")),
+    "maps_sizes": ("posterior.forward.maps.sizes", ("own",)),
+    "maps_weights": ("posterior.forward.maps.weights", ("finite features", "forces and pillars")),
+    "maps_misfit": ("posterior.forward.maps.misfit", ("forces and pillars",)),
+    "maps_growth": ("posterior.forward.maps.growth", ("2",)),
+    "to_state": ("posterior.to_state", ("out + 1", "out")),
+    "precision": ("posterior.precision", ("out", "out")),
+    "loads_n": ("posterior.loads_n", ("loads", "out")),
+    "specimen_changes": ("posterior.specimen.changes", ("parameters", "few", "forces and pillars")),
+    "specimen_shift": ("posterior.specimen.shift", ("few", "forces and pillars")),
+    "specimen_unknowns": ("posterior.specimen.unknowns", ("unknowns",)),
+    "specimen_factor": ("posterior.specimen.factor", ("unknowns", "unknowns")),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
@@ -65,6 +82,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
     "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
     "light_n2": ("uncertainty.light_n2", ("1",)),
+    "drift_factor": ("uncertainty.drift_factor", ("drifts", "drifts")),
     "usual_low_n": ("usual.low_n", ("axes",)),
     "usual_high_n": ("usual.high_n", ("axes",)),
     "friction": ("usual.friction", ("1",)),
@@ -93,7 +111,8 @@ def model_cache_key(
     known = response.content_hash if response is not None and network.feature == "inverse" else ""
     dead = data.dead if data.dead is not None and data.dead.any() else None
     parts = (FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
-    return digest(*parts, *([data.is_finite] if data.is_finite.any() else []))
+    later = [data.is_finite] if data.is_finite.any() else []
+    return digest(*parts, *later, *([data.errors] if data.errors.has_drift else []))
 
 
 def write_model(decoupler: Decoupler, path: Path) -> None:
@@ -109,8 +128,10 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "design_hash": decoupler.design_hash,
         "made_from": decoupler.made_from,
     }
+    if decoupler.posterior is not None:
+        header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
-        header |= {"noise": decoupler.uncertainty.noise, "bits": decoupler.uncertainty.bits}
+        header |= stated(decoupler.uncertainty.errors)
     arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     write_bytes(path, *sealed(content))
@@ -144,7 +165,7 @@ def read_model(path: Path) -> Decoupler:
     sizes = _sizes(decoupler)
     for name, array in _arrays(decoupler).items():
         shape = tuple(sizes[size] for size in _ARRAYS[name][1])
-        kind = "i" if name in ("top", "finite_near") else "b" if name == "dead" else "f"
+        kind = "i" if name.endswith(("top", "_near")) else "b" if name == "dead" else "f"
         if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
@@ -153,7 +174,7 @@ def read_model(path: Path) -> Decoupler:
     for name in arrays.keys() & _NOT_BELOW_0:
         if arrays[name].min(initial=0.0) < 0:
             raise FileFormatError(f"{path}: {name} holds {arrays[name].min():g}, must not be below 0: {_MEND}.")
-    if decoupler.inverse is not None and not _holds_pillars(decoupler.inverse.forward):
+    if not all(_holds_pillars(part.forward) for part in (decoupler.inverse, decoupler.posterior) if part is not None):
         raise FileFormatError(f"{path}: its pillars stand on electrodes that it does not hold: {_MEND}.")
     return decoupler
 
@@ -164,8 +185,8 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
     Raises
     ------
     FileFormatError
-        If the array's size differs, or, where both sides state their design, any value of it; of a twin any that it
-        does not find out.
+        If the array's size differs, or, where both sides state their design, any value of it but drifts; of a twin any
+        that it does not find out.
     """
     rows, cols = data.shape
     differences = [
@@ -174,7 +195,8 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        of_specimen = decoupler.posterior is not None and decoupler.posterior.specimen is not None
+        of_twin = of_specimen or decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
@@ -186,6 +208,7 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
 def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool = False) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
     free = uncertain_keys(model) | uncertain_keys(data) if of_twin else set()  # as it was meant, as it was measured
+    free |= {f"electrics.{spec.name}" for spec in fields(Drifts)}  # how far readings drift makes no other sensor
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
@@ -222,7 +245,9 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     component, rows, cols, hidden = decoupler.component, decoupler.rows, decoupler.cols, decoupler.network.hidden
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
-    forward = None if decoupler.inverse is None else decoupler.inverse.forward
+    model = decoupler.inverse or decoupler.posterior
+    specimen = None if decoupler.posterior is None else decoupler.posterior.specimen
+    forward = None if model is None else model.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
     if decoupler.ensemble is not None:
         electrodes = n_in  # an identified sensor has an influence for each pillar
@@ -236,6 +261,13 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "in": n_in,
         "in + 1": n_in + 1,
         "out": n_out,
+        "out + 1": n_out + 1,
+        "2": 2,
+        "few": len(FEW),
+        "loads": 0 if decoupler.posterior is None else len(decoupler.posterior.loads_n),
+        "parameters": 0 if specimen is None else len(specimen.changes),
+        "unknowns": 0 if specimen is None else specimen.n_unknowns(n_in),
+        "forces and pillars": N_AXES + len(component.pillars),
         "hidden": hidden,
         "seen": seen,
         "seen + 1": seen + 1,
@@ -248,15 +280,25 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "finite features": N_FEATURES,
         "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
         "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
+        "drifts": 0 if decoupler.uncertainty is None else _n_drifts(decoupler.uncertainty.errors, rows, cols),
         "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
     }
 
 
+def _n_drifts(errors: ReadingError, rows: int, cols: int) -> int:
+    return errors.shared(np.ones((1, rows * cols)), rows, cols).shape[2]
+
+
 def _holds_pillars(forward: ForwardModel) -> bool:
     n_electrodes = forward.influence.shape[1] // len(forward.rest_mm)
-    near = np.zeros(1) if forward.correction is None else forward.correction.near
+    near = np.zeros(1) if forward.maps is None else forward.maps.near
     stands = (forward.top >= 0) & (forward.top < n_electrodes)
     return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
+
+
+def _errors(header: dict[str, Any]) -> ReadingError:
+    """Errors of the readings; a drift that the header does not state is none."""
+    return ReadingError(**{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header})
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
@@ -276,15 +318,19 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        return {field: arrays[name] for field, name in mine.items() if name in arrays or name != "sign"}
+        optional = ("sign", "drift_factor")
+        return {field: arrays[name] for field, name in mine.items() if name in arrays or field not in optional}
 
-    inverse = uncertainty = least_squares = None
+    inverse = posterior = uncertainty = least_squares = None
     if network.feature == "inverse":
-        correction = EffectiveForces(**held("inverse.forward.correction")) if "finite_weights" in arrays else None
-        forward = ForwardModel(**held("inverse.forward"), correction=correction)
-        inverse = ModelInverse(forward=forward, **held("inverse"))
+        inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
+    if "maps_weights" in arrays:
+        maps = StrainMaps(**held("posterior.forward.maps"))
+        specimen = Specimen(**held("posterior.specimen")) if "specimen_factor" in arrays else None
+        forward = ForwardModel(**held("posterior.forward"), maps=maps)
+        posterior = Posterior(forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior"))
     if "inverse_matrix" in arrays:
-        uncertainty = Uncertainty(**held("uncertainty"), noise=header["noise"], bits=header["bits"])
+        uncertainty = Uncertainty(**held("uncertainty"), errors=_errors(header))
     component, dead = component_named(header["component"]), arrays.get("dead")
     if "least_squares" in arrays:
         least_squares = LeastSquares(component=component, **held("least_squares"), dead=dead)
@@ -299,6 +345,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         output_weights=arrays["output_weights"],
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
+        posterior=posterior,
         calibration=Calibration(**held("calibration")) if "gain" in arrays else None,
         resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
         dead=dead,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import DesignError
+from dataset.measurement import ReadingError
 from geometry.layout import FloatArray
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
@@ -24,8 +24,7 @@ class Uncertainty:
     within. Misfit and scale go from those at rest to those under load with the square of the forces.
     """
 
-    noise: float  #: relative standard deviation of the training readings
-    bits: int | None  #: resolution of their converter
+    errors: ReadingError  #: of the readings that it is for
     inverse_matrix: FloatArray  #: (n_features, n_features): (AᵀA + λI)⁻¹
     misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
@@ -33,12 +32,9 @@ class Uncertainty:
     misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, at rest and under light touches
     widths_at_rest: FloatArray  #: (2, n_axes)
     light_n2: FloatArray  #: (1,): mean square of the forces of a light training sample [N²]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.noise, float | int) or not 0 <= self.noise < np.inf:
-            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
-        if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
+    #: (m, m): how far forces err along what m shared drifts do, a Cholesky factor in deviations of each; above 1, as
+    #: load that is taken for drift counts, too. None without shared drifts
+    drift_factor: FloatArray | None = None
 
     def own_variance(
         self, A: FloatArray, force_n: FloatArray, half_range_n: FloatArray

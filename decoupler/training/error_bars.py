@@ -6,6 +6,7 @@ Both come from the errors on its training set, or on measured pairs, had each sa
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.measurement import ReadingError
 from decoupler.data.repeats import over_loads
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
@@ -52,12 +53,12 @@ def fitted_uncertainty(
     decoupler: Decoupler,
     columns_ohm: FloatArray,
     force_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    reading: ReadingError,
     ridge: float,
     load: NDArray[np.int64],
     n_light: int = 0,
     matrix: FloatArray | None = None,
+    judged: NDArray[np.int64] | None = None,
 ) -> Uncertainty:
     """The uncertainty of a model, from its training set.
 
@@ -66,14 +67,16 @@ def fitted_uncertainty(
     decoupler : Decoupler
     columns_ohm, force_n : arrays, shapes (n, n_in) and (n, n_out)
         Readings [Ω] and forces [N]; the last `n_light` samples are light.
-    noise, bits
-        Of the readings, as `dataset.measurement.reading_deviation` takes them.
+    reading : ReadingError
+        Errors of the readings.
     ridge : float
         λ on the output weights.
     load : array, shape (n,)
         Number of each sample's load, as `load_numbers` counts them.
     matrix : array, shape (n_features, n_features), optional
         AᵀA of all samples that the output weights were fitted to; default: of these.
+    judged : array, shape (n_judged,), optional
+        Samples that say the errors of those under load; default: all.
 
     Notes
     -----
@@ -93,16 +96,18 @@ def fitted_uncertainty(
     errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
     errors = np.where((freedom > MIN_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
     n = len(A) - n_light
-    unexplained = (errors[:n] ** 2).mean(axis=0)
+    loaded = np.arange(n) if judged is None else np.sort(judged[judged < n])
+    unexplained = (errors[loaded] ** 2).mean(axis=0)
     n_axes = len(decoupler.component.axes)
     smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
-    parts = [np.arange(n), np.arange(n, len(A)) if n_light else np.arange(n)]
+    drift_factor = _drift_factor(decoupler, columns_ohm[loaded], errors[loaded], reading)
+    parts = [loaded, np.arange(n, len(A)) if n_light else loaded]
     misfits, ratios = [], []
     for part in parts:
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
-        through = decoupler.noise_variance(columns_ohm[some], noise, bits)
+        through = decoupler.noise_variance(columns_ohm[some], reading, drift_factor)
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
-        if part[0]:  # few outputs are touched often: all of an axis together tell more
+        if n_light and part is parts[1]:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
         misfits.append(left + smallest)
         weights_n2 = np.minimum(unexplained * of_weights[some, None], decoupler.output_scaling.half_range**2)
@@ -112,8 +117,7 @@ def fitted_uncertainty(
         np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
     ]
     return Uncertainty(
-        noise=noise,
-        bits=bits,
+        errors=reading,
         inverse_matrix=G,
         misfit_n2=misfits[0],
         unexplained_n2=unexplained,
@@ -121,4 +125,34 @@ def fitted_uncertainty(
         misfit_at_rest_n2=misfits[1],
         widths_at_rest=widths[1],
         light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
+        drift_factor=drift_factor,
     )
+
+
+def _drift_factor(
+    decoupler: Decoupler, columns_ohm: FloatArray, errors_n: FloatArray, reading: ReadingError
+) -> FloatArray | None:
+    """`Uncertainty.drift_factor` by readings (n, n_in) [Ω] and errors (n, n_out) [N] of training; None without drift.
+
+    Notes
+    -----
+    A linear estimate S of least mean square under readings with a deviation U of shared drifts errs by S U P^(-1/2) of
+    a unit normal number, P the covariance that the drifts keep when the readings are known, beside what readings err by
+    on their own: it holds some drift for load and some load for drift, both along S U. So P⁻¹ is the covariance of the
+    errors' coefficients of S U by weighted least squares, less the share in it of what readings err by on their own.
+    """
+    some = np.linspace(0, len(columns_ohm) - 1, min(ENOUGH_SAMPLES, len(columns_ohm))).astype(int)
+    rows, cols = decoupler.rows, decoupler.cols
+    m = reading.shared(columns_ohm[:1], rows, cols).shape[2]
+    if not m:
+        return None
+    covariance = np.zeros((m, m))
+    for k in some:
+        slopes = decoupler.derivatives(columns_ohm[k : k + 1])[0]
+        own = slopes * reading.deviation(columns_ohm[k])
+        A = slopes @ reading.shared(columns_ohm[k : k + 1], rows, cols)[0]
+        weighted = A / np.maximum((own**2).sum(axis=1), 1e-300)[:, None]
+        H = np.linalg.solve(weighted.T @ A, weighted.T)
+        covariance += (np.outer(H @ errors_n[k], H @ errors_n[k]) - (H @ own) @ (H @ own).T) / len(some)
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(np.linalg.cholesky((vectors * np.maximum(values, 1.0)) @ vectors.T), dtype=np.float64)

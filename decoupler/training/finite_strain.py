@@ -1,17 +1,24 @@
-"""Learns forces at finite strain from few samples, on top of the linear response."""
+"""Learns the two maps of finite strain from few samples whose displacements are known."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.linalg
+from scipy.optimize import nnls
 
+from dataset.measurement import ReadingError
+from dataset.protocols import PROTOCOLS
 from dataset.samples import SampleError, Samples
-from decoupler.data.columns import Component
-from decoupler.inverse.effective_forces import N_FEATURES, EffectiveForces, neighbours
+from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.limits import nearest_inverse
-from decoupler.model.uncertainty import leverage
+from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.twin.usual_loads import images_of
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -19,114 +26,209 @@ if TYPE_CHECKING:
 
 RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features of root mean square 1
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
+LOADS = 600  #: most loads of samples that a posterior keeps
+DRAWS = 20_000  #: samples that are drawn from the maps to train the network that starts
+HIDDEN = 60  #: hidden nodes of that network
+STATE_RIDGE = 1e-3  #: of the linear way from forces to states, over the number of samples
+LIGHTER = 10  #: one of so many draws is lighter
+BEYOND = 1.07  #: of the samples' range of states, that draws may reach
+JUDGED = 4000  #: draws that say how the network errs
+TRUST = 3.0  #: factor of the network's errors as a prior: it has seen the same readings
+CHUNK = 256  #: states worked on together
+ROUNDS, MIN_GROWTH = 5, 0.1  #: of fits of the misfit's growth, and its least value at rest
 
-MIN_FOUND = 0.5  #: of the samples, that must be of effective forces
+
+def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> FloatArray:
+    """Forces (n, 3 k) [N] that would move the linear array's electrodes nearest to displacements (n, k, 2, 3) [mm].
+
+    `electrodes_mm_per_n` (3 k, 6 k) is the influence of forces on them, as in `ForwardModel` by eq. 1.
+    """
+    moved = displacement_mm.reshape(len(displacement_mm), -1, 3).swapaxes(1, 2)
+    return moved.reshape(len(moved), -1) @ np.linalg.pinv(electrodes_mm_per_n)
 
 
-def at_finite_strain(
-    forward: ForwardModel,
-    size: tuple[int, int],
-    resistance_ohm: FloatArray,
-    force_n: FloatArray,
-    electrodes_mm_per_n: FloatArray | None = None,
-) -> ForwardModel:
-    """The forward model of a linear array with what samples at finite strain add.
+def with_strain_maps(response: "ArrayResponse", component: Component, data: Samples) -> ForwardModel:
+    """The forward model of an array with what samples at finite strain add to the linear response.
 
     Parameters
     ----------
-    forward : ForwardModel
-        Of all forces and pillars.
-    size : tuple
-        Rows and columns of the array.
-    resistance_ohm, force_n : arrays, shapes (n, n_pillars) and (n, n_forces)
-        Samples at finite strain [Ω], [N], of a sensor as designed.
-    electrodes_mm_per_n : array, shape (n_forces, 6·n_units), optional
-        Influence on the electrodes, where the model's own is of conduction: that of the model by eq. 1.
+    response : ArrayResponse
+    component : Component
+        That of all forces and pillars.
+    data : Samples
+        At finite strain, of a sensor as designed.
 
     Raises
     ------
     SampleError
-        If the model is of conduction and the electrodes' influence is not given, or some sample's resistances are none
-        that the linear array can have.
+        If the samples do not hold displacements.
 
     Notes
     -----
-    Every unit of every sample is one equation an axis, by ridge regression, each feature scaled to its root mean
-    square; the ridge is the one with the least errors had each equation been left out.
+    Every unit of every sample is one equation for each of its forces and pillars, by ridge regression, each feature
+    scaled to its root mean square; the ridge is the one with the least errors had each equation been left out.
     """
-    linear = replace(forward, correction=None)
-    influence = linear.influence if electrodes_mm_per_n is None else electrodes_mm_per_n
-    if linear.sign is not None and electrodes_mm_per_n is None:
-        raise SampleError("a model of conduction does not tell how electrodes move: give electrodes_mm_per_n.")
-    effective_n, found = nearest_inverse(linear, resistance_ohm, force_n.mean(axis=0))
-    if found.mean() < MIN_FOUND:
+    if data.displacement_mm is None:
         raise SampleError(
-            f"{np.count_nonzero(~found)} of {len(found)} samples at finite strain have resistances that the linear "
-            "array cannot have: give samples of smaller loads (--cap)."
+            "samples at finite strain hold no displacements (displacement_mm), which say how the rubber is deformed: "
+            "keep them in the file."
         )
-    effective_n, force_n = effective_n[found], force_n[found]
-    k = linear.n_forces // 3
-    moved = (effective_n @ influence).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
-    sizes = np.concatenate([effective_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)])
-    empty = EffectiveForces(
-        influence=influence,
-        near=neighbours(*size),
-        sizes=sizes,
-        weights=np.zeros((N_FEATURES, 3)),
-        misfit_n=np.zeros(3),
+    forward = ForwardModel.of(response, component)
+    electrodes = ForwardModel.of(replace(response, conducted=None), component).influence
+    rows, cols = data.shape
+    state_n = states_of(data.displacement_mm, electrodes)
+    k = rows * cols
+    moved = (state_n @ electrodes).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
+    empty = StrainMaps(
+        influence=electrodes,
+        near=neighbours(rows, cols),
+        sizes=np.concatenate([state_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)]),
+        weights=np.zeros((N_FEATURES, 3 + forward.n_pillars // k)),
+        misfit=np.zeros(3 + forward.n_pillars // k),
+        growth=np.array([1.0, 0.0]),
     )
-    A = empty.features(effective_n).reshape(-1, N_FEATURES)
-    targets = (force_n - effective_n).reshape(-1, 3)
-    root_mean_square = np.sqrt((A**2).mean(axis=0))
-    there = root_mean_square > 0  # not neighbours that no pad has
-    A = A[:, there] / root_mean_square[there]
-    fits = [_ridge(A, targets, ridge * len(A)) for ridge in RIDGES]
-    best = min(fits, key=lambda fit: float((fit.left_out**2).sum()))
-    weights = np.zeros((N_FEATURES, 3))
-    weights[there] = best.weights / root_mean_square[there, None]
-    misfit_n = np.sqrt((best.left_out**2).mean(axis=0))
-    return replace(linear, correction=replace(empty, weights=weights, misfit_n=misfit_n))
+    lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
+    if lengths_mm is None:
+        squares = pillar_columns(data.resistance_ohm, component) / forward.ohm_per_mm2
+    else:
+        squares = lengths_mm.reshape(len(data), -1) ** 2
+    force_n = force_columns(data.force_n, component)
+    missed = [force_n - state_n, squares - forward.linear.at_states(state_n)[0]]
+    targets = np.concatenate([part.reshape(len(data), k, -1) for part in missed], axis=2).reshape(len(data) * k, -1)
+    A = empty.features(state_n).reshape(-1, N_FEATURES)
+    size = np.sqrt((A**2).mean(axis=0))
+    there = (size > 0) & (np.arange(N_FEATURES) < N_CURVED)  # not neighbours that no pad has
+    weights, left_out = _ridge(A[:, there] / size[there], targets)
+    misfit = np.sqrt((left_out**2).mean(axis=0))
+    scaled = np.zeros_like(empty.weights)
+    scaled[there] = weights / size[there, None]
+    s = (empty.own(state_n) ** 2).mean(axis=2).ravel()
+    growth = _growth(s**2, ((left_out / misfit) ** 2).mean(axis=1))
+    return replace(forward, maps=replace(empty, weights=scaled, misfit=misfit, growth=growth))
 
 
-def as_at_finite_strain(
-    forward: ForwardModel,
-    response: "ArrayResponse",
-    data: Samples,
-    component: Component,
-    columns_ohm: FloatArray,
-    force_n: FloatArray,
-) -> tuple[ForwardModel, FloatArray]:
-    """The forward model with what the samples at finite strain among `data` add, and the forces of all samples.
+def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
+    """a, b ≥ 0 of squares ≈ a + b x, each (n,), as likely as may be for squares of normal numbers."""
+    found = np.array([1.0, 0.0])
+    for _ in range(ROUNDS):  # least squares, weighted by what the last round expects
+        expected = found[0] + found[1] * x
+        found = nnls(np.column_stack([np.ones_like(x), x]) / expected[:, None], squares / expected)[0]
+        found[0] = max(found[0], MIN_GROWTH)
+    return found
 
-    A linear sample is given the forces that cause its resistances at finite strain. Without samples at finite strain,
-    for a single component and where pillars are not read, all stays as it is.
+
+def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weights (n_features, m) of targets (n, m), each by its best ridge, and errors (n, m) had each been left out."""
+    M, right = A.T @ A, A.T @ targets
+    best = np.full(targets.shape[1], np.inf)
+    weights, left_out = np.empty_like(right), np.empty_like(targets)
+    for ridge in RIDGES:
+        regular = M + ridge * len(A) * np.eye(len(M))
+        L = scipy.linalg.cholesky(regular, lower=True, overwrite_a=True, check_finite=False)
+        W = scipy.linalg.cho_solve((L, True), right, check_finite=False)
+        V = scipy.linalg.solve_triangular(L, A.T, lower=True, check_finite=False)
+        freedom = np.maximum(1.0 - (V**2).sum(axis=0), MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
+        errors = (targets - A @ W) / freedom[:, None]
+        squares = (errors**2).mean(axis=0)
+        better = squares < best
+        weights[:, better], left_out[:, better], best[better] = W[:, better], errors[:, better], squares[better]
+    return weights, left_out
+
+
+def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
+    """The posterior of a design at finite strain before any network answers first.
+
+    `forward` is as `with_strain_maps` gives it for `data`.
     """
-    finite = data.is_finite
-    if not finite.any() or component.name != "all" or (data.dead is not None and data.dead.any()):
-        return forward, force_n
-    rows, cols = data.force_n.shape[1:3]
-    moved = ForwardModel.of(replace(response, conducted=None), component).influence
-    learned = at_finite_strain(forward, (rows, cols), columns_ohm[finite], force_n[finite], moved)
-    return learned, with_actual_forces(learned, finite, force_n)
+    assert forward.maps is not None
+    assert data.displacement_mm is not None
+    state_n = states_of(data.displacement_mm, forward.maps.influence)
+    force_n = data.force_n.reshape(len(data), -1)
+    A = np.column_stack([force_n, np.ones(len(data))])
+    G = A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1])
+    to_state = np.linalg.solve(G, A.T @ state_n).astype(np.float64)
+    Q = force_n.shape[1]
+    return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:LOADS])
 
 
-def with_actual_forces(forward: ForwardModel, finite: NDArray[np.bool_], force_n: FloatArray) -> FloatArray:
-    """Forces (n, n_forces) [N], those of linear samples replaced by what causes their resistances at finite strain."""
-    if forward.correction is not None and not finite.all():
-        force_n = force_n.copy()
-        force_n[~finite] = forward.correction.actual(force_n[~finite])
-    return force_n
+def drawn_samples(
+    posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
+) -> Samples:
+    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    loads_n : array, shape (n, 3 k)
+        Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
+        left out, and a tenth is made lighter.
+    design : SensorDesign
+    errors : ReadingError
+        Of the readings.
+    seed : int
+
+    Notes
+    -----
+    A draw's state is the one to which its load leads to first order, with what that leaves of another's own; its
+    forces and resistances are then those of that state, whatever load it was drawn for.
+    """
+    forward, generator = posterior.forward, np.random.default_rng(seed)
+    maps, n = forward.maps, len(loads_n)
+    assert maps is not None
+    known_n = maps.nearest_states(posterior.loads_n)[0]
+    left_n = known_n - np.column_stack([posterior.loads_n, np.ones(len(known_n))]) @ posterior.to_state
+    states = (
+        np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
+    )
+    own, known = maps.own(states), np.append(maps.own(known_n), np.zeros((1, len(maps.near), OWN)), axis=0)
+    low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
+    states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
+    states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
+    squares, force_n = [], []
+    for part in np.array_split(states, max(1, len(states) // CHUNK)):
+        values = maps.values(part)
+        y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
+        y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
+        if posterior.specimen is not None:
+            factors = posterior.squares_factors(part)
+            y += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
+        squares.append(y)
+        force_n.append(part + values[..., :N_AXES].reshape(part.shape))
+    y, forces = np.concatenate(squares), np.concatenate(force_n)
+    possible = (y > 0).all(axis=1)
+    shape = (-1, design.array.rows, design.array.cols, N_AXES)
+    return Samples(
+        force_n=forces[possible].reshape(shape),
+        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible]).reshape(shape), generator),
+        design=design,
+        noise=errors.noise,
+        bits=errors.bits,
+        made_from={name: value for name, value in vars(errors).items() if name.startswith("drift")},
+    )
 
 
-class _Fit(NamedTuple):
-    weights: FloatArray
-    left_out: FloatArray  #: errors had each row been left out
+def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
+    """Loads (count, 3 k) [N]: of the protocol that drew the samples', or images of theirs."""
+    protocol, design = PROTOCOLS.get(str(data.made_from.get("protocol"))), data.design
+    if protocol is None or design is None:
+        return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
+    newtons = protocol.draw(np.random.default_rng(seed), count, design) * design.pad.size_mm**2
+    return (newtons * np.array([1.0, 1.0, -1.0])).reshape(count, -1)
 
 
-def _ridge(A: FloatArray, targets: FloatArray, ridge: float) -> _Fit:
-    M = A.T @ A
-    M.flat[:: len(M) + 1] += ridge
-    inverse = np.linalg.inv(M).astype(np.float64)
-    weights = inverse @ (A.T @ targets)
-    freedom = np.maximum(1.0 - leverage(A, inverse), MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
-    return _Fit(weights, (targets - A @ weights) / freedom[:, None])
+def trained_on(
+    drawn: Samples, training: TrainingConfig | None = None, progress: Callable[[int, float], None] = lambda *_: None
+) -> Decoupler:
+    """The network that answers first, trained on draws. Loads torch."""
+    from decoupler.training.trainer import train
+
+    return train(drawn, "all", NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
+
+
+def refined(net: Decoupler, posterior: Posterior, drawn: Samples) -> Decoupler:
+    """A network that was trained on draws, with the posterior that takes its answers as start and prior."""
+    some = drawn[:JUDGED]
+    off_n = net.outputs(net.columns(some.resistance_ohm)) - force_columns(some.force_n, net.component)
+    precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n)).astype(np.float64)
+    resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.bits)
+    return replace(net, posterior=replace(posterior, precision=precision), resting=resting)

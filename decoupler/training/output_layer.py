@@ -14,7 +14,6 @@ from dataset.samples import Samples
 from decoupler.data.columns import force_columns, pillar_columns
 from decoupler.data.enough import AnySamples
 from decoupler.model.decoupler import CHUNK, Decoupler
-from decoupler.training.finite_strain import with_actual_forces
 from geometry.layout import FloatArray
 
 Given = TypeVar("Given")
@@ -69,17 +68,17 @@ def sums_over(
         Called with the number of samples of each block.
     """
 
-    def of(block: Samples) -> tuple[Sums, int]:
+    def of(numbered: tuple[int, Samples]) -> tuple[Sums, int]:
+        number, block = numbered
+        block = block.drifted(np.random.default_rng([number, 0]))
         columns_ohm = pillar_columns(block.resistance_ohm, trained.component, trained.dead)
         force_n = force_columns(block.force_n, trained.component)
-        if trained.inverse is not None:
-            force_n = with_actual_forces(trained.inverse.forward, block.is_finite, force_n)
         chunks = [slice(start, start + CHUNK) for start in range(0, len(block), CHUNK)]
         parts = [sums_of(trained, columns_ohm[chunk], force_n[chunk], known) for chunk in chunks]
         return _added(iter(parts)), len(block)
 
     def counting() -> Iterator[Sums]:
-        for part, n in in_order(of, data.blocks(BLOCK)):
+        for part, n in in_order(of, enumerate(data.blocks(BLOCK))):
             counted(n)
             yield part
 

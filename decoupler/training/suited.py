@@ -28,7 +28,7 @@ def suited_component(data: Samples) -> str:
 
 def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
     """`inverse` for a skip net if the response explains the samples, else `root`."""
-    if net != "skip" or response is None:
+    if net != "skip" or response is None or data.is_finite.any():
         return "root"
     data = without_stuck(data, component, ForwardModel.of(response, component))
     columns_ohm = pillar_columns(data.resistance_ohm, component, data.dead)

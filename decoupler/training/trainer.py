@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset import Samples, measured
-from dataset.measurement import reading_deviation
+from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.columns import (
     MIN_CALIBRATED_OHM,
@@ -34,7 +33,15 @@ from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
-from decoupler.training.finite_strain import as_at_finite_strain
+from decoupler.training.finite_strain import (
+    DRAWS,
+    drawn_samples,
+    loads_like,
+    posterior_of,
+    refined,
+    trained_on,
+    with_strain_maps,
+)
 from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
@@ -47,6 +54,7 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
+DRIFTS = 1  #: number of the stream of random drifts that the readings are given beside their own
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
@@ -103,24 +111,34 @@ def train(
     forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
     must not move rest, which data under load do not hold: light samples are added.
 
+    Readings are given the drifts that the design states, where they have less. Hidden nodes learn
+    single draws of the drifts by heart: errors then are those on the samples kept for validation.
+
     Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
     to all of them by least squares, block by block.
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     given, data = data, drawn(data, seed)
     parts, network, training = suited_training(data, component, network, training, response)
+    if data.is_finite.any() and parts.name == "all" and response is not None:
+        data = data[data.is_finite]
+        posterior = posterior_of(with_strain_maps(response, parts, data), data)
+        drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), response.design, data.errors)
+        net = trained_on(drawn_data, training, progress)
+        recipe = model_cache_key(given, parts.name, network, training, response)
+        made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
+        return replace(refined(net, posterior, drawn_data), made_from=made_from)
     data = distinct(data, parts)
     if len(data.resistance_ohm) < 2:
         raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
     data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
+    data = data.drifted(np.random.default_rng([seed, DRIFTS]))
     columns_ohm = pillar_columns(data.resistance_ohm, parts, data.dead)
     force_n = force_columns(data.force_n, parts)
     forward = None
     if network.feature == "inverse":
         readable = readable_columns(parts, data.dead, columns_ohm.shape[1])
         forward = explaining(response, parts, columns_ohm, force_n, readable)
-        assert response is not None
-        forward, force_n = as_at_finite_strain(forward, response, data, parts, columns_ohm, force_n)
     untrained = _untrained(data, parts, network, columns_ohm, force_n, forward)
     known = network.feature == "inverse" and network.net == "skip"
     columns_ohm, force_n, n_light = (
@@ -133,6 +151,7 @@ def train(
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
     start = Network(network, inputs.shape[1], targets.shape[1], training.seed)
     load = load_numbers(data.force_n)
+    judged = None
     load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
     with _one_torch_thread(), torch.no_grad():
         hidden, output = start.hidden.detach(), start.output.detach()
@@ -143,6 +162,7 @@ def train(
         if training.trainer == "varpro":
             order = _mixed(load, training)
             held_out = _n_held_out(load[order], training) if start.skip else 0  # a plain net has no linear map instead
+            judged = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
@@ -161,10 +181,7 @@ def train(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(trained, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.noise, data.bits, ridge, load, n_light, matrix)
-    if forward is not None and forward.correction is not None:  # errors on its own samples say too little
-        unseen_n2 = np.tile(forward.correction.misfit_n**2, len(uncertainty.misfit_n2) // 3)
-        uncertainty = replace(uncertainty, misfit_n2=np.maximum(uncertainty.misfit_n2, unseen_n2))
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix, judged)
     return replace(
         trained,
         uncertainty=uncertainty,
@@ -261,11 +278,12 @@ def _light_samples_too(
     G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
     left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
-    by_noise = (0.5 * reading_deviation(columns_ohm, data.noise, data.bits) / root) ** 2
+    by_noise = (0.5 * data.errors.total(columns_ohm, *data.shape) / root) ** 2
     excess = (left_out**2 - by_noise)[:, readable].mean(axis=0)
     if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
         return columns_ohm, force_n, 0
-    light_ohm = measured((light + A_light @ linear) ** 2, data.noise, data.bits, generator)
+    light_ohm = ((light + A_light @ linear) ** 2).reshape(len(light), *data.shape, -1)
+    light_ohm = data.errors.read(light_ohm, generator).reshape(light.shape)
     return np.concatenate([columns_ohm, light_ohm]), all_n, len(light_n)
 
 

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.effective_forces import EffectiveForces
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
@@ -39,7 +38,6 @@ def decoder_of(
     loads_n: FloatArray,
     noise: float,
     bits: int | None,
-    correction: EffectiveForces | None = None,
     design: SensorDesign | None = None,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
@@ -55,9 +53,7 @@ def decoder_of(
     loads_n : array, shape (n, Q)
         Usual loads, as effective forces [N]; rest and light touches are added.
     noise, bits
-        Of the readings that it will take.
-    correction : EffectiveForces, optional
-        From effective forces to those that act; default: they are the same.
+        Of the readings that it will take; drifts are the design's.
     design : SensorDesign, optional
         The design that was meant.
     dead : array, shape (rows, cols, 3), optional
@@ -68,23 +64,26 @@ def decoder_of(
     The inverse of the most probable response, then a linear map of its forces by ridge regression, fitted to readings
     of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
     """
+    errors = ReadingError(noise=noise, bits=bits).with_drifts_of(None if design is None else design.electrics)
     generator = np.random.default_rng(0)
     forward = forward_of(found)
     calibration = Calibration(found.state.gain, found.state.offset_ohm)
 
-    def read(effective_n: FloatArray) -> FloatArray:
-        shown = calibration.shown(forward.resistances(effective_n))
-        drawn = found.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown)
-        drawn += reading_deviation(drawn, noise, bits) * generator.standard_normal(drawn.shape)
+    def read(force_n: FloatArray) -> FloatArray:
+        of_gain = calibration.gain * forward.resistances(force_n)
+        drawn = calibration.offset_ohm + of_gain
+        drawn += found.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain)
+        own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
+        drawn += own * generator.standard_normal(drawn.shape)
+        drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
         return np.maximum(drawn, MIN_CALIBRATED_OHM)
 
     light_n = light_loads(loads_n, generator)
-    effective_n = np.concatenate([loads_n, light_n])
-    force_n = effective_n if correction is None else correction.actual(effective_n)
-    columns = read(effective_n)
+    force_n = np.concatenate([loads_n, light_n])
+    columns = read(force_n)
     readable = readable_columns(component, dead, columns.shape[1])
-    errors = columns / calibration.shown(forward.resistances(effective_n)) - 1.0
-    unsure = float(np.sqrt(np.mean(errors[:, readable] ** 2)))
+    missed = columns / calibration.shown(forward.resistances(force_n)) - 1.0
+    unsure = float(np.sqrt(np.mean(missed[:, readable] ** 2)))
     rest_ohm = calibration.shown(forward.at_rest_ohm())
     scaling = Scaling.fitted(force_n)
     n_forces = forward.n_forces
@@ -101,7 +100,7 @@ def decoder_of(
         hidden_weights=np.empty((0, n_forces + 1)),
         output_weights=np.eye(n_forces, n_forces + 1),
         design=design,
-        inverse=replace(inverse, forward=replace(forward, correction=correction)),
+        inverse=inverse,
         calibration=calibration,
         resting=Resting.read_with(rest_ohm, bits),
         dead=dead,
@@ -117,5 +116,5 @@ def decoder_of(
     weights = untrained.output_weights + np.linalg.solve(G, A.T @ missing).T
     trained = replace(untrained, output_weights=weights)
     load = np.arange(len(columns))
-    uncertainty = fitted_uncertainty(trained, columns, force_n, noise, bits, ridge, load, len(light_n))
+    uncertainty = fitted_uncertainty(trained, columns, force_n, errors, ridge, load, len(light_n))
     return replace(trained, uncertainty=uncertainty)

@@ -44,6 +44,8 @@ class Widths:
 
 #: a sensor of which nothing is known
 FLAT = Widths(resistivity=0.0, gain=1.0, offset=0.05, shared=0.0, own=1.0, misfit=1e-4)
+#: a sensor that is as designed but for the gains and offsets of its pillars; the width of corrections is negligible
+HELD = Widths(shared=0.0, own=1e-9)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,28 +68,29 @@ class Expectation:
     widths: Widths = field(default_factory=Widths)
 
     @classmethod
-    def of(cls, response: "ArrayResponse", sensitivities: "ResponseSensitivities", component: Component) -> Self:
-        """The prior by a design's response and its derivatives."""
-        design, names = response.design, tuple(sensitivities.parameters)
+    def of(cls, response: "ArrayResponse", sensitivities: "ResponseSensitivities | None", component: Component) -> Self:
+        """The prior by a design's response and its derivatives; without these gains and offsets alone are unknown."""
+        design, names = response.design, () if sensitivities is None else tuple(sensitivities.parameters)
+        deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
         rest, c = _at_rest(design, component)
         influence = by_pillar(by_eq1, component)
         by_rest, by_log_c, by_influence = [], [], []
-        matrices = sensitivities.influence_mm_per_n * sensitivities.deviation.reshape(-1, *[1] * 7)
-        for name, deviation, matrix in zip(names, sensitivities.deviation, matrices, strict=True):
+        matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
+        for name, deviation, matrix in zip(names, deviations, matrices, strict=True):
             moved, other_c = _at_rest(changed(design, name, STEP * deviation), component)
             by_rest.append((moved - rest) / STEP)
             by_log_c.append(np.log(other_c / c) / STEP)
-            by_influence.append(by_pillar(replace(by_eq1, influence_mm_per_n=matrix), component))
+            by_influence.append(by_pillar(replace(by_eq1, influence_mm_per_n=deviation * matrix), component))
         own = _block_sizes(influence, design.n_units)
-        near = _neighbours(design.array.rows, design.array.cols)
+        near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
         there = near >= 0
         beside = np.where(there, own[np.arange(design.n_units)[:, None], near], 0.0)
         expected = cls(
             component=component,
             names=names,
             values=np.array([value_of(design, name) for name in names]),
-            deviations=sensitivities.deviation,
+            deviations=deviations,
             influence=influence,
             rest_mm=rest,
             sign=np.ones_like(rest),
@@ -97,6 +100,7 @@ class Expectation:
             by_log_c=np.array(by_log_c).reshape(-1, len(c)),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
+            widths=HELD if sensitivities is None else Widths(),
         )
         return expected if response.conducted is None else expected._conducting(ForwardModel.of(response, component))
 

@@ -3,19 +3,22 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from dataset.measurement import reading_deviation
 from dataset.samples import SampleError
-from decoupler.data.columns import component_named, force_columns
+from decoupler.data.columns import MIN_CALIBRATED_OHM, component_named, force_columns
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.effective_forces import EffectiveForces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
 from decoupler.twin.expectation import Expectation, Widths
-from decoupler.twin.posterior import Posterior, Readings, infer
+from decoupler.twin.linearised import Readings
+from decoupler.twin.next_load import NextLoad
+from decoupler.twin.posterior import Posterior, infer, predicted, without_each
 from decoupler.twin.usual_loads import images_of, loads_like
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -26,28 +29,50 @@ if TYPE_CHECKING:
 
 CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
-FOLDS = 5  #: parts of the pairs that are then left out in turn
-MAX_CORRECTED = 100  #: usual loads that are turned into effective ones, a tenth of a second each
+MAX_TESTED = 200  #: pairs that are then left out in turn, spread over all
 LOADS = 3000  #: usual loads that a decoder is fitted to
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """One sensor as its pairs show it."""
+    """One sensor as its pairs show it; P pillars are those that its decoder reads."""
 
     design: SensorDesign | None  #: as it was meant; None if no design was stated
-    posterior: Posterior
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
+    parameters: dict[str, tuple[float, float]]  #: most probable value and standard deviation, by the design's keys
+    covariance: FloatArray  #: of the parameters in their order, over their deviations before any pair, (k, k)
+    resistivity: float  #: over the design's
+    gain: FloatArray  #: of each pillar, (P,)
+    gain_deviation: FloatArray  #: (P,)
+    offset_ohm: FloatArray  #: (P,)
+    offset_deviation_ohm: FloatArray  #: (P,)
+    excess: float  #: χ² of the readings over their number: 1 if all is as modelled
+    posterior: Posterior | None = None  #: of linear rubber; None at finite strain
+    next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """Most probable value and standard deviation of each uncertain parameter of the design, by its key."""
-        expected, state = self.posterior.expected, self.posterior.state
+    @classmethod
+    def of(cls, found: Posterior, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
+        """The twin of linear rubber."""
+        expected, state = found.expected, found.state
         values = expected.values + expected.deviations * state.parameters
-        deviations = expected.deviations * np.sqrt(self.posterior.covariance.diagonal())
-        return {name: (float(a), float(b)) for name, a, b in zip(expected.names, values, deviations, strict=True)}
+        deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
+        rows = zip(expected.names, values, deviations, strict=True)
+        return cls(
+            design=design,
+            decoder=decoder,
+            n_pairs=n_pairs,
+            parameters={name: (float(value), float(deviation)) for name, value, deviation in rows},
+            covariance=found.covariance,
+            resistivity=math.exp(expected.widths.resistivity * state.resistivity),
+            gain=state.gain,
+            gain_deviation=found.gain_deviation,
+            offset_ohm=state.offset_ohm,
+            offset_deviation_ohm=found.offset_deviation_ohm,
+            excess=found.excess,
+            posterior=found,
+        )
 
 
 def identify(
@@ -56,9 +81,9 @@ def identify(
     sensitivities: "ResponseSensitivities | None" = None,
     component: str | None = None,
     loads_n: FloatArray | None = None,
-    correction: EffectiveForces | None = None,
     draws: int = 32,
     seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Twin:
     """Identify a sensor from measured pairs.
 
@@ -69,18 +94,19 @@ def identify(
     response : ArrayResponse, optional
         Of the sensor as designed. Without it the pairs alone decide, and many are needed.
     sensitivities : ResponseSensitivities, optional
-        Its derivatives by the parameters that manufacturing leaves unknown; goes with the response.
+        Its derivatives by the parameters that manufacturing leaves unknown. Without them the design is held: gains and
+        offsets alone are found, as by `tripillar calibrate`.
     component : str, optional
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
         pairs'. Images of them fill the array.
-    correction : EffectiveForces, optional
-        Of the design at finite strain, see `decoupler.training.finite_strain`; goes with the response.
     draws : int
         Sensors that are drawn from the posterior, for deviations.
     seed : int
         Of these draws.
+    progress : callable
+        Called with the part of the whole that each step takes.
 
     Raises
     ------
@@ -91,16 +117,13 @@ def identify(
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     readings = readings_of(pairs, axes, pillars)
-    if loads_n is None and response is not None and correction is None:
+    if loads_n is None and response is not None:
         loads_n = loads_like(pairs.force_n, axes, response.design, LOADS)
     usual_n = force_columns(pairs.force_n if loads_n is None else loads_n, parts)
-    if correction is not None:
-        readings = replace(readings, force_n=correction.effective(readings.force_n), acting_n=readings.force_n)
-        usual_n = correction.effective(usual_n[:MAX_CORRECTED])
     usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    if response is None or sensitivities is None:
+    if response is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
         expected = Expectation.of(response, sensitivities, parts)
@@ -108,27 +131,22 @@ def identify(
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
-    design = None if response is None else response.design
-
-    def decoded(found: Posterior) -> Decoupler:
-        return decoder_of(
+    with threadpool_limits(1, "blas"):  # products are too small for two threads to share
+        found = infer(expected, readings, draws, seed, progress)
+        decoder = decoder_of(
             found,
             parts,
             (rows, cols),
             usual_n,
             pairs.noise,
             pairs.bits,
-            correction,
-            design,
+            None if response is None else response.design,
             dead if dead.any() else None,
             {"identified_on": pairs.content_hash, "pairs": n},
         )
-
-    found = infer(expected, readings, draws, seed)
-    decoder = decoded(found)
-    if n > 1 and response is not None and _contradicted(found, expected.widths):
-        decoder = _widened(decoder, readings, lambda some: decoded(infer(expected, some, draws, seed)))
-    return Twin(design=design, posterior=found, decoder=decoder, n_pairs=n)
+        if n > 1 and response is not None and _contradicted(found, expected.widths):
+            decoder = _widened(decoder, found, readings)
+    return Twin.of(found, decoder.design, decoder, n)
 
 
 def _contradicted(found: Posterior, stated: Widths) -> bool:
@@ -140,24 +158,30 @@ def _contradicted(found: Posterior, stated: Widths) -> bool:
     return bool(too_large or np.sqrt(np.mean(found.scale**2)) > UNFIT)
 
 
-def _widened(decoder: Decoupler, readings: Readings, fitted: Callable[[Readings], Decoupler]) -> Decoupler:
+def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoupler:
     """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
 
-    `fitted` gives the decoder by some of the readings.
+    It is given readings of the most probable sensor that err as each pair would have, had it been left out.
     """
-    n = len(readings.force_n)
-    ratios = []
-    for part in np.array_split(np.random.default_rng(0).permutation(n), min(FOLDS, n)):
-        model = fitted(readings.of_pairs(np.setdiff1d(np.arange(n), part)))
-        tested = readings.of_pairs(part[(readings.read | ~readings.read.any(axis=0))[part].all(axis=1)])
-        error_n = np.abs(model.outputs(tested.resistance_ohm) - tested.acting_n)
-        ratios.append([error_n / width for width in model.half_widths_of(tested.resistance_ohm)])
+    whole = np.flatnonzero((readings.read | ~readings.read.any(axis=0)).all(axis=1))
+    tested = whole[np.linspace(0, len(whole) - 1, min(MAX_TESTED, len(whole))).astype(int)]
     uncertainty = decoder.uncertainty
     assert uncertainty is not None
+    if not len(tested):
+        return decoder
+    error_ohm, covariance = without_each(found, readings, tested)
+    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_CALIBRATED_OHM)
+    A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
+    force_n = decoder.outputs(as_left_out)
+    variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
+    variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
+    noise = reading_deviation(as_left_out, readings.noise, readings.bits)
+    variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)
+    ratio = np.abs(force_n - readings.acting_n[tested]) / np.sqrt(variance)
     n_axes = uncertainty.widths.shape[1]
     scale = [
-        np.quantile(np.concatenate(ratio).reshape(-1, n_axes), share, axis=0)
-        for share, ratio in zip(WITHIN, zip(*ratios, strict=True), strict=True)
+        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0)
+        for share, width in zip(WITHIN, within, strict=True)
     ]
     widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))

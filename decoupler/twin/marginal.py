@@ -1,50 +1,72 @@
-"""Readings of pillars whose own unknowns are marginalised."""
-
-from collections.abc import Callable
+"""Readings of a pillar whose own unknowns are marginalised."""
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from geometry.layout import FloatArray
 
 
 class Marginal:
-    """S⁻¹ of S = I + J Jᵀ for b pillars: readings whitened, each pillar's own unknowns marginalised.
+    """S⁻¹ of S = I + J Jᵀ: whitened readings of a pillar, its own unknowns marginalised.
 
-    J is (b, n, m). With fewer readings than unknowns S itself is factored, else I + Jᵀ J.
+    J is (n, m). With fewer readings than unknowns S itself is factored, else I + Jᵀ J. `half` is the factor's inverse,
+    if it is known from before.
     """
 
-    def __init__(self, J: FloatArray) -> None:
-        n, m = J.shape[1:]
-        self.J, self.Jt, self.dual = J, J.swapaxes(1, 2), n <= m
-        M = J @ self.Jt if self.dual else self.Jt @ J
-        M += np.eye(M.shape[1])
-        self.half = np.linalg.inv(np.linalg.cholesky(M))  # M⁻¹ = halfᵀ half
+    def __init__(self, J: FloatArray, half: FloatArray | None = None) -> None:
+        n, m = J.shape
+        self.J, self.dual = J, n <= m
+        self.half = self._factored() if half is None else half  # halfᵀ half is the inverse
+
+    def _factored(self) -> FloatArray:
+        M = self.J @ self.J.T if self.dual else self.J.T @ self.J
+        M.flat[:: len(M) + 1] += 1.0
+        lower, failed = dpotrf(M.T, lower=1, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
+        return np.tril(dtrtri(lower, lower=1, overwrite_c=1)[0])
 
     def _inverse(self, X: FloatArray) -> FloatArray:
-        return self.half.swapaxes(1, 2) @ (self.half @ X)
+        return np.asarray(self.half.T @ (self.half @ X))
 
-    def solved(self, Y: FloatArray) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-        """X = S⁻¹ Y, (b, n, g), and Jᵀ X V as a function of V (g, ·), (b, m, ·)."""
+    def solved(self, Y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """X = S⁻¹ Y, (n, ...), and Jᵀ X, (m, ...)."""
         if self.dual:
             X = self._inverse(Y)
-            return X, lambda V: self.Jt @ (X @ V)
-        K = self._inverse(self.Jt @ Y)
-        return Y - self.J @ K, lambda V: K @ V
+            return X, self.J.T @ X
+        K = self._inverse(self.J.T @ Y)
+        return Y - self.J @ K, K
 
     def drawn(self, prior: FloatArray, noise: FloatArray) -> FloatArray:
-        """Draws of the pillars' own unknowns about their means, (b, m, draws), from draws of prior and noise."""
+        """Draws of the pillar's own unknowns about their means, (m, draws), from draws of prior and noise."""
         if self.dual:
-            return prior - self.Jt @ self._inverse(self.J @ prior + noise)
-        return self._inverse(prior - self.Jt @ noise)
+            return prior - self.J.T @ self._inverse(self.J @ prior + noise)
+        return self._inverse(prior - self.J.T @ noise)
 
-    def leverage(self) -> tuple[FloatArray, FloatArray]:
-        """Diagonals of S⁻¹, (b, n), and of Jᵀ S⁻¹ J, (b, m): what is left of a reading, what is known of an unknown.
-
-        With more readings than unknowns the first is the mean of all readings.
-        """
-        n = self.J.shape[1]
-        squares = (self.half**2).sum(axis=1)
+    def between(self, columns: np.ndarray) -> FloatArray:
+        """These rows and columns of Jᵀ S⁻¹ J."""
         if self.dual:
-            return squares, ((self.half @ self.J) ** 2).sum(axis=1)
-        known = 1.0 - squares
-        return np.repeat(1.0 - known.sum(axis=1, keepdims=True) / n, n, axis=1), known
+            H = self.half @ self.J[:, columns]
+            return np.asarray(H.T @ H)
+        H = self.half[:, columns]
+        return np.asarray(np.eye(len(columns)) - H.T @ H)
+
+    def left(self) -> FloatArray:
+        """Diagonal of S⁻¹, (n,): what is left of each reading; the mean of all with more readings than unknowns."""
+        n, m = self.J.shape
+        if self.dual:
+            return np.asarray((self.half**2).sum(axis=0))
+        return np.full(n, 1.0 - (m - (self.half**2).sum()) / n)
+
+    def left_of(self, which: np.ndarray) -> FloatArray:
+        """Diagonal of S⁻¹ of some readings."""
+        if self.dual:
+            return self.left()[which]
+        return np.asarray(1.0 - ((self.half @ self.J[which].T) ** 2).sum(axis=0))
+
+    def known(self, alone: int) -> FloatArray:
+        """Diagonal of Jᵀ S⁻¹ J: its first `alone` entries, then the sum of the others."""
+        n, m = self.J.shape
+        first = self.between(np.arange(alone)).diagonal()
+        total = n - (self.half**2).sum() if self.dual else m - (self.half**2).sum()
+        return np.append(first, total - first.sum())

@@ -9,20 +9,26 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits
 
 from dataset.measurement import reading_deviation
-from decoupler.data.columns import Component
-from decoupler.data.load_table import KnownLoad, known_forces
+from decoupler.data.columns import Component, force_columns
+from decoupler.data.load_table import NOISE as READ_NOISE
+from decoupler.data.load_table import UNITS_N, KnownLoad, known_forces, quantity_of
+from decoupler.data.pairs import Pairs
 from decoupler.twin.expectation import Expectation
-from decoupler.twin.posterior import State
+from decoupler.twin.linearised import State
 from geometry.design import SensorDesign
+from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
 
+MIN_NOISE = 1e-5  #: of readings to come, relative
 USUAL = 24  #: usual loads over which the expected error is taken
-WEIGHTS_KG = (5.0, 15.0, 60.0)  #: on one pad: a bucket, two, a man who stands on a lever
-PULL = 0.2  #: of a string, over the weight that holds the pad or plate down
-PLATES_KG = (20.0, 60.0, 120.0)  #: on a plate over all pads
-PRESSURES_KPA = (30.0, 80.0)  #: of a vacuum bag
+#: what a kitchen has, see docs/measuring.md: buckets of water, one who stands on a lever, a pulley, a vacuum bag
+KITCHEN = "pad:5kg,pad:15kg,pad:60kg,plate:20kg,plate:60kg,plate:120kg,string:3kg,string:12kg,air:30kPa,air:80kPa"
+MEANS = {"pad": UNITS_N, "plate": UNITS_N, "string": UNITS_N | {"%": 0.01}, "air": {"kpa": 1.0}}
+HAVE = "write kind:size such as pad:15kg, plate:20kg, string:3kg or string:20% and air:30kPa, separated by commas"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +92,7 @@ class Knowledge:
         HC = H @ self.covariance
         S = HC @ H.T + J @ J.T
         S.flat[:: len(S) + 1] += 1.0
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(S), HC).T)
+        return np.asarray(solve_triangular(np.linalg.cholesky(S), HC, lower=True, check_finite=False).T)
 
     def after(self, force_n: FloatArray, unknown_n: FloatArray) -> "Knowledge":
         """The same after a pair of that load."""
@@ -144,31 +150,92 @@ def choose(
     return numbers, errors
 
 
-def kitchen_loads(design: SensorDesign) -> list[KnownLoad]:
-    """Loads of docs/measuring.md: nothing, weights and strings on each pad and on a plate, a vacuum bag."""
+def loads_at_hand(have: str, design: SensorDesign) -> list[KnownLoad]:
+    """Loads that can be made of what is at hand: each weight on every pad or on a plate, strings on each, air, nothing.
+
+    Parameters
+    ----------
+    have : str
+        Kinds and sizes such as ``plate:20kg,pad:15kg,string:3kg,air:30kPa``. A string pulls along x and along y on each
+        weight that is heavier than its pull, which may be a percentage of the weight.
+    design : SensorDesign
+
+    Raises
+    ------
+    FileFormatError
+        If the list makes no sense, or a load in it is more than a sensor bears.
+    """
+    sizes: dict[str, dict[str, float]] = {kind: {} for kind in MEANS}
+    for part in have.split(","):
+        kind, _, text = (word.strip() for word in part.partition(":"))
+        size = quantity_of(text, MEANS[kind]) if kind in MEANS else None
+        if size is None or not size > 0:
+            raise FileFormatError(f"'{part.strip()}' is no load that one can have: {HAVE}.")
+        sizes[kind][text] = size
+    if sizes["string"] and not sizes["pad"] and not sizes["plate"]:
+        raise FileFormatError(f"a string pulls on a weight: add pad:15kg or plate:20kg to '{have}'.")
+    rows, cols = design.array.rows, design.array.cols
+    pads = [{"kind": "pad", "row": str(row), "col": str(col)} for row in range(rows) for col in range(cols)]
     lines: list[dict[str, str]] = [{"load": "nothing", "kind": "nothing"}]
-    held = f"{WEIGHTS_KG[1]:g} kg"
-    strings = {"fx_n": f"{PULL * WEIGHTS_KG[1]:g} kg"}, {"fy_n": f"{PULL * WEIGHTS_KG[1]:g} kg"}
-    for row in range(design.array.rows):
-        for col in range(design.array.cols):
-            pad = {"kind": "pad", "row": str(row), "col": str(col)}
-            lines += [pad | {"load": f"{kg:g} kg on {row} {col}", "fz_n": f"{kg:g} kg"} for kg in WEIGHTS_KG]
-            lines += [
-                pad | {"load": f"string along {name[1]} on {row} {col}", "fz_n": held, "error": "3 %", name: pull}
-                for string in strings
-                for name, pull in string.items()
-            ]
-    for kg in PLATES_KG:
-        plate = {"kind": "plate", "fz_n": f"{kg:g} kg"}
-        lines.append(plate | {"load": f"{kg:g} kg on a plate"})
-        for name in ("fx_n", "fy_n"):
-            pulled = {"load": f"string along {name[1]} on {kg:g} kg", name: f"{PULL * kg:g} kg", "error": "3 %"}
-            lines.append(plate | pulled)
-    air = {"kind": "air", "error": "2 kPa", "share": "5 %"}
-    lines += [air | {"load": f"{kpa:g} kPa of air", "kpa": f"{kpa:g}"} for kpa in PRESSURES_KPA]
-    rows, cols, pad_mm2 = design.array.rows, design.array.cols, design.pad.size_mm**2
-    loads = [(line, known_forces(line, rows, cols, pad_mm2, line["load"])) for line in lines]
+    for place in (*pads, {"kind": "plate"}):
+        on = "a plate" if place["kind"] == "plate" else f"{place['row']} {place['col']}"
+        for text, newtons in sizes[place["kind"]].items():
+            pressed = place | {"load": f"{text} on {on}", "fz_n": repr(newtons)}
+            lines.append(pressed)
+            for pull, size in sizes["string"].items():
+                pulled_n = size * newtons if pull.endswith("%") else size
+                for axis in ("x", "y") if pulled_n < newtons else ():
+                    name = f"string {pull} along {axis}, {pressed['load']}"
+                    lines.append(pressed | {"load": name, f"f{axis}_n": repr(pulled_n), "error": "3 %"})
+    for text, kpa in sizes["air"].items():
+        air = {"load": f"{text} of air", "kind": "air", "kpa": repr(kpa), "error": "2 kPa", "share": "5 %"}
+        lines.append(air)
+    loads = [(line, known_forces(line, rows, cols, design.pad.size_mm**2, f"'{line['load']}'")) for line in lines]
     return [KnownLoad(name=line["load"], force_n=f, unknown_n=u, lines=(line,)) for line, (f, u) in loads]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextLoad:
+    """A load to measure, and the expected error of a force before and after it, over the usual force of its axis."""
+
+    load: str
+    error_before: float
+    error: float
+
+
+def next_loads(
+    expected: Expectation,
+    state: State,
+    measured: Pairs | None,
+    possible: Sequence[KnownLoad],
+    usual_n: FloatArray,
+    count: int,
+) -> tuple[NextLoad, ...]:
+    """Loads to measure next, in order; those that were measured are proposed no more.
+
+    Parameters
+    ----------
+    expected, state
+        The prior of the joint sensor (`all`), and its most probable state by the pairs.
+    measured : Pairs, optional
+    possible : sequence of KnownLoad
+    usual_n : array, shape (n, rows, cols, 3)
+        Usual loads [N].
+    count : int
+    """
+    noise, bits = (READ_NOISE, None) if measured is None else (max(measured.noise, MIN_NOISE), measured.bits)
+    known, everything = Knowledge.before(expected, state, noise, bits), expected.component
+    if measured is not None:
+        for force_n, unknown_n in zip(force_columns(measured.force_n, everything), measured.unknown_n, strict=True):
+            known = known.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
+        possible = [load for load in possible if load.name not in measured.names]
+    candidates = [as_columns(load, everything) for load in possible]
+    with threadpool_limits(1, "blas"):  # products are too small for two threads to share
+        numbers, errors = choose(known, candidates, force_columns(usual_n, everything), count)
+    return tuple(
+        NextLoad(load=possible[number].name, error_before=errors[k], error=errors[k + 1])
+        for k, number in enumerate(numbers)
+    )
 
 
 def as_columns(load: KnownLoad, component: Component) -> tuple[FloatArray, FloatArray]:

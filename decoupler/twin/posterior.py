@@ -1,21 +1,19 @@
 """The posterior of a sensor, from what is expected of it and measured pairs: Gauss-Newton, everything normal.
 
-A pillar reads R = g c Σ s (d + B F)² + o. What all pillars share (parameters of the design, resistivity, the correction
-that all units share, forces that are not quite known) is solved for together; what is a pillar's own (gain, offset,
-correction of its influence) is marginalised pillar by pillar. Widths that nobody states follow from the pairs, too.
+What all pillars share is solved for together; what is a pillar's own is marginalised, see `linearised`.
+Widths that nobody states follow from the pairs, too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from dataset.measurement import reading_deviation
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, Widths
-from decoupler.twin.marginal import Marginal
+from decoupler.twin.linearised import Linear, Readings, State, flat, forces_under, own_unknowns, shown, with_own
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -27,103 +25,6 @@ BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1
 BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
-AT_ONCE = 10_000  #: readings of pillars whose derivatives are worked on together
-MIN_NOISE = 1e-6  #: relative error that readings have at least
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
-    """n readings of P pillars, as columns, and the Q forces under them."""
-
-    resistance_ohm: FloatArray  #: (n, P); anything where not read
-    read: NDArray[np.bool_]  #: (n, P)
-    force_n: FloatArray  #: (n, Q): expected; effective forces, if the model has a correction for finite strain
-    acting_n: FloatArray  #: (n, Q): forces that these stand for
-    unknown_n: FloatArray  #: (n_unknown, Q): directions in which forces may differ, a standard deviation each
-    pair: NDArray[np.int64]  #: (n_unknown,): of which pair
-    noise: float
-    bits: int | None
-    scale: FloatArray  #: (n,): of all deviations of a pair; above 1 if its load or its reading was not as stated
-
-    def of_pairs(self, which: NDArray[np.int64]) -> "Readings":
-        """The readings of some pairs, by their numbers."""
-        kept = np.flatnonzero(np.isin(self.pair, which))
-        place = {int(pair): k for k, pair in enumerate(which)}
-        return replace(
-            self,
-            resistance_ohm=self.resistance_ohm[which],
-            read=self.read[which],
-            force_n=self.force_n[which],
-            acting_n=self.acting_n[which],
-            unknown_n=self.unknown_n[kept],
-            pair=np.array([place[int(pair)] for pair in self.pair[kept]], dtype=np.int64),
-            scale=self.scale[which],
-        )
-
-    def variance_ohm2(self) -> FloatArray:
-        """Variance of the readings about their resistances, (n, P) [Ω²]."""
-        deviation = reading_deviation(self.resistance_ohm, self.noise, self.bits)
-        return deviation**2 + (MIN_NOISE * self.resistance_ohm) ** 2
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class State:
-    """One sensor that may be; unknowns are in standard deviations of their priors if no unit is stated."""
-
-    parameters: FloatArray  #: (k,)
-    resistivity: float  #: logarithm of its ratio to the design's, in standard deviations
-    shared: FloatArray  #: (kinds, 3, n_shared)
-    unknown: FloatArray  #: (n_unknown,): ξ of the forces
-    gain: FloatArray  #: g, (P,)
-    offset_ohm: FloatArray  #: o, (P,)
-    own: FloatArray  #: (P, 3, Q) [mm/N]
-
-    @classmethod
-    def as_expected(cls, expected: Expectation, n_unknown: int) -> "State":
-        """The prior's mean."""
-        P, _, Q = expected.influence.shape
-        kinds = P // expected.n_units
-        n_shared = expected.near.shape[1] * (Q // expected.n_units)
-        return cls(
-            parameters=np.zeros(len(expected.names)),
-            resistivity=0.0,
-            shared=np.zeros((kinds, 3, n_shared)),
-            unknown=np.zeros(n_unknown),
-            gain=np.ones(P),
-            offset_ohm=np.zeros(P),
-            own=np.zeros((P, 3, Q)),
-        )
-
-    def influence(self, expected: Expectation) -> FloatArray:
-        """B, (P, C, Q) [mm/N]."""
-        B = expected.influence + np.tensordot(self.parameters, expected.by_influence, axes=1)
-        B[:, :3] += self.own + expected.shared_influence(self.shared * expected.widths.shared)
-        return B
-
-    def rest_mm(self, expected: Expectation) -> FloatArray:
-        """d, (P, C)."""
-        return expected.rest_mm + np.tensordot(self.parameters, expected.by_rest_mm, axes=1)
-
-    def ohm_per_mm2(self, expected: Expectation) -> FloatArray:
-        """c, (P,), of the sensor's own size and resistivity."""
-        logarithm = self.parameters @ expected.by_log_c + expected.widths.resistivity * self.resistivity
-        return expected.ohm_per_mm2 * np.exp(logarithm)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pillars:
-    """Readings of b pillars of a kind, linearised about a state and whitened."""
-
-    pillars: NDArray[np.int64]  #: (b,): their numbers
-    shared: FloatArray  #: A, (b, n, g): derivatives by what pillars share
-    columns: NDArray[np.int64]  #: (g,): their places among all that is shared
-    own: FloatArray  #: J, (b, n, m): by each pillar's own unknowns, as `_own` has them
-    misfit: FloatArray  #: r, (b, n): readings less model
-
-    def with_misfit(self, own: FloatArray) -> FloatArray:
-        """A, and r as it would be without what pillars have of their own, (P, m): (b, n, g + 1)."""
-        misfit = self.misfit[..., None] + self.own @ own[self.pillars][..., None]
-        return np.concatenate([self.shared, misfit], axis=2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,7 +41,13 @@ class Posterior:
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
 
 
-def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int = 0) -> Posterior:
+def infer(
+    expected: Expectation,
+    readings: Readings,
+    draws: int = 32,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Posterior:
     """Infer a sensor from pairs.
 
     Parameters
@@ -151,6 +58,8 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
         Size of the ensemble.
     seed : int
         Of its draws.
+    progress : callable
+        Called with the part of the whole that each step takes.
 
     Notes
     -----
@@ -161,6 +70,7 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
     """
     stated, state = expected.widths, State.as_expected(expected, len(readings.unknown_n))
     for _ in range(MAX_STEPS):
+        progress(1.0 / (MAX_STEPS + 1))
         state, evidence = _improved(expected, readings, state)
         widths = evidence.widths(stated, expected.widths)
         readings = replace(readings, scale=np.maximum(readings.scale * evidence.scale, 1.0))
@@ -172,89 +82,9 @@ def infer(expected: Expectation, readings: Readings, draws: int = 32, seed: int 
     return _drawn(expected, readings, state, draws, seed)
 
 
-def forces_under(readings: Readings, unknown: FloatArray) -> FloatArray:
-    """Forces on the pads (n, Q) [N] for ξ (n_unknown,)."""
-    force_n = readings.force_n.copy()
-    np.add.at(force_n, readings.pair, unknown[:, None] * readings.unknown_n)
-    return force_n
-
-
-def _own(expected: Expectation, state: State) -> FloatArray:
-    """Gain, offset and correction of each pillar, (P, 2 + 3Q), in standard deviations."""
-    widths = expected.widths
-    parts = [
-        (state.gain[:, None] - 1.0) / widths.gain,
-        (state.offset_ohm / (widths.offset * expected.rest_ohm))[:, None],
-        (state.own / (widths.own * expected.sizes[:, None])).reshape(len(state.gain), -1),
-    ]
-    return np.concatenate(parts, axis=1)
-
-
-def _with_own(expected: Expectation, state: State, own: FloatArray) -> State:
-    """The state with these unknowns of the pillars, as `_own` has them."""
-    widths = expected.widths
-    return replace(
-        state,
-        gain=1.0 + widths.gain * own[:, 0],
-        offset_ohm=widths.offset * expected.rest_ohm * own[:, 1],
-        own=own[:, 2:].reshape(state.own.shape) * (widths.own * expected.sizes[:, None]),
-    )
-
-
-def _shown(expected: Expectation, state: State, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Vectors v = d + B F (n, P, C) [mm], and resistances without gain and offset, c Σ s v², (n, P) [Ω]."""
-    P, C, Q = expected.influence.shape
-    v = (force_n @ state.influence(expected).reshape(-1, Q).T).reshape(-1, P, C) + state.rest_mm(expected)
-    return v, state.ohm_per_mm2(expected) * np.einsum("pi,npi,npi->np", expected.sign, v, v)
-
-
-def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[FloatArray, FloatArray]:
-    """One over the deviation of each reading, (n, P) [1/Ω], 0 where not read; fraction of the variance that is misfit.
-
-    A misfit is relative to the distance from the sensor's own rest.
-    """
-    rest_ohm = state.ohm_per_mm2(expected) * (expected.sign * state.rest_mm(expected) ** 2).sum(axis=1)
-    distance = readings.resistance_ohm - state.gain * rest_ohm - state.offset_ohm
-    misfit_ohm2 = (expected.widths.misfit * distance) ** 2
-    variance = (readings.variance_ohm2() + misfit_ohm2) * readings.scale[:, None] ** 2
-    misfit_ohm2 *= readings.scale[:, None] ** 2
-    return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
-
-
-def _linearised(expected: Expectation, readings: Readings, state: State, weight: FloatArray) -> Iterator[_Pillars]:
-    """Readings about a state, whitened by `weight` (n, P), some pillars of a kind at a time."""
-    n, P = weight.shape
-    k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
-    widths, pair = expected.widths, readings.pair
-    force_n = forces_under(readings, state.unknown)
-    near = expected.near_forces(force_n) * widths.shared
-    v, modelled = _shown(expected, state, force_n)
-    misfit = weight * (readings.resistance_ohm - state.gain * modelled - state.offset_ohm)
-    slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * weight)[..., None] * expected.sign * v  # by v, (n, P, C)
-    scaled = weight * state.gain * modelled
-    B, sizes = state.influence(expected), expected.sizes * widths.own
-    first, latent = k + 1, k + 1 + 3 * n_shared
-    at_once = max(1, AT_ONCE // n)
-    for kind in range(kinds):
-        ours = kind + kinds * np.arange(P // kinds)
-        shared = first + 3 * n_shared * kind + np.arange(3 * n_shared)
-        columns = np.concatenate([np.arange(first), shared, first + state.shared.size + np.arange(len(pair))])
-        for p in np.split(ours, range(at_once, len(ours), at_once)):
-            s = np.ascontiguousarray(slope[:, p].swapaxes(0, 1))
-            A = np.zeros((len(p), n, latent + len(pair)))
-            for j in range(k):
-                moved = expected.by_rest_mm[j, p, None] + force_n @ expected.by_influence[j, p].swapaxes(1, 2)
-                A[..., j] = (s * moved).sum(axis=2) + (scaled[:, p] * expected.by_log_c[j, p]).T
-            A[..., k] = widths.resistivity * scaled[:, p].T
-            beside = near[:, p // kinds].swapaxes(0, 1)
-            A[..., first:latent] = (s[..., :3, None] * beside[:, :, None]).reshape(len(p), n, -1)
-            moved = readings.unknown_n @ B[p].swapaxes(1, 2)
-            A[:, pair, latent + np.arange(len(pair))] = (s[:, pair] * moved).sum(axis=2)
-            J = np.empty((len(p), n, 2 + 3 * Q))
-            J[..., 0] = widths.gain * (weight[:, p] * modelled[:, p]).T
-            J[..., 1] = widths.offset * expected.rest_ohm[p, None] * weight[:, p].T
-            J[..., 2:] = (s[..., :3, None] * (force_n * sizes[p, None])[:, :, None]).reshape(len(p), n, -1)
-            yield _Pillars(pillars=p, shared=A, columns=columns, own=J, misfit=misfit[:, p].T)
+def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
+    """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
+    return found.state.gain * shown(found.expected, found.state, force_n)[1] + found.state.offset_ohm
 
 
 @dataclass(kw_only=True)
@@ -279,48 +109,28 @@ class _Evidence:
 
 def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[State, _Evidence]:
     """The state after a Gauss-Newton step, and what the step says of the widths."""
-    x = _flat(state)
-    n_shared_first = len(state.parameters) + 1
-    weight, unsure = _weights(expected, readings, state)
-    own = _own(expected, state)
-    N, rhs = np.eye(len(x)), -x
-    squares = dict.fromkeys(("gain", "offset", "own", "misfit"), 0.0)
-    known = dict.fromkeys(squares, 0.0)
-    solved = []
-    errors, expected_errors = np.full((2, len(weight)), BELIEF_IN_PAIRS)
-    for part in _linearised(expected, readings, state, weight):
-        marginal = Marginal(part.own)
-        Y = part.with_misfit(own)
-        X, to_own = marginal.solved(Y)
-        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X.reshape(-1, X.shape[2])
-        N[np.ix_(part.columns, part.columns)] += sums[:, :-1]
-        rhs[part.columns] += sums[:, -1]
-        left, determined = marginal.leverage()
-        for name, which in (("gain", slice(0, 1)), ("offset", slice(1, 2)), ("own", slice(2, None))):
-            known[name] += float(determined[:, which].sum())
-        known["misfit"] += float((unsure[:, part.pillars].T * left).sum())
-        expected_errors += (readings.read[:, part.pillars].T * left).sum(axis=0)
-        solved.append((part.pillars, part.columns, X, to_own))
-    factor = cho_factor(N, lower=True)
-    step = cho_solve(factor, rhs)
-    step *= min(1.0, FARTHEST / max(np.abs(step[:n_shared_first]).max(), 1e-12))
-    found = np.empty_like(own)
-    for p, columns, X, to_own in solved:
-        left_over = np.append(-step[columns], 1.0)[:, None]
-        found[p] = to_own(left_over)[..., 0]
-        noise = (X @ left_over)[..., 0]  # the readings' own errors, whitened
-        squares["misfit"] += float((unsure[:, p].T * noise**2).sum())
-        errors += (noise**2).sum(axis=0)
+    linear = Linear(expected, readings, state)
+    own, n_first = linear.own, len(state.parameters) + 1
+    known = dict(zip(("gain", "offset", "own"), linear.known.sum(axis=0).tolist(), strict=True))
+    known["misfit"] = float((linear.unsure * linear.left).sum())
+    expected_errors = BELIEF_IN_PAIRS + (readings.read * linear.left).sum(axis=1)
+    factor = cho_factor(linear.N, lower=True)
+    step = cho_solve(factor, linear.rhs)
+    step *= min(1.0, FARTHEST / max(np.abs(step[:n_first]).max(), 1e-12))
+    found, noise = np.empty_like(own), np.empty_like(linear.weight)
+    for p, pillar, marginal in linear.pillars():  # the readings' own errors, whitened, and the pillars' own unknowns
+        noise[:, p], found[p] = marginal.solved(pillar.misfit + pillar.J @ own[p] - pillar.by_shared(step))
+    squares = {"misfit": float((linear.unsure * noise**2).sum()), "own": float((found[:, 2:] ** 2).sum())}
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
-    squares["own"] = float((found[:, 2:] ** 2).sum())
-    moved = _unflat(state, x + step)
+    errors = BELIEF_IN_PAIRS + (noise**2).sum(axis=1)
+    moved = _unflat(state, flat(state) + step)
     if state.shared.size:
-        half = solve_triangular(factor[0], np.eye(len(N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
-        of_shared = slice(n_shared_first, n_shared_first + state.shared.size)
+        half = solve_triangular(factor[0], np.eye(len(linear.N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
+        of_shared = slice(n_first, n_first + state.shared.size)
         known["shared"] = float(state.shared.size - (half[:, of_shared] ** 2).sum())
         squares["shared"] = float((moved.shared**2).sum())
-    improved = _descended(expected, readings, moved, own, found, weight)
-    farthest = max(float(np.abs(step).max()), float(np.abs(_own(expected, improved) - own).max()))
+    improved = _descended(expected, readings, moved, own, found, linear.weight)
+    farthest = max(float(np.abs(step).max()), float(np.abs(own_unknowns(expected, improved) - own).max()))
     return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
 
 
@@ -330,8 +140,8 @@ def _descended(
     """The state with each pillar's own unknowns on the way from `own` to `found`, as far as its misfit falls."""
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        tried = _with_own(expected, state, unknowns)
-        _, modelled = _shown(expected, tried, force_n)
+        tried = with_own(expected, state, unknowns)
+        _, modelled = shown(expected, tried, force_n)
         misfit = weight * (readings.resistance_ohm - tried.gain * modelled - tried.offset_ohm)
         return (misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1)
 
@@ -342,12 +152,7 @@ def _descended(
         if not worse.any():
             break
         size[worse] *= 0.5
-    return _with_own(expected, state, own + size * (found - own))
-
-
-def _flat(state: State) -> FloatArray:
-    """All that pillars share, as one vector."""
-    return np.concatenate([state.parameters, [state.resistivity], state.shared.ravel(), state.unknown])
+    return with_own(expected, state, own + size * (found - own))
 
 
 def _unflat(state: State, x: FloatArray) -> State:
@@ -365,40 +170,65 @@ def _in_other_widths(state: State, old: Widths, new: Widths) -> State:
 def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Posterior:
     """The posterior about the most probable state, with draws from it."""
     generator = np.random.default_rng(seed)
-    weight, _ = _weights(expected, readings, state)
-    x, P, n, own = _flat(state), expected.n_pillars, len(weight), _own(expected, state)
-    m = own.shape[1]
-    N = np.eye(len(x))
-    own_draws, by_shared = np.empty((P, m, draws)), []
-    deviations, excess = np.empty((P, 2)), []
-    for part in _linearised(expected, readings, state, weight):
-        marginal, p = Marginal(part.own), part.pillars
-        X, to_own = marginal.solved(part.with_misfit(own))
-        sums = part.shared.reshape(-1, part.shared.shape[2]).T @ X[..., :-1].reshape(-1, X.shape[2] - 1)
-        N[np.ix_(part.columns, part.columns)] += sums
-        prior = generator.standard_normal((len(p), m, draws))
-        own_draws[p] = marginal.drawn(prior, generator.standard_normal((len(p), n, draws)))
-        by_shared.append((p, part.columns, to_own))
-        left, determined = marginal.leverage()
-        deviations[p] = np.sqrt(1.0 - determined[:, :2])
-        excess.append((X[..., -1] ** 2 / left)[readings.read[:, p].T])
-    factor = np.linalg.cholesky(N)
-    shared_draws = solve_triangular(factor, generator.standard_normal((len(N), draws)), lower=True, trans="T")
-    for p, columns, to_own in by_shared:
-        own_draws[p] -= to_own(np.concatenate([shared_draws[columns], np.zeros((1, draws))]))
+    linear = Linear(expected, readings, state)
+    n, own = len(linear.weight), linear.own
+    factor = np.linalg.cholesky(linear.N)
+    shared_draws = solve_triangular(factor, generator.standard_normal((len(factor), draws)), lower=True, trans="T")
+    own_draws, noise = np.empty((*own.shape, draws)), np.empty_like(linear.weight)
+    for p, pillar, marginal in linear.pillars():
+        prior = generator.standard_normal((own.shape[1], draws))
+        own_draws[p] = marginal.drawn(prior, generator.standard_normal((n, draws)))
+        own_draws[p] -= marginal.solved(pillar.by_shared(shared_draws))[1]
+        noise[:, p] = marginal.solved(pillar.misfit + pillar.J @ own[p])[0]
     k = len(state.parameters)
-    inverse = cho_solve((factor, True), np.eye(len(N))[:, :k])[:k]
-    widths = expected.widths
+    widths, deviations = expected.widths, np.sqrt(1.0 - linear.known[:, :2])
     return Posterior(
         expected=expected,
         state=state,
-        covariance=inverse,
+        covariance=cho_solve((factor, True), np.eye(len(factor))[:, :k])[:k],
         gain_deviation=widths.gain * deviations[:, 0],
         offset_deviation_ohm=widths.offset * expected.rest_ohm * deviations[:, 1],
         ensemble=_ensemble(expected, state, own_draws, shared_draws),
         scale=readings.scale,
-        excess=float(np.concatenate(excess).mean()),
+        excess=float((noise**2 / linear.left)[readings.read].mean()),
     )
+
+
+def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Errors of some pairs' readings as foretold by all other pairs, and how sure these are.
+
+    Returns
+    -------
+    array, shape (len(which), P)
+        Readings less what the other pairs foretell [Ω]; 0 where not read.
+    array, shape (len(which), P, P)
+        Covariance of what they foretell, without the reading's own error [Ω²].
+
+    Notes
+    -----
+    The PRESS residual of linear regression, a pair at a time, about the most probable sensor: [C⁻¹]ₙₙ⁻¹ [C⁻¹ r]ₙ with
+    C = 1 + J Jᵀ + A Aᵀ of all whitened readings r. Widths stay as all pairs led to them.
+    """
+    linear = Linear(found.expected, replace(readings, scale=found.scale), found.state)
+    half = np.linalg.inv(np.linalg.cholesky(linear.N))
+    step = half.T @ (half @ linear.rhs)
+    shape = len(which), found.expected.n_pillars
+    noise, left, by_shared = np.empty(shape), np.empty(shape), np.empty((*shape, len(half)))
+    for p, pillar, marginal in linear.pillars():
+        A = np.concatenate([pillar.D, pillar.J[:, pillar.rows] * pillar.factors], axis=1)
+        r = pillar.misfit + pillar.J @ linear.own[p] - A @ step[pillar.places]
+        X = marginal.solved(np.column_stack([A, r]))[0][which]
+        by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
+        left[:, p] = marginal.left_of(which)
+    C = -by_shared @ by_shared.swapaxes(1, 2)
+    diagonal = np.arange(shape[1])
+    C[:, diagonal, diagonal] += left
+    covariance: FloatArray = np.linalg.inv(C).astype(np.float64, copy=False)
+    error = (covariance @ noise[..., None])[..., 0]
+    covariance[:, diagonal, diagonal] -= 1.0
+    weight = linear.weight[which]
+    deviation = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+    return error * deviation, covariance * deviation[:, None] * deviation[..., None]
 
 
 def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: FloatArray) -> Ensemble:

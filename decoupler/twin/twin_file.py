@@ -6,7 +6,6 @@ in its decoder's model file, which the table names.
 
 import os
 from dataclasses import dataclass
-from math import exp
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +71,8 @@ def most_probable(twin: Twin) -> SensorDesign:
     """The design of a twin at its most probable values, resistivity included; `DesignError` if it has no design."""
     if twin.design is None:
         raise DesignError("the twin has no design: identify it with the design that was meant (--design).")
-    found = twin.posterior
     values = {name: value for name, (value, _) in twin.parameters.items()}
-    logarithm = found.expected.widths.resistivity * found.state.resistivity
-    return nearest(twin.design, {**values, RESISTIVITY: twin.design.resistivity_ohm_mm * exp(logarithm)})
+    return nearest(twin.design, {**values, RESISTIVITY: twin.design.resistivity_ohm_mm * twin.resistivity})
 
 
 def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
@@ -88,21 +85,21 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
     decoder : Path
         The model file of the twin's decoder, already written.
     """
-    design, found, path = most_probable(twin), twin.posterior, Path(path)
-    deviation = np.sqrt(found.covariance.diagonal())
-    correlations = found.covariance / np.outer(deviation, deviation)
+    design, path = most_probable(twin), Path(path)
+    deviation = np.sqrt(twin.covariance.diagonal())
+    correlations = twin.covariance / np.outer(deviation, deviation)
     shape = (twin.decoder.rows, twin.decoder.cols, -1)
     numbers = {
-        "gain": found.state.gain,
-        "gain_deviation": found.gain_deviation,
-        "offset_ohm": found.state.offset_ohm,
-        "offset_deviation_ohm": found.offset_deviation_ohm,
+        "gain": twin.gain,
+        "gain_deviation": twin.gain_deviation,
+        "offset_ohm": twin.offset_ohm,
+        "offset_deviation_ohm": twin.offset_deviation_ohm,
     }
     lines = [
         design_to_toml(design).replace("sensor design.", "sensor as it was measured: a design and its twin.", 1),
         "[twin]  # the design above is at the most probable values of what its maker left unknown",
         f"pairs = {twin.n_pairs}  # measured",
-        f"misfit = {found.excess:.4g}  # χ² of the readings over their number: 1 if all is as modelled",
+        f"misfit = {twin.excess:.4g}  # χ² of the readings over their number: 1 if all is as modelled",
         f"decoder = {_text(_seen_from(path.parent, decoder))}  # its response and draws of it, seen from here",
         f"decoder_hash = {_text(file_hash(decoder))}",
         "\n[twin.parameters]  # most probable value and standard deviation, in the key's unit",

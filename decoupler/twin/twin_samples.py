@@ -65,12 +65,13 @@ def simulate_twin(
     exact = replace(settings, **{name: value for name, value in vars(Imperfections()).items()})
     numbers = numbers or range(settings.samples)
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
-    effective_n = decoder.inverse.forward.effective(force_columns(samples.force_n, decoder.component))
-    forward = decoder.inverse.forward.linear
-    shown = forward.resistances(effective_n)
+    force_n = force_columns(samples.force_n, decoder.component)
+    forward = decoder.inverse.forward
+    shown = of_gain = forward.resistances(force_n)
     if decoder.calibration is not None:
-        shown = decoder.calibration.shown(shown)
-    drawn = decoder.ensemble.drawn(effective_n, forward.relative_slopes(effective_n), shown, numbers.start)
+        of_gain = decoder.calibration.gain * shown
+        shown = of_gain + decoder.calibration.offset_ohm
+    drawn = shown + decoder.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., pillars] = np.maximum(drawn, MIN_CALIBRATED_OHM).reshape(*exact_ohm.shape[:3], -1)

@@ -83,14 +83,26 @@ def chosen_variables(
     optional: Mapping[str, tuple[str, ...]],
 ) -> "xr.Dataset":
     """The variables of an open file that `read_netcdf` reads, unread yet; errors as there."""
+    import xarray as xr
+
     wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
     for name, dims in wanted.items():
         if name not in opened:
             said = f" has no variable '{name}', only {sorted(map(str, opened.data_vars))}"
-        elif set(opened[name].dims) != set(dims):
+        elif set(opened[name].dims) != set(dims) and not _unnamed(opened[name], dims):
             said = f": '{name}' has the dims {opened[name].dims}, expected {dims}"
         else:
             continue
         raise FileFormatError(f"{path}{said}: give a file made by '{made_by}'.")
-    data = opened[list(wanted)]
-    return data.assign({name: data[name].transpose(*dims) for name, dims in wanted.items()})
+    found = {}
+    for name, dims in wanted.items():
+        values = opened[name]
+        if _unnamed(values, dims):
+            values = values.drop_vars(list(values.coords)).rename(dict(zip(values.dims, dims, strict=True)))
+        found[name] = values.transpose(*dims)
+    return xr.Dataset(found, attrs=opened.attrs)
+
+
+def _unnamed(values: "xr.DataArray", dims: tuple[str, ...]) -> bool:
+    """Whether none of a variable's dims has a name that is known here, so that their order decides."""
+    return values.ndim == len(dims) and not {*values.dims} & {*dims}

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decoupler.data.columns import Component, component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad, known_forces
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import infer
-from fem.array.sensitivities import ResponseSensitivities
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.files import digest
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 MAX_MISSED = 0.2  #: largest relative misfit of resistances, root mean square; above, the loads were not on this sensor
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
-NEGLIGIBLE = 1e-9  #: width of a correction that is as good as none
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
 
@@ -73,7 +71,7 @@ def calibrated(
     modelled = forward.resistances(forces).reshape(pairs.resistance_ohm.shape)
     noise = pairs.noise if noise is None else noise
     readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(PILLARS))])
-    expected = _of_gains(response, everything)
+    expected = Expectation.of(response, None, everything)
     state = infer(expected, readings, draws=1).state
     gain = state.gain * state.ohm_per_mm2(expected) / expected.ohm_per_mm2  # resistivity is a gain of all pillars
     found = SensorCalibration(
@@ -94,19 +92,6 @@ def calibrated(
     if doubt and not force:
         raise FileFormatError(f"{doubt} Or write it as it is with --force.")
     return found, residual
-
-
-def _of_gains(response: "ArrayResponse", component: Component) -> Expectation:
-    """The prior of a sensor that is as designed but for the gains and offsets of its pillars."""
-    none = ResponseSensitivities(
-        design=response.design,
-        parameters=(),
-        deviation=np.zeros(0),
-        influence_mm_per_n=np.zeros((0, *response.influence_mm_per_n.shape)),
-    )
-    known = Expectation.of(response, none, component)
-    widths = replace(known.widths, shared=0.0, own=NEGLIGIBLE)
-    return replace(known, near=known.near[:, :0], near_mm_per_n=known.near_mm_per_n[:0], widths=widths)
 
 
 def doubt_about(pairs: Pairs, response: "ArrayResponse") -> str | None:

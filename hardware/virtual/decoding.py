@@ -15,7 +15,7 @@ class TorchForward:
     """Resistances R = c |d + B F|² of a `ForwardModel`; F and R are its columns, (n, n_forces) and (n, n_pillars)."""
 
     def __init__(self, forward: ForwardModel, like: Tensor) -> None:
-        if forward.correction is not None:
+        if forward.maps is not None:
             raise DesignError(
                 "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
             )

@@ -11,6 +11,7 @@ from dataset.samples import joined
 from decoupler import Assessment, Decoupler, NetworkConfig, assess
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
+from decoupler.twin.specimen_at_strain import identify_at_strain
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response
@@ -52,7 +53,6 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
         for one in before.values()
         if one.limits is not None and one.errors.full_scale_pct is not None
     )
-    correction = own.inverse.forward.correction if own.inverse is not None else None
 
     def row(count: int, found: dict[str, Assessment], seconds: float) -> PairRow:
         progress(count)
@@ -70,7 +70,11 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
     rows = [row(0, before, 0.0)]
     for count in COUNTS:
         start = process_time()
-        twin = identify(Pairs.of(pairs[:count]), response, sensitivities, "all", correction=correction)
+        given = Pairs.of(pairs[:count])
+        if own.posterior is None:
+            twin = identify(given, response, sensitivities, "all")
+        else:
+            twin = identify_at_strain(given, response, sensitivities, own.posterior)
         seconds = process_time() - start
         rows.append(row(count, assess(twin.decoder, test, None), seconds))
     return rows

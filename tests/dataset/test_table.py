@@ -56,6 +56,43 @@ def _numbers(place):
     return [labels[dim].index(at) if dim in labels else at for dim, at in place.items()]
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_tables_are_read_whoever_made_them(data, tmp_path, separator):
+    """Columns in any order, others between them; a semicolon goes with a decimal comma."""
+    write_table(data, tmp_path / "own.csv")
+    rows = [line.split(",") for line in (tmp_path / "own.csv").read_text().splitlines()]
+    rows = [[str(number), *reversed(row)] for number, row in enumerate(rows)]
+    rows[0][0] = "my number"
+    if separator == ";":
+        rows[1:] = [[cell.replace(".", ",") for cell in row] for row in rows[1:]]
+    (tmp_path / "other.csv").write_text("\ufeff" + "\n".join(separator.join(row) for row in rows), encoding="utf-8")
+    for name in ("own.csv", "other.csv"):
+        back = read_samples(tmp_path / name)
+        assert np.array_equal(back.force_n, data.force_n)
+        assert np.array_equal(back.resistance_ohm, data.resistance_ohm)
+        assert back.design is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
+        ("force_1_0_x_n\n1\n", "has no column force_0_0_x_n of 2 × 1 units"),
+        ("{}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),
+        ("{}\n1,2,3,4,5,\n", "resistance_ohm is nan at sample 0, row 0, col 0, pillar y"),
+        ("{}\n", "at least one sample"),
+        (None, "no such file"),
+    ],
+)
+def test_a_table_that_is_none_of_samples_is_refused(tmp_path, text, said):
+    columns = [f"force_0_0_{axis}_n" for axis in "xyz"] + [f"resistance_0_0_{pillar}_ohm" for pillar in "zxy"]
+    if text is not None:
+        (tmp_path / "some.csv").write_text(text.format(",".join(columns)))
+    with pytest.raises(FileFormatError, match=r"some\.csv") as refused:
+        read_samples(tmp_path / "some.csv")
+    assert said in str(refused.value)
+
+
 def test_csv_gives_back_every_bit(data, stored, tmp_path):
     for samples, dtype in ((data, np.float64), (stored, np.float32)):
         write_table(samples, tmp_path / "a.csv")

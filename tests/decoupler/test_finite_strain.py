@@ -1,94 +1,139 @@
-"""Forces at finite strain: a law of the learned form comes back, derivatives are slopes, rest stays rest."""
+"""Finite strain: maps of a made-up law come back from samples, derivatives are slopes, the posterior decodes them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dataset.samples import joined
+from dataset.measurement import measured
+from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
-from decoupler.data.columns import force_columns
 from decoupler.export.checked import ExportError, export_model
-from decoupler.inverse.effective_forces import N_FEATURES, EffectiveForces, neighbours
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
-from decoupler.inverse.limits import exact_inverse
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.specimen import Specimen
+from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
 from decoupler.model.model_file import read_model, write_model
-from decoupler.training.finite_strain import at_finite_strain
+from decoupler.training.finite_strain import with_strain_maps
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
-SENSOR = sensor(1, 2)
-LINEAR = ForwardModel.of(response(SENSOR), component_named("all"))
-FORCES = force_columns(labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n, component_named("all"))
-SIZES = np.concatenate([np.full(3, np.std(FORCES)), np.std(FORCES @ LINEAR.influence) * np.ones(6)])
+SENSOR, ALL = sensor(1, 2), component_named("all")
+LINEAR = ForwardModel.of(response(SENSOR), ALL)
+STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
+SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
 
 
 def law(strength: float) -> ForwardModel:
-    """An array whose effective forces differ from those that act by a random law, a few percent at strength 1."""
-    weights = np.random.default_rng(3).standard_normal((N_FEATURES, 3))
-    weights *= strength * 2e-4 * np.std(FORCES)
-    found = EffectiveForces(
-        influence=LINEAR.influence, near=neighbours(1, 2), sizes=SIZES, weights=weights, misfit_n=np.zeros(3)
+    """An array whose forces and squared lengths differ from its linear ones by some percent at strength 1."""
+    weights = np.zeros((N_FEATURES, 6))
+    weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, 6))
+    weights *= strength * 2e-4 * np.repeat([np.std(STATES), 100.0], 3)
+    maps = StrainMaps(
+        influence=LINEAR.influence,
+        near=neighbours(1, 2),
+        sizes=SIZES,
+        weights=weights,
+        misfit=np.repeat([0.1, 1e-3], 3),
+        growth=np.array([1.0, 0.0]),
     )
-    return replace(LINEAR, correction=found)
+    return replace(LINEAR, maps=maps)
 
 
-def test_law_is_learned_from_samples():
+def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
+    """Samples at finite strain whose states are `STATES`."""
+    squares, _, force_n, _ = model.at_states(STATES)
+    shape = (len(STATES), 1, 2, 3)
+    moved = (STATES @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+    ohms = (model.ohm_per_mm2 * squares).reshape(shape)
+    return Samples(
+        force_n=force_n.reshape(shape),
+        resistance_ohm=measured(ohms, noise, None, np.random.default_rng(0)),
+        displacement_mm=moved.reshape(len(STATES), 1, 2, 2, 3),
+        length_mm=np.sqrt(squares).reshape(shape),
+        strain_model=np.ones(len(STATES)),
+        design=SENSOR,
+        noise=noise,
+    )
+
+
+def test_maps_are_learned_from_samples():
     """1000 samples leave a hundredth of what the linear response misses on 200 others; left-out errors foretell it."""
-    ohms = law(1.0).resistances(FORCES)
-    found = at_finite_strain(LINEAR, (1, 2), ohms[:1000], FORCES[:1000]).correction
-    assert found is not None
-    effective_n = exact_inverse(LINEAR, ohms[1000:], FORCES.mean(axis=0))
-    learned, missed = (np.std(each - FORCES[1000:]) for each in (found.actual(effective_n), effective_n))
-    assert learned < 0.01 * missed
-    assert np.sqrt(np.mean(found.misfit_n**2)) == pytest.approx(learned, rel=0.5)
+    truth = samples(law(1.0))
+    found = with_strain_maps(response(SENSOR), ALL, truth[:1000])
+    assert found.maps is not None
+    squares, _, force_n, _ = found.at_states(STATES[1000:])
+    true_n = truth.force_n[1000:].reshape(200, -1)
+    assert np.std(force_n - true_n) < 0.01 * np.std(STATES[1000:] - true_n)
+    lengths = LINEAR.lengths(STATES[1000:])
+    true = truth.length_mm[1000:].reshape(200, -1) ** 2
+    assert np.std(squares - true) < 0.01 * np.std(lengths**2 - true)
+    assert np.sqrt(np.mean(found.maps.misfit_n**2)) == pytest.approx(np.std(force_n - true_n), rel=0.5)
+    with pytest.raises(SampleError, match="hold no displacements"):
+        with_strain_maps(response(SENSOR), ALL, truth.labels())
 
 
 def test_derivatives_are_slopes():
-    """Of forces by effective ones, of lengths by forces, of forces by resistances; differences of 1e-3 N and Ω."""
-    model = law(1.0)
-    assert model.correction is not None
-    inverse = ModelInverse.about(model, FORCES[:50], np.ones(model.n_pillars, dtype=bool), 0.0)
-    ohms, at = model.resistances(FORCES[:1]), FORCES[:1]
-    cases = [
-        (model.correction.actual, at, model.correction.jacobian(at)[1]),
-        (model.lengths, at, model.jacobian(at)[1]),
-        (inverse.forces, ohms, inverse.derivatives(ohms)),
-    ]
-    for function, point, slopes in cases:
-        step = 1e-3 * np.eye(point.shape[1])
-        found = (function(point + step) - function(point - step)) / 2e-3
-        np.testing.assert_allclose(found.T, slopes[0], atol=1e-6 * np.abs(slopes).max())
+    """Of squares and forces by states, of lengths by forces, of squares by the unknowns of a specimen."""
+    model, at = law(1.0), STATES[:1]
+    _, by_state, force_n, by_force = model.at_states(at)
+    for part, slopes in ((0, by_state), (2, by_force)):
+        assert_slopes(lambda x, part=part: model.at_states(x)[part], at, slopes[0], 1e-3)
+    assert_slopes(model.lengths, force_n, model.jacobian(force_n)[1][0], 1e-3)
+    changes = np.random.default_rng(1).standard_normal((2, len(FEW), 6)) * 1e-4 * np.repeat([np.std(STATES), 100.0], 3)
+    exact = Specimen.as_designed(changes, LINEAR.n_pillars)
+    some = np.random.default_rng(2).standard_normal(len(exact.unknowns)) * 1e-3
+    specimen = replace(exact, unknowns=some)
+
+    def shown(unknowns: np.ndarray) -> np.ndarray:
+        """Squares as a sensor of the specimen's gains and offsets shows them under the same forces."""
+        other = [replace(exact, unknowns=x) for x in unknowns]
+        rest = LINEAR.lengths(np.zeros((1, 6)))[0] ** 2
+        gain, offset, *_ = specimen.parts
+        squares = [(1 + o.parts[0]) * o.model(model).lengths(forces)[0] ** 2 + o.parts[1] * rest for o in other]
+        return (np.array(squares) - offset * rest) / (1 + gain)
+
+    own = specimen.model(model)
+    forces = own.at_states(at)[2]
+    assert_slopes(shown, some[None], specimen.derivatives(own, at)[0], 1e-4)
 
 
-def test_effective_forces_are_turned_around_and_rest_is_rest():
-    model = law(1.0).correction
-    assert model is not None
-    np.testing.assert_allclose(model.actual(model.effective(FORCES[:20])), FORCES[:20], atol=1e-7)
-    assert not model.actual(np.zeros((1, LINEAR.n_forces))).any()
-    assert np.array_equal(model.actual(FORCES[3:4])[0], model.actual(FORCES[:7])[3])  # alone and in a batch
+def assert_slopes(function, point, slopes, size):
+    step = size * np.eye(point.shape[1])
+    found = (function(point + step) - function(point - step)) / (2 * size)
+    np.testing.assert_allclose(found.T, slopes, atol=1e-5 * np.abs(slopes).max())
+
+
+def test_states_are_found_and_rest_is_rest():
+    maps = law(1.0).maps
+    assert maps is not None
+    np.testing.assert_allclose(maps.states(maps.forces(STATES[:20])), STATES[:20], atol=1e-6)
+    assert not maps.forces(np.zeros((1, 6))).any()
+    assert np.array_equal(maps.forces(STATES[3:4])[0], maps.forces(STATES[:7])[3])  # alone and in a batch
 
 
 def test_forces_beyond_the_samples_are_refused():
     """Fz = Gz − Gz² / s has no Gz for Fz above s / 4."""
-    found = law(0.0).correction
-    assert found is not None
-    weights = found.weights.copy()
+    maps = law(0.0).maps
+    assert maps is not None
+    weights = maps.weights.copy()
     weights[2 * 126 + 2, 2] = -SIZES[2]  # of the pressing force, squared
     with pytest.raises(SampleError, match="beyond its samples"):
-        replace(found, weights=weights).effective(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
+        replace(maps, weights=weights).states(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
 
 
-def test_training_joins_linear_samples_and_some_at_finite_strain(tmp_path):
-    """On samples at finite strain the net errs less than a tenth of one of linear samples; the file keeps it."""
-    loads = labelled(SENSOR, "xyz", n_samples=1200, seed=0)
-    ohms = law(1.0).resistances(FORCES).reshape(loads.force_n.shape)
-    finite = replace(loads, resistance_ohm=ohms, strain_model=np.ones(len(loads)))
-    model, linear = (train(data, response=response(SENSOR)) for data in (joined([loads[:200], finite[:1000]]), loads))
-    errors, missed = (np.std(each.forces(ohms[1000:]) - loads.force_n[1000:]) for each in (model, linear))
-    assert errors < 0.1 * missed
+def test_training_takes_the_posterior_of_what_it_learned(tmp_path):
+    """Joined with linear samples: errors are those of the noise, deviations hold them, the file keeps the same bits."""
+    truth = samples(law(1.0), noise=1e-3)
+    linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
+    model = train(joined([linear, truth[:1000]]), response=response(SENSOR))
+    ohms, force_n = truth.resistance_ohm[1000:], truth.force_n[1000:]
+    error_n = np.abs(model.forces(ohms) - force_n)
+    one, two = model.half_widths(ohms)
+    assert np.std(model.first_answers(model.columns(ohms)) - force_n.reshape(200, -1)) > 1.2 * np.std(error_n)
+    assert 0.6 < (error_n < one).mean() < 0.8
+    assert 0.92 < (error_n < two).mean() < 0.99
+    assert np.array_equal(model.forces(ohms[7:8])[0], model.forces(ohms)[7])
     write_model(model, tmp_path / "model.safetensors")
-    back = read_model(tmp_path / "model.safetensors")
-    assert np.array_equal(back.forces(ohms[1000:]), model.forces(ohms[1000:]))
+    assert np.array_equal(read_model(tmp_path / "model.safetensors").forces(ohms), model.forces(ohms))
     with pytest.raises(ExportError, match="not exported yet"):
         export_model(model, tmp_path / "model.h")
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, Samples, simulate
+from dataset.measurement import ReadingError
 from decoupler import train
 from decoupler.data.pairs import Pairs
 from decoupler.model.model_file import read_model, write_model
 from decoupler.twin import identify
+from decoupler.twin.identification import readings_of
+from decoupler.twin.posterior import predicted, without_each
 from fem.array.closed_forms import layer_response
 from fem.array.sensitivities import ResponseSensitivities
 from geometry.design import Array, SensorDesign
@@ -103,6 +106,32 @@ def test_deviations_hold_where_the_design_is_another_sensor(response, sensitivit
     one, two = model.half_widths(test.resistance_ohm)
     assert 0.6 < (off < one).mean() < 0.8
     assert (off < two).mean() > 0.9
+
+
+def test_a_pair_left_out_errs_as_if_the_others_alone_were_measured(response, sensitivities, made):
+    """The formula of one fit beside fits to all other pairs; widths alone, which those estimate anew, may differ."""
+    pairs = Pairs.of(measured(made, 12, 3))
+    whole = readings_of(pairs, [0, 1, 2], [0, 1, 2])
+    found = identify(pairs, response, sensitivities).posterior
+    error_ohm, covariance = without_each(found, whole, np.arange(3))
+    for k in range(3):
+        others = identify(pairs[np.delete(np.arange(12), k)], response, sensitivities).posterior
+        refitted = whole.resistance_ohm[k] - predicted(others, whole.force_n[[k]])[0]
+        assert np.linalg.norm(error_ohm[k] - refitted) < 0.2 * np.linalg.norm(refitted)
+        deviation = np.sqrt(covariance[k].diagonal() + (NOISE * whole.resistance_ohm[k]) ** 2)
+        assert 0.5 < np.sqrt(np.mean((error_ohm[k] / deviation) ** 2)) < 2.0
+
+
+def test_draws_read_as_the_pairs_do_whatever_the_offsets(response, sensitivities, made):
+    """Gain and offset of a pillar are known together far better than each: draws must not mix them up."""
+    samples = measured(made, 60, 3)
+    offset_ohm = np.random.default_rng(0).uniform(0.0, 2e4, samples.resistance_ohm.shape[1:])
+    pairs = Pairs.of(replace(samples, resistance_ohm=samples.resistance_ohm + offset_ohm))
+    model = identify(pairs, response, sensitivities).decoder
+    columns_ohm = pairs.resistance_ohm.reshape(60, -1)
+    errors = ReadingError(), ReadingError(noise=NOISE)
+    of_draws, of_noise = (model.noise_variance(columns_ohm, each).mean() for each in errors)
+    assert of_draws < 0.5 * of_noise
 
 
 def test_a_pair_whose_load_was_another_is_trusted_less(response, sensitivities, made):

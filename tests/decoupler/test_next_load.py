@@ -7,8 +7,8 @@ import pytest
 
 from decoupler.data.columns import component_named
 from decoupler.twin.expectation import Expectation
-from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
-from decoupler.twin.posterior import State
+from decoupler.twin.linearised import State
+from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
 from fem.array.sensitivities import ResponseSensitivities
 from tests.decoupler.synthetic_sensor import response, sensor
 
@@ -22,13 +22,13 @@ SENSITIVITIES = ResponseSensitivities(
 )
 EXPECTED = Expectation.of(response(DESIGN), SENSITIVITIES, EVERYTHING)
 BEFORE = Knowledge.before(EXPECTED, State.as_expected(EXPECTED, 0), noise=1e-3, bits=12)
-LOADS = {load.name: as_columns(load, EVERYTHING) for load in kitchen_loads(DESIGN)}
+LOADS = {load.name: as_columns(load, EVERYTHING) for load in loads_at_hand(KITCHEN, DESIGN)}
 USUAL_N = np.random.default_rng(0).uniform(0.0, 1.0, (30, 27)) * np.tile([140.0, 140.0, 700.0], 9)
 
 
 def test_pairs_one_by_one_are_pairs_at_once():
     """The covariance after two pairs is (1 + Σ Hᵀ Σ⁻¹ H)⁻¹, whatever their order."""
-    loads = [LOADS["15 kg on 0 1"][0], LOADS["string along x on 1 0"][0]]
+    loads = [LOADS["15kg on 0 1"][0], LOADS["string 3kg along x, 15kg on 1 0"][0]]
     precision = np.eye(len(BEFORE.covariance))
     for force_n in loads:
         H, _, deviation = BEFORE.derivatives(force_n)
@@ -64,7 +64,7 @@ def test_derivatives_are_those_of_the_readings():
 def test_what_is_not_known_of_a_load_tells_nothing():
     """A pad's weight of unknown size, everything else equal, leaves a larger error than one of known size."""
     T = BEFORE.error_matrix(USUAL_N)
-    force_n, unknown_n = LOADS["60 kg on 1 1"]
+    force_n, unknown_n = LOADS["60kg on 1 1"]
     errors = [np.sum(T * BEFORE.after(force_n, times * unknown_n).covariance) for times in (0.0, 1.0, 100.0)]
     assert errors[0] < errors[1] < errors[2] < np.sum(T * BEFORE.covariance)
 

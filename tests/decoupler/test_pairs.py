@@ -155,17 +155,13 @@ def test_other_files_are_refused(tmp_path):
         read_loads(tmp_path / "nowhere.csv", 2, 3, PAD_MM2)
 
 
-def test_pairs_of_samples_are_exact(tmp_path):
+def test_pairs_of_samples_are_exact():
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True
     samples = Samples(force_n=np.ones((4, 2, 3, 3)), resistance_ohm=np.full((4, 2, 3, 3), 1e4), noise=0.01, dead=dead)
     pairs = Pairs.of(samples)
     assert np.isnan(pairs.resistance_ohm).sum() == 4
     assert (pairs.noise, len(pairs[1:]), sum(map(len, pairs.unknown_n))) == (0.01, 3, 0)
-    samples.write(tmp_path / "pairs.nc")
-    assert len(read_pairs(tmp_path / "pairs.nc", 2, 3, PAD_MM2)) == 4
-    with pytest.raises(FileFormatError, match=r"holds 2 × 3 units, the design 6 × 6"):
-        read_pairs(tmp_path / "pairs.nc", 6, 6, PAD_MM2)
 
 
 def test_what_are_no_pairs_is_refused():

@@ -91,6 +91,14 @@ def test_what_is_wrong_is_named(name):
     assert doubt(data[:10], ALL, JOINT) is not None
 
 
+def test_kilohms_are_noticed_without_a_design():
+    """One pair is enough; other sizes may be another rubber's."""
+    kilohms = turned(ohm=lambda R: 1e-3 * R)
+    assert "as in kΩ: give them in Ω" in doubt(kilohms[:1], ALL, None)
+    for times in (1e-5, 1e-2, 1.0, 100.0):
+        assert doubt(turned(ohm=lambda R, times=times: times * R), ALL, None) is None
+
+
 def test_four_pairs_in_a_wrong_order_are_enough():
     four = PAIRS[:4]
     wrong = replace(four, resistance_ohm=four.resistance_ohm[[1, 2, 3, 0]])

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, Samples, simulate
+from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
-from decoupler.data.load_table import keep_pair, read_loads
-from decoupler.data.pairs import Pairs
+from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.model_file import read_model
 from fem.array.sensitivities import ResponseSensitivities
 from geometry.design_file import design_to_toml
+from geometry.errors import FileFormatError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
-from tripillar.cli import identifying
+from tripillar.face import identifying
 from tripillar.face.checks import Caller
-from tripillar.face.identifying import MAX_PAIRS, few_pairs
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -41,10 +41,14 @@ def shown(force_n):
     return ForwardModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
 
 
+def _derivatives(design, bars, tolerances=None):
+    return RESPONSE, SENSITIVITIES if tolerances is None else SENSITIVITIES.with_tolerances(tolerances)
+
+
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(identifying, "with_derivatives", lambda sensor, bars: (RESPONSE, SENSITIVITIES))
+    monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
@@ -72,7 +76,7 @@ def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
 
 def test_without_pairs_it_says_where_to_begin(house):
     """Of a table of loads that one can make only these are proposed, each once."""
-    told = house.result(*IDENTIFY, "--next", "9", "--candidates", "loads.csv")
+    told = house.result(*IDENTIFY, "--next", "9", "--have", "loads.csv")
     assert {each["load"] for each in told["next"]} == {"rest", "all", "one", "two"}
     assert len(told["next"]) == 4
 
@@ -100,6 +104,12 @@ def test_a_data_set_without_a_design_decides_alone(house):
         (("--data", "pairs.csv", "-o", "m.safetensors", "--pairs", "5"), "--pairs 5 must be at most 4"),
         (("--data", "pairs.csv", "--next", "-1"), "--next -1 must be from 0 to 100"),
         (("--data", "pairs.csv", "-o", "pairs.csv"), "is read by this command"),
+        (("--data", "pairs.csv", "-o", "m.safetensors", "--have", "pad:5kg"), "--have goes with --next"),
+        (("--next", "1", "--have", "pad:5lb"), "'pad:5lb' is no load that one can have: write kind:size such as"),
+        (("--next", "1", "--have", "plate:20kg,"), "'' is no load that one can have"),
+        (("--next", "1", "--have", "air:-30kPa"), "'air:-30kPa' is no load that one can have"),
+        (("--next", "1", "--have", "string:3kg"), "a string pulls on a weight: add pad:15kg"),
+        (("--next", "1", "--have", "pad:3000kg"), "29419.9 N on a pad is 204 MPa, more than 20"),
     ],
 )
 def test_what_makes_no_sense_is_refused(house, words, says):
@@ -141,13 +151,61 @@ def test_a_pillar_that_has_come_to_be_stuck_counts_as_dead(house):
     assert model.is_identified
 
 
-def test_of_very_many_samples_a_draw_identifies_unless_more_are_asked_for():
-    said = []
-    many = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=MAX_PAIRS + 50)).labels()
-    caller = Caller(say=said.append)
-    few = few_pairs(many, caller)
-    assert len(few) == MAX_PAIRS
-    assert said == ["samples: 1,000 of 1,050 pairs, drawn at random, identify the sensor"]
-    assert few_pairs(many, caller, asked=1050) is many
-    assert few_pairs(Pairs.of(many[:5]), caller).force_n.shape == many[:5].force_n.shape
-    assert len(said) == 1
+def test_python_takes_what_the_command_takes(house, monkeypatch):
+    """Tolerances of a design file, what you have, and any number of samples: of very many a draw."""
+    text = (house.folder / "sensor.toml").read_text()
+    (house.folder / "exact.toml").write_text(f'{text}\n[tolerance]\n"rubber.young_mpa" = 0\n')
+    pairs = read_pairs(house.folder / "pairs.csv", 3, 3, 144.0)
+    twin = identifying.identify(pairs, house.folder / "exact.toml", next_loads=2, have="plate:20kg,string:3kg")
+    assert twin.parameters == {}
+    assert len(twin.next_loads) == 2
+    assert all("20kg on a plate" in each.load or each.load == "nothing" for each in twin.next_loads)
+    by_command = house.result(
+        *("identify", "--design", "exact.toml", "-q", "--data", "pairs.csv", "-o", "m.safetensors"),
+        *("--next", "2", "--have", "plate:20kg,string:3kg"),
+    )
+    assert [each["load"] for each in by_command["next"]] == [each.load for each in twin.next_loads]
+    assert by_command["excess"] == twin.posterior.excess
+    monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
+    many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
+    assert identifying.identify(many, DESIGN, caller=Caller(say=said.append)).n_pairs == 7
+    assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
+
+
+@pytest.mark.long
+def test_samples_at_finite_strain_correct_the_design(house):
+    """Rubber that stiffens by 20 % at 500 N: read with its samples beside the pairs, it errs less."""
+
+    def stiffened(force_n):
+        return force_n / (1.0 + 4e-4 * np.abs(force_n))
+
+    forces = [np.random.default_rng(seed).uniform(0.0, 1.0, (n, 3, 3, 3)) for seed, n in ((0, 100), (1, 5), (2, 20))]
+    finite, pairs, test = (
+        Samples(force_n=force_n, resistance_ohm=shown(stiffened(force_n)), design=DESIGN)
+        for force_n in (each * [50.0, 50.0, 500.0] for each in forces)
+    )
+    finite.write(house.folder / "finite.nc")
+    pairs.write(house.folder / "five.nc")
+    words = "identify", "--data", "five.nc", "-q", "-o"
+    house.result(*words, "with.safetensors", "--finite", "finite.nc")
+    house.result(*words, "without.safetensors")
+    with_them, without = (
+        np.abs(read_model(house.folder / f"{name}.safetensors").forces(test.resistance_ohm) - test.force_n).mean()
+        for name in ("with", "without")
+    )
+    assert with_them < 0.5 * without
+
+
+def test_samples_at_finite_strain_of_another_array_are_refused(house):
+    pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
+    other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
+    with pytest.raises(FileFormatError, match="at finite strain are not of the design's 3 × 3 units"):
+        identifying.identify(pairs, DESIGN, finite=other)
+
+
+def test_pairs_of_another_array_are_refused_in_a_line(house):
+    (house.folder / "small.toml").write_text(design_to_toml(sensor(2, 2)))
+    simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels().write(house.folder / "nine.nc")
+    words = "--design", "small.toml", "-o", "m.safetensors", "-q"
+    assert "nine.nc is of 3 × 3 units, the design of 2 × 2" in house.refusal("identify", "--data", "nine.nc", *words)
+    assert "3 × 3 units, the design has 2 × 2" in house.refusal("identify", "--data", "pairs.csv", *words)

@@ -108,6 +108,9 @@ dataset --protocol contact --samples 5 -o x.nc --seed -1 -> seed=-1 must be from
 dataset --protocol contact --samples 5 -o x.nc --cap 0 -> the paper uses 0.2 and 0.3
 dataset --protocol contact --samples 5 -o x.nc --cap 2 -> cap=2 must be
 dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> offset_ohm=-3 must be
+dataset --protocol contact --samples 5 -o x.nc --drift=-0.01 -> drift=-0.01 must be from 0 to 0.5
+dataset --protocol contact --samples 5 -o x.nc --drift-tilt 0.6 -> drift_tilt=0.6 must be from 0 to 0.5
+dataset --protocol contact --samples 5 -o x.nc --drift-pillar nan -> drift_pillar=nan must be a finite number
 dataset --protocol contact --samples 5 -o x.nc --specimen=-1 -> specimen=-1 must be
 dataset --protocol contact --samples 5 -o dir -> dir is a folder: give the name of a file in it.
 dataset --protocol contact --samples 5 -o dir.zarr -> dir.zarr is a folder that holds something else

@@ -1,17 +1,15 @@
 """The command that identifies one sensor from measured pairs, and says which to measure next."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dataset.stored import DATASETS
-from geometry.design_file import read_tolerances
-from geometry.errors import DesignError, FileFormatError
+from dataset.csv_file import holds_samples
+from geometry.errors import DesignError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol, caller
-from tripillar.face.identifying import checked_pairs, few_pairs, usual_loads, with_derivatives
+from tripillar.face import identifying
 from tripillar.terminal.console import (
     JsonOption,
     VerbosityOption,
@@ -25,12 +23,8 @@ from tripillar.terminal.console import (
 if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples
     from decoupler.data.pairs import Pairs
-    from decoupler.inverse.effective_forces import EffectiveForces
-    from fem.array.response import ArrayResponse
-    from fem.array.sensitivities import ResponseSensitivities
+    from decoupler.twin.next_load import NextLoad
     from geometry.design import SensorDesign
-
-MAX_NEXT = 100  #: loads that are said in advance
 
 
 def identify(
@@ -54,7 +48,7 @@ def identify(
     ] = None,
     pairs: Annotated[
         int | None,
-        typer.Option(help="Number of pairs to use, from the first on; default: all, of more than 1000 a draw."),
+        typer.Option(help="Number of pairs to use, from the first on; default: all, of more than 20000 a draw."),
     ] = None,
     usual: Annotated[
         Protocol | None, typer.Option(help="Loads that it will meet; default: of a data set its own, else contact.")
@@ -70,11 +64,17 @@ def identify(
         ),
     ] = None,
     finite: Annotated[
-        Path | None, typer.Option(help="Samples of the design at finite strain (.nc): what linear rubber misses.")
+        Path | None, typer.Option(help="Samples of the design at finite strain (.nc), displacements included.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Model of the design at finite strain, trained on such samples: for --finite.")
     ] = None,
     next_: Annotated[int, typer.Option("--next", help="Number of loads to propose to measure next.")] = 0,
-    candidates: Annotated[
-        Path | None, typer.Option(help="Table (CSV) of the loads that you can make; default: docs/measuring.md's.")
+    have: Annotated[
+        str | None,
+        typer.Option(
+            help="For --next, what you have: plate:20kg,pad:15kg,string:3kg,air:30kPa, or a table of loads (CSV)."
+        ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,
     baud: BaudOption = BAUD,
@@ -89,68 +89,83 @@ def identify(
     """
     _require_sense(data, port, loads, keep, out, next_)
     require_positive(seconds=seconds, timeout=timeout)
-    require_other(out, data, loads, design, candidates, finite)
-    require_other(twin_file, data, loads, design, candidates, finite, out)
+    require_other(out, data, loads, design, finite, model)
+    require_other(twin_file, data, loads, design, finite, model, out)
+    if finite is not None and model is not None:
+        raise DesignError("give --finite or --model, not both: each holds the design at finite strain.")
     if twin_file is not None and out is None:
         raise DesignError("--twin names the model file that it goes with: give --out FILE, too.")
+    if have is not None and not next_:
+        raise DesignError("--have goes with --next: it says of what the loads to propose are made.")
     if pairs is not None and pairs < 1:
         raise DesignError(f"--pairs {pairs} must be at least 1.")
-    if not 0 <= next_ <= MAX_NEXT:
-        raise DesignError(f"--next {next_} must be from 0 to {MAX_NEXT}.")
-    from decoupler.model.model_file import write_model
-    from decoupler.twin.identification import identify as identified
+    if not 0 <= next_ <= identifying.MAX_NEXT:
+        raise DesignError(f"--next {next_} must be from 0 to {identifying.MAX_NEXT}.")
+    from dataset import read_samples
+    from decoupler.model.model_file import read_model, write_model
     from decoupler.twin.twin_file import write_twin
 
     sensor = _sensor(data, design)
-    if port is None:
-        read = None if data is None else _read(data, sensor)
-    else:
-        assert sensor is not None
+    tolerances = None if design is None else identifying.sensor_of(design, None)[1]
+    if data is not None:
+        read = _read(data, sensor)
+    elif port is not None:
         kept = keep or (None if out is None or Path(port).is_file() else out.with_suffix(".csv"))
-        read = _measured(port, loads, sensor, kept, seconds, force, baud=baud, timeout=timeout)
-    if read is not None and pairs is not None:
+        read = _measured(port, loads, _known(sensor), kept, seconds, force, baud=baud, timeout=timeout)
+    else:
+        with progress_bars(verbosity) as bars:
+            first = identifying.next_loads_of(_known(sensor), next_, have, usual or "contact", tolerances, bars)
+        answer(json_, {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
+        return
+    if pairs is not None:
         if pairs > len(read):
             raise DesignError(f"--pairs {pairs} must be at most {len(read)}: there are no more.")
         read = read[:pairs]
-    measured: Pairs | None = None
+    if next_ and sensor is None:
+        raise DesignError("--next weighs loads by a design: give --design.")
     with progress_bars(verbosity) as bars:
-        response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, bars)
-    if sensitivities is not None and design is not None:
-        sensitivities = sensitivities.with_tolerances(read_tolerances(design))
-    if usual is None and (data is None or data.suffix not in DATASETS):
-        usual = "contact"
-    usual_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
-    forced: dict[str, str] = {}
-    if read is not None:
-        asked_by = caller(data or Path(str(port)), bars)
-        measured, forced = checked_pairs(few_pairs(read, asked_by, pairs), response, force, asked_by)
-    result: dict[str, Any] = {}
-    lines = []
-    known = None
-    if measured is not None:
-        correction = None if finite is None else _correction(finite, response)
-        twin = identified(measured, response, sensitivities, loads_n=usual_n, correction=correction)
-        result["pairs"] = len(measured)
-        result["parameters"] = {name: list(value) for name, value in twin.parameters.items()}
-        result["excess"] = twin.posterior.excess
-        lines += [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in twin.parameters.items()]
-        lines.append(f"{len(measured)} pairs; χ² of their readings over their number: {twin.posterior.excess:.3g}")
-        if out is not None:
-            write_model(replace(twin.decoder, made_from=twin.decoder.made_from | forced), out)
-            result["file"] = str(out)
-            if twin_file is not None:
-                write_twin(twin, twin_file, out)
-                result["twin"] = str(twin_file)
-        if twin.decoder.component.name == "all":
-            known = (twin.posterior.expected, twin.posterior.state)
+        twin = identifying.identify(
+            read,
+            sensor,
+            usual=usual,
+            tolerances=tolerances,
+            finite=read_samples(finite) if finite is not None else None if model is None else read_model(model),
+            next_loads=next_,
+            have=have,
+            force=force,
+            caller=caller(data or Path(str(port)), bars),
+        )
+    excess = twin.excess
+    result: dict[str, Any] = {
+        "pairs": twin.n_pairs,
+        "parameters": {name: list(value) for name, value in twin.parameters.items()},
+        "excess": excess,
+    }
+    lines = [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in twin.parameters.items()]
+    lines.append(f"{twin.n_pairs} pairs; χ² of their readings over their number: {excess:.3g}")
+    if out is not None:
+        write_model(twin.decoder, out)
+        result["file"] = str(out)
+        if twin_file is not None:
+            write_twin(twin, twin_file, out)
+            result["twin"] = str(twin_file)
     if next_:
-        if sensor is None or response is None or sensitivities is None:
-            raise DesignError("--next weighs loads by a design: give --design.")
-        proposals = _next(sensor, response, sensitivities, known, measured, usual or "contact", candidates, next_)
-        result["next"] = proposals
-        lines.append(f"expected error of a force before: {100 * proposals[0]['error_before']:.3g} % of the usual ones")
-        lines += [f"next: {each['load']}; then {100 * each['error']:.3g} %" for each in proposals]
-    answer(json_, result, "\n".join(lines), *([] if out is None or measured is None else [out]))
+        result["next"] = [vars(one) for one in twin.next_loads]
+        lines += _proposed(twin.next_loads)
+    answer(json_, result, "\n".join(lines), *([] if out is None else [out]))
+
+
+def _proposed(loads: "tuple[NextLoad, ...]") -> list[str]:
+    """Proposals as lines of text."""
+    if not loads:
+        return ["next: every load of the list is measured"]
+    before = f"expected error of a force before: {100 * loads[0].error_before:.3g} % of the usual ones"
+    return [before, *(f"next: {each.load}; then {100 * each.error:.3g} %" for each in loads)]
+
+
+def _known(sensor: "SensorDesign | None") -> "SensorDesign":
+    assert sensor is not None  # `_sensor` gives None for data sets alone
+    return sensor
 
 
 def _require_sense(
@@ -171,22 +186,24 @@ def _require_sense(
 
 def _sensor(data: Path | None, design: Path | None) -> "SensorDesign | None":
     """The design: the stated one, else that of a data set, which may have none, else the paper's."""
-    if design is not None or data is None or data.suffix not in DATASETS:
+    if design is not None or data is None or _is_table(data):
         return chosen(design)
     from dataset import read_samples
 
     return read_samples(data, labels_only=True).design
 
 
+def _is_table(data: Path) -> bool:
+    """Whether a file is a table of loads, not of samples."""
+    return data.suffix == ".csv" and not holds_samples(data)
+
+
 def _read(data: Path, sensor: "SensorDesign | None") -> "AnySamples | Pairs":
     from dataset import read_samples
     from decoupler.data.load_table import read_pairs
 
-    if sensor is None or data.suffix in DATASETS:
-        samples = read_samples(data, labels_only=True)
-        if sensor is not None and samples.shape != (sensor.array.rows, sensor.array.cols):
-            raise DesignError(f"{data} is of another array than the design: give this array's design.")
-        return samples
+    if sensor is None or not _is_table(data):
+        return read_samples(data, labels_only=True)
     return read_pairs(data, sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
 
 
@@ -208,62 +225,3 @@ def _measured(
     if loads is None:
         raise DesignError("a recording needs --loads FILE with the columns from_s and to_s.")
     return measured_in_recording(Path(port), loads, sensor, Electronics(), force)[0]
-
-
-def _correction(finite: Path, response: "ArrayResponse | None") -> "EffectiveForces | None":
-    """The correction of a design's response by its samples at finite strain."""
-    from dataset import in_memory, read_samples
-    from decoupler.data.columns import component_named, force_columns, pillar_columns
-    from decoupler.inverse.forward_model import ForwardModel
-    from decoupler.training.finite_strain import at_finite_strain
-
-    if response is None:
-        raise DesignError("--finite goes with a design: give --design.")
-    samples, everything = in_memory(read_samples(finite, labels_only=True)), component_named("all")
-    size = response.design.array.rows, response.design.array.cols
-    if samples.force_n.shape[1:3] != size:
-        raise FileFormatError(f"{finite} is of another array than the design's {size[0]} × {size[1]} units.")
-    columns = pillar_columns(samples.resistance_ohm, everything), force_columns(samples.force_n, everything)
-    electrodes = ForwardModel.of(replace(response, conducted=None), everything).influence
-    return at_finite_strain(ForwardModel.of(response, everything), size, *columns, electrodes).correction
-
-
-def _next(
-    sensor: "SensorDesign",
-    response: "ArrayResponse",
-    sensitivities: "ResponseSensitivities",
-    known: Any,
-    measured: "Pairs | None",
-    protocol: Protocol,
-    candidates: Path | None,
-    count: int,
-) -> list[dict[str, Any]]:
-    """Loads to measure next, in order, each with the expected errors before and after it."""
-    from decoupler.data.columns import component_named, force_columns
-    from decoupler.twin.expectation import Expectation
-    from decoupler.twin.next_load import Knowledge, as_columns, choose, kitchen_loads
-    from decoupler.twin.posterior import State
-    from tripillar.cli.board.measured_loads import loads_of
-
-    everything = component_named("all")
-    if known is None:
-        expected = Expectation.of(response, sensitivities, everything)
-        known = expected, State.as_expected(expected, 0)
-    noise, bits = (1e-3, None) if measured is None else (max(measured.noise, 1e-5), measured.bits)
-    expected, state = known
-    knowledge = Knowledge.before(expected, state, noise, bits)
-    done = 0 if measured is None else len(measured)
-    for number in range(done):
-        assert measured is not None
-        unknown_n = measured.unknown_n[number]
-        force_n = force_columns(measured.force_n[number : number + 1], everything)[0]
-        knowledge = knowledge.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
-    possible = kitchen_loads(sensor) if candidates is None else loads_of(candidates, sensor)
-    if measured is not None:
-        possible = [load for load in possible if load.name not in measured.names]
-    usual_n = force_columns(usual_loads(sensor, protocol), everything)
-    numbers, errors = choose(knowledge, [as_columns(load, everything) for load in possible], usual_n, count)
-    return [
-        {"load": possible[number].name, "error_before": errors[k], "error": errors[k + 1]}
-        for k, number in enumerate(numbers)
-    ]

@@ -84,6 +84,15 @@ def dataset(
     cap: Annotated[float, typer.Option(help="Largest strain of a pillar; loads past it are drawn again.")] = 0.3,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, relative to the resistance.")] = 0.0,
     bits: Annotated[int | None, typer.Option(help="Bits of the converter; default: exact readings.")] = None,
+    drift: Annotated[
+        float, typer.Option(help="Standard deviation of a sample's drift that all readings share, relative.")
+    ] = 0.0,
+    drift_tilt: Annotated[
+        float, typer.Option(help="Standard deviation of its drift linear over the array, at the rim, along each axis.")
+    ] = 0.0,
+    drift_pillar: Annotated[
+        float, typer.Option(help="Standard deviation of its drift of each pillar alone, relative.")
+    ] = 0.0,
     gain_spread: GainSpreadOption = 0.0,
     offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
@@ -159,6 +168,9 @@ def dataset(
         cap=cap,
         noise=noise,
         bits=bits,
+        drift=drift,
+        drift_tilt=drift_tilt,
+        drift_pillar=drift_pillar,
         gain_spread=gain_spread,
         offset_ohm=offset,
         specimen=specimen,
@@ -313,6 +325,8 @@ def train(
     from tripillar.face import learning as face
 
     several = [read_samples(path, labels_only=True) for path in data]
+    if any(each.is_finite.any() for each in several):  # these learn from displacements, too
+        several = [read_samples(path) for path in data]
     samples = several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
     with spelled(goal_mse="--goal", max_iterations="--iterations"), progress_bars(verbosity) as bars:
         model = face.train(

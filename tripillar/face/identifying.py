@@ -1,31 +1,41 @@
-"""Identify one sensor from measured pairs, checked first; the command calls this, too."""
+"""Identify one sensor from measured pairs, checked first, and say what to measure next; the command calls this, too."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.design import SensorDesign
+from geometry.design_file import read_design, read_tolerances
 from geometry.errors import DesignError, FileFormatError, require_type
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.data.enough import AnySamples
+    from decoupler.data.load_table import KnownLoad
     from decoupler.data.pairs import Pairs
+    from decoupler.inverse.posterior import Posterior as ForcePosterior
+    from decoupler.model.decoupler import Decoupler
     from decoupler.twin.identification import Twin
+    from decoupler.twin.next_load import NextLoad
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
     from geometry.layout import FloatArray
     from tripillar.face.checks import Caller
     from tripillar.terminal.progress import Bars
 
-
-MAX_PAIRS = 1000  #: that are taken unless more are asked for: 4000 take thrice as long and identify no better
+MAX_NEXT = 100  #: loads that are proposed in advance
 
 
 def identify(
     pairs: "AnySamples | Pairs",
-    design: SensorDesign | None = None,
+    design: SensorDesign | Path | str | None = None,
     *,
     usual: str | None = None,
+    tolerances: Mapping[str, float] | None = None,
+    finite: "AnySamples | Decoupler | None" = None,
+    next_loads: int = 0,
+    have: str | Path | None = None,
     force: bool = False,
     caller: "Caller | None" = None,
 ) -> "Twin":
@@ -34,12 +44,22 @@ def identify(
     Parameters
     ----------
     pairs : Samples, StoredSamples or Pairs
-        Measured on the sensor; of more than 1000 samples a random draw is taken. `decoupler.data.pairs.Pairs` also say
-        how well forces are known.
-    design : SensorDesign, optional
-        What was meant; default: the one that the samples state. Without one the pairs alone decide.
+        Measured on the sensor; of more than 20,000 samples a random draw is taken. `decoupler.data.pairs.Pairs` also
+        say how well forces are known.
+    design : SensorDesign or path of a design file, optional
+        What was meant; default: the one that the samples state. Without one the pairs alone decide. Of a file its table
+        ``[tolerance]`` counts, too.
     usual : str, optional
-        Protocol of loads like those that the sensor will meet; default: the pairs' own.
+        Protocol of loads like those that the sensor will meet; default: of samples their own, else contact.
+    tolerances : mapping, optional
+        Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
+    finite : Samples or Decoupler, optional
+        Samples of the design at finite strain, displacements included, or a model that was trained on such.
+    next_loads : int
+        Number of loads to propose to measure next, in the twin's ``next_loads``.
+    have : str or path, optional
+        What these are made of, such as ``"plate:20kg,pad:15kg,string:3kg,air:30kPa"``, or a table (.csv) of loads;
+        default: what a kitchen has, see docs/measuring.md.
     force : bool
         True goes on although the pairs look wrong; the decoder remembers why they did.
     caller : Caller, optional
@@ -54,9 +74,9 @@ def identify(
     Raises
     ------
     DesignError
-        If the design is of another array, or usual loads are named but no design is known.
+        If the design is of another array, or usual loads, finite strain or next loads are asked for without a design.
     SampleError, FileFormatError
-        If the pairs look wrong or none presses the sensor.
+        If the pairs look wrong or none presses the sensor, or the list of what you have makes no sense.
 
     Examples
     --------
@@ -83,6 +103,7 @@ def identify(
     """
     from dataset.samples import Samples
     from dataset.stored import StoredSamples
+    from decoupler.data.enough import drawn
     from decoupler.data.pairs import Pairs
     from decoupler.twin.identification import identify
     from tripillar.face.checks import Caller
@@ -90,31 +111,42 @@ def identify(
     caller = caller or Caller()
     if not isinstance(pairs, Samples | StoredSamples):
         require_type("pairs", pairs, Pairs, "give samples, or decoupler.data.pairs.Pairs")
-    pairs = few_pairs(pairs, caller)
-    sensor = design or (pairs.design if isinstance(pairs, Samples) else None)
-    rows, cols = pairs.force_n.shape[1:3]
+    few = pairs if isinstance(pairs, Pairs) else drawn(pairs)
+    if len(few) < len(pairs):
+        caller.say(f"{caller.samples}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
+    sensor, tolerances = sensor_of(design, tolerances)
+    sensor = sensor or (pairs.design if isinstance(pairs, Samples | StoredSamples) else None)
+    rows, cols = few.force_n.shape[1:3]
     if sensor is not None and (sensor.array.rows, sensor.array.cols) != (rows, cols):
-        raise DesignError(f"{caller.samples} is of {rows} × {cols} units, the design is not: give this array's design.")
-    if usual is not None and sensor is None:
-        raise DesignError("usual loads are those of a design: give the design, or leave them out.")
-    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, caller.bars)
-    checked, forced = checked_pairs(pairs, response, force, caller)
+        raise DesignError(
+            f"{caller.samples} is of {rows} × {cols} units, the design of {sensor.array.rows} × {sensor.array.cols}: "
+            "give the design of this array."
+        )
+    if sensor is None and (usual is not None or finite is not None or next_loads):
+        asked = "usual loads" if usual is not None else "finite strain" if finite is not None else "next loads"
+        raise DesignError(f"{asked} are those of a design: give the design.")
+    usual = usual or ("contact" if isinstance(pairs, Pairs) and sensor is not None else None)
+    if sensor is not None and next_loads:
+        _possible(sensor, next_loads, have)  # a list that makes no sense is refused before anything takes time
+    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, caller.bars, tolerances)
+    checked, forced = checked_pairs(few, response, force, caller)
     loads_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
-    twin = identify(checked, response, sensitivities, loads_n=loads_n)
+    at_strain = None if finite is None or response is None else _at_strain(finite, response, caller)
+    advance = caller.bars.begin("identify", total=1)
+
+    def passed(share: float) -> None:
+        advance(share, f"{len(checked)} pairs")
+
+    if at_strain is not None and response is not None and sensitivities is not None:
+        from decoupler.twin.specimen_at_strain import identify_at_strain
+
+        twin = identify_at_strain(checked, response, sensitivities, at_strain, loads_n, progress=passed)
+    else:
+        twin = identify(checked, response, sensitivities, loads_n=loads_n, progress=passed)
+    if sensor is not None and next_loads:
+        proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, caller.bars, checked, twin)
+        twin = replace(twin, next_loads=proposed)
     return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
-
-
-def few_pairs(pairs: "AnySamples | Pairs", caller: "Caller", asked: int | None = None) -> "Samples | Pairs":
-    """The pairs, or of more than `MAX_PAIRS` samples so many drawn at random, unless more are `asked` for; says so."""
-    from decoupler.data.enough import drawn
-    from decoupler.data.pairs import Pairs
-
-    if isinstance(pairs, Pairs):
-        return pairs
-    most = max(asked or 0, MAX_PAIRS)
-    if len(pairs) > most:
-        caller.say(f"{caller.samples}: {most:,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
-    return drawn(pairs, 0, most)
 
 
 def checked_pairs(
@@ -153,7 +185,18 @@ def _contacts(pairs: "Samples") -> str | None:
     return f"the protocol '{INDENT}' presses shapes, and a sensor is identified from loads on its pads: measure such"
 
 
-def with_derivatives(design: SensorDesign, bars: "Bars") -> "tuple[ArrayResponse, ResponseSensitivities]":
+def sensor_of(
+    design: SensorDesign | Path | str | None, tolerances: Mapping[str, float] | None
+) -> tuple[SensorDesign | None, Mapping[str, float] | None]:
+    """A design, or that of a file with the deviations that it states."""
+    if design is None or isinstance(design, SensorDesign):
+        return design, tolerances
+    return read_design(Path(design)), read_tolerances(Path(design)) if tolerances is None else tolerances
+
+
+def with_derivatives(
+    design: SensorDesign, bars: "Bars", tolerances: Mapping[str, float] | None = None
+) -> "tuple[ArrayResponse, ResponseSensitivities]":
     """The response of a design and its derivatives, from the cache or solved."""
     from fem.array.sensitivities import response_sensitivities
     from tripillar.pipeline.run import respond
@@ -162,7 +205,71 @@ def with_derivatives(design: SensorDesign, bars: "Bars") -> "tuple[ArrayResponse
     advance = bars.begin("sensitivities", total=1)
     sensitivities, _, reused = response_sensitivities(design, None, lambda step: advance(0, step))
     advance(1, "reused" if reused else "")
-    return response, sensitivities
+    return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
+
+
+def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: "Caller") -> "ForcePosterior":
+    """The posterior of a design at finite strain, of a model or learned from samples."""
+    from dataset.stored import in_memory
+    from decoupler.data.columns import component_named
+    from decoupler.model.decoupler import Decoupler
+    from decoupler.training.finite_strain import posterior_of, with_strain_maps
+
+    if isinstance(finite, Decoupler):
+        if finite.posterior is None or finite.posterior.specimen is not None:
+            raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
+        size, found = (finite.rows, finite.cols), finite.posterior
+    else:
+        samples = in_memory(finite)
+        samples = samples[samples.is_finite]
+        size, found = samples.shape, None
+    if size != (response.design.array.rows, response.design.array.cols):
+        raise DesignError(
+            f"finite strain is of an array of {size[0]} × {size[1]} units, the design is another: give that of its own."
+        )
+    if found is None:
+        caller.say("learning finite strain from the samples")
+        found = posterior_of(with_strain_maps(response, component_named("all"), samples), samples)
+    return found
+
+
+def _possible(design: SensorDesign, count: int, have: str | Path | None) -> "list[KnownLoad]":
+    """Loads that can be made of what is at hand, or of a table."""
+    from decoupler.data.load_table import read_loads
+    from decoupler.twin.next_load import KITCHEN, loads_at_hand
+
+    if not 0 <= count <= MAX_NEXT:
+        raise DesignError(f"{count} next loads: ask for 0 to {MAX_NEXT}.")
+    if have is not None and Path(have).suffix == ".csv":
+        return read_loads(Path(have), design.array.rows, design.array.cols, design.pad.size_mm**2)
+    return loads_at_hand(KITCHEN if have is None else str(have), design)
+
+
+def next_loads_of(
+    design: SensorDesign,
+    count: int,
+    have: str | Path | None = None,
+    usual: str = "contact",
+    tolerances: Mapping[str, float] | None = None,
+    bars: "Bars | None" = None,
+    measured: "Pairs | None" = None,
+    twin: "Twin | None" = None,
+) -> "tuple[NextLoad, ...]":
+    """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
+    from decoupler.data.columns import component_named
+    from decoupler.twin.expectation import Expectation
+    from decoupler.twin.linearised import State
+    from decoupler.twin.next_load import next_loads
+    from tripillar.terminal.progress import Bars
+
+    possible, usual_n = _possible(design, count, have), usual_loads(design, usual)
+    if twin is not None and twin.posterior is not None and twin.decoder.component.name == "all":
+        expected, state = twin.posterior.expected, twin.posterior.state
+    else:
+        response, sensitivities = with_derivatives(design, bars or Bars(quiet=True), tolerances)
+        expected = Expectation.of(response, sensitivities, component_named("all"))
+        state = State.as_expected(expected, 0)
+    return next_loads(expected, state, measured, possible, usual_n, count)
 
 
 def usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":

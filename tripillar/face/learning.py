@@ -116,7 +116,9 @@ def train(
         ``varpro`` (variable projection), ``lm`` (Levenberg-Marquardt) or ``momentum``, the paper's.
     feature : str
         Inputs of the network: ``inverse`` (of the response, solved for if need be), ``root`` (√R) or ``resistance``;
-        ``auto`` takes the inverse if the response explains the samples, else √R.
+        ``auto`` takes the inverse if the response explains the samples, else √R. From samples at finite strain (all
+        forces, with displacements) the maps of finite strain are learned, and a net of 60 nodes on draws of them; what
+        is linear the response says, whatever linear samples stand beside.
     seed : int
         Seed of the random start.
     design : SensorDesign, optional
@@ -356,7 +358,7 @@ def _checked(
     if net == "skip" if automatic else feature == "inverse":
         solved = _response(samples, sensor, response, caller)
     chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
-    if automatic and chosen == "root" and solved is not None:
+    if automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
     if automatic and chosen == "inverse" and samples.design is None and response is None:
         which = "the paper's sensor" if design is None else "the given design"

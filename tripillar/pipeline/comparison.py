@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dataset import Imperfections, Samples
+from dataset.measurement import ReadingError
 from decoupler.data.columns import COMPONENTS, Component
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.assessment import light_touches
@@ -103,7 +104,9 @@ def compare(
         for ohm in (test.resistance_ohm, read_ohm)
     )
     forward = ForwardModel.of(response, component)
-    at_rest = {label: light_touches(model, forward, 0.0, None)[name].at_rest_rmse_n for label, model in models.items()}
+    at_rest = {
+        label: light_touches(model, forward, ReadingError())[name].at_rest_rmse_n for label, model in models.items()
+    }
     made, pairs = (
         measured_on(truth, response.design, protocol, samples, seed)
         for samples, seed in ((len(test), TEST_SEED), (PAIRS, PAIRS_SEED))

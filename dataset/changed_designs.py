@@ -1,0 +1,70 @@
+"""The same loads at finite strain on designs that differ a little from one whose response is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from dataset.finite_strain import METHOD, require_finite
+from dataset.resistance import pillar_lengths
+from fem.array.response import ArrayResponse
+from fem.array.sensitivities import ResponseSensitivities
+from fem.finite.samples import SampleSolver
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pillar_volumes
+from geometry.storage.cache import kept, read_arrays, write_arrays
+from geometry.storage.files import digest
+from geometry.tolerances import value_of
+
+VERSION = 3  #: raise when the same designs give other answers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """Of a design under m loads on k units."""
+
+    displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
+    squares_mm2: FloatArray  #: of the lengths that eq. 1 of the design as meant needs for the resistances, (m, k, 3)
+    settled: NDArray[np.bool_]  #: which are answers, (m,)
+
+
+class ChangedDesigns:
+    """Designs near one as meant, of stiff pads on one rubber, all under the same loads.
+
+    Parameters
+    ----------
+    response : ArrayResponse
+        Of the design as meant.
+    sensitivities : ResponseSensitivities
+        Its derivatives, which say the linear response of others.
+    force_n : array, shape (m, k, 3)
+        Along x, y, z; z negative pushes down [N].
+    """
+
+    def __init__(self, response: ArrayResponse, sensitivities: ResponseSensitivities, force_n: FloatArray) -> None:
+        require_finite(response.design)
+        self.response, self.sensitivities, self.force_n = response, sensitivities, force_n
+
+    def answers(self, other: SensorDesign) -> Answers:
+        """Answers of another design, or of the one as meant, from the cache if they are there."""
+        made_of = self.response.content_hash, self.response.design, other, self.force_n
+        key = digest("changed designs", VERSION, METHOD, *made_of)
+        arrays, _, _ = kept("changed.npz", key, lambda: self._solved(other), read_arrays, write_arrays)
+        return Answers(**(arrays | {"settled": arrays["settled"].astype(bool)}))
+
+    def _solved(self, other: SensorDesign) -> dict[str, FloatArray]:
+        design, names = self.response.design, self.sensitivities.parameters
+        change = [value_of(other, name) - value_of(design, name) for name in names]
+        by_parameters = np.tensordot(change, self.sensitivities.influence_mm_per_n, axes=1)
+        k = design.n_units
+        influence = (self.response.influence_mm_per_n + by_parameters).reshape(k, 2, 3, k, 3)
+        with threadpool_limits(1, "blas"):
+            found = SampleSolver(other, influence).displacements(self.force_n)
+        lengths = pillar_lengths(found.displacement_mm, other.unit)
+        volumes = pillar_volumes(design.unit) / pillar_volumes(other.unit)
+        return {
+            "displacement_mm": found.displacement_mm,
+            "squares_mm2": lengths**2 * found.resistance_ratio * volumes,
+            "settled": found.settled.astype(float),
+        }

@@ -1,0 +1,253 @@
+"""Finite strain: an array's state is the forces G that would move its electrodes so if the array were linear.
+
+The state says how the rubber is deformed. The forces that act are F = G + χ(G), and the resistances, as squares of
+lengths, are those of the linear array at G with ρ(G) added: two polynomials of the state of the pad itself and of its
+eight neighbours, the same for every pad, learned from few samples at finite strain whose displacements are known. No
+readings are turned around for it: where conduction is far from linear these may have several states, or none.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.samples import SampleError
+from decoupler.data.columns import rowwise
+from geometry.layout import FloatArray
+
+MAX_STEPS = 40  #: damped Newton steps from forces to effective ones; five are usual
+CONVERGED = 1e-10  #: relative to the largest force
+FIRST_DAMPING = 1e-3  #: of the steps, where derivatives are of the order of 1
+LAST_DAMPING = 1e3  #: at which a sample comes no nearer
+BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are beyond them
+N_AXES = 3  #: forces of a pad
+CHUNK = 64  #: samples whose derivatives are in memory together
+OWN = 9  #: of a pad: its three effective forces, and the linear displacements of its two electrodes
+_PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
+N_PAIRS = len(_PAIRS[0])
+#: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do
+_PRESSING = np.flatnonzero(np.isin(_PAIRS[0], [2, 3, 4, 5, 8]) & np.isin(_PAIRS[1], [2, 3, 4, 5, 8]))
+_SLOPES = np.zeros((N_PAIRS, OWN, OWN))  #: derivatives of the pairs by o, as matrices that are multiplied by o
+_SLOPES[np.arange(N_PAIRS), _PAIRS[0], _PAIRS[1]] += 1.0
+_SLOPES[np.arange(N_PAIRS), _PAIRS[1], _PAIRS[0]] += 1.0
+#: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
+_WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + N_PAIRS, 8 * OWN, 8 * N_PAIRS
+_ENDS = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE])
+N_CURVED = int(_ENDS[-1])  #: features of the second and third order
+N_FEATURES = N_CURVED + 1 + 9 * OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
+
+
+#: products of three, each once: numbers of the first and of the pair of the others
+_TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T
+#: features that tell specimens apart: of the first order, and products of a pad's own o alone
+FEW = np.concatenate(
+    [
+        np.arange(N_CURVED, N_FEATURES),
+        _PAIRS[0] * _WITH_OWN + _PAIRS[1],
+        _TRIPLES[0] * _WITH_OWN + 9 * OWN + _TRIPLES[1],
+    ]
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StrainMaps:
+    """χ and ρ of an array of k units, each a sum of products of o, the `OWN` numbers of a pad and of its neighbours.
+
+    For a design all products are of the second or the third order, so that at rest and under light loads the array is
+    linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
+    """
+
+    influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `ForwardModel`, on its electrodes [mm/N]
+    near: NDArray[np.int64]  #: neighbours of each pad, (k, 8); k where there is none
+    sizes: FloatArray  #: of o, by which it is divided, (9,) [N, mm]
+    weights: FloatArray  #: of the features, (N_FEATURES, m) [N, mm²]
+    misfit: FloatArray  #: root mean square of what each misses on samples that it has not seen, (m,) [N, mm²]
+    growth: FloatArray  #: a, b of the misfit's variance over its mean at a mean square s of o: a + b s², (2,)
+
+    @property
+    def misfit_n(self) -> FloatArray:
+        """Of the forces, (3,) [N]."""
+        return self.misfit[:N_AXES]
+
+    def misfit_variance(self, state_n: FloatArray) -> FloatArray:
+        """Variance of what the values miss in states (n, 3 k) [N], (n, k, m) [N², mm⁴]."""
+        s = (self.own(state_n) ** 2).mean(axis=2)
+        return (self.growth[0] + self.growth[1] * s**2)[..., None] * self.misfit**2
+
+    def forces(self, state_n: FloatArray) -> FloatArray:
+        """Forces F that act in states G, both (n, 3 k) [N]."""
+        return state_n + self.values(state_n)[..., :N_AXES].reshape(state_n.shape)
+
+    def values(self, state_n: FloatArray) -> FloatArray:
+        """χ and ρ of each pad, (n, 3 k) [N] -> (n, k, m); the same bits alone and in any batch."""
+        n, k = len(state_n), len(self.near)
+        o, around, pairs, pairs_around = self._parts(state_n)
+        with_own, with_pressing, alone, first = self._maps
+        z = np.concatenate([o, around, pairs], axis=2)
+        found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, -1)
+        found += first[0] + rowwise(z[..., : 9 * OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
+        for factor, values, matrix in ((o, z, with_own), (pairs[..., _PRESSING], around, with_pressing)):
+            mapped = rowwise(values.reshape(n * k, -1), matrix).reshape(n, k, factor.shape[2], -1)
+            found += (factor[..., None] * mapped).sum(axis=2)
+        return found
+
+    def features(self, state_n: FloatArray) -> FloatArray:
+        """Features of each pad, (n, 3 k) [N] -> (n, k, N_FEATURES)."""
+        o, around, pairs, pairs_around = self._parts(state_n)
+        shape = (*o.shape[:2], -1)
+        z = np.concatenate([o, around, pairs], axis=2)
+        return np.concatenate(
+            [
+                (o[..., :, None] * z[..., None, :]).reshape(shape),
+                (pairs[..., _PRESSING, None] * around[..., None, :]).reshape(shape),
+                pairs_around,
+                np.ones((*o.shape[:2], 1)),
+                o,
+                around,
+            ],
+            axis=2,
+        )
+
+    def few(self, state_n: FloatArray) -> FloatArray:
+        """The features `FEW` of each pad, (n, 3 k) [N] -> (n, k, 292)."""
+        o, around, pairs, _ = self._parts(state_n)
+        triples = o[..., _TRIPLES[0]] * pairs[..., _TRIPLES[1]]
+        return np.concatenate([np.ones((*o.shape[:2], 1)), o, around, pairs, triples], axis=2)
+
+    def own(self, state_n: FloatArray) -> FloatArray:
+        """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
+        n, k = len(state_n), len(self.near)
+        moved = rowwise(state_n, self.influence).reshape(n, N_AXES, k, 2)
+        o = np.empty((n, k, OWN))
+        o[..., :3] = state_n.reshape(n, k, N_AXES)
+        o[..., 3:] = moved.transpose(0, 2, 3, 1).reshape(n, k, 6)
+        o /= self.sizes
+        return o
+
+    def _parts(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """o of each pad, o of its neighbours, pairs of its own and of each neighbour: (n, k, 9, 72, 45 and 360)."""
+        n, k = len(state_n), len(self.near)
+        both = np.zeros((n, k + 1, OWN + N_PAIRS))
+        o = both[:, :k, :OWN] = self.own(state_n)
+        pairs = both[:, :k, OWN:] = o[..., _PAIRS[0]] * o[..., _PAIRS[1]]
+        near = both[:, self.near]
+        return o, near[..., :OWN].reshape(n, k, -1), pairs, near[..., OWN:].reshape(n, k, -1)
+
+    def slopes(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """χ and ρ (n, k, m) and their derivatives by the state, (n, k, m, 3 k)."""
+        n, k = len(state_n), len(self.near)
+        o, around, pairs, pairs_around = self._parts(state_n)
+        with_own, with_pressing, alone, first = self._maps
+        m = self.weights.shape[1]
+        z = np.concatenate([o, around, pairs], axis=2)
+        pressing = pairs[..., _PRESSING]
+        by_factor = (z @ with_own).reshape(n, k, OWN, m)
+        by_pressing = (around @ with_pressing).reshape(n, k, -1, m)
+        values = (o[..., None] * by_factor).sum(axis=2) + (pressing[..., None] * by_pressing).sum(axis=2)
+        values += pairs_around @ alone + first[0] + z[..., : 9 * OWN] @ first[1:]
+        by_z = (o @ self._of_own).reshape(n, k, m, -1)
+        by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
+        slopes = (o @ _SLOPES.transpose(2, 0, 1).reshape(OWN, -1)).reshape(n, k, N_PAIRS, OWN)  # of the pairs by o
+        by_pairs = by_z[..., 9 * OWN :].copy()
+        by_pairs[..., _PRESSING] += by_pressing.swapaxes(2, 3)
+        by_own = by_factor.swapaxes(2, 3) + by_z[..., :OWN] + by_pairs @ slopes
+        around_slopes = np.concatenate([slopes, np.zeros((n, 1, N_PAIRS, OWN))], axis=1)[:, self.near]
+        alone_of = alone.reshape(8, N_PAIRS, m).swapaxes(1, 2)
+        by_around = by_around + (alone_of @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
+        by_o = np.concatenate([by_own, by_around], axis=3) + first[1:].T  # (n, k, m, 81)
+        return values, by_o @ self._by_force
+
+    def states(self, force_n: FloatArray) -> FloatArray:
+        """States G in which forces F act, both (n, 3 k) [N].
+
+        Raises
+        ------
+        SampleError
+            If there are none: forces beyond those of the samples at finite strain.
+
+        Notes
+        -----
+        Damped Newton steps. Where a column nearly gives way, χ can miss the forces that it bears by as much as its
+        misfit: there the G whose forces are nearest counts.
+        """
+        found, there_are = self.nearest_states(force_n)
+        if not there_are.all():
+            raise SampleError(
+                f"no deformation that the model knows bears forces of up to {np.abs(force_n).max():.4g} N on a pad: "
+                "they are beyond its samples at finite strain. Train on samples of such forces."
+            )
+        return found
+
+    def nearest_states(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """The same without a refusal: states (n, 3 k) [N], and where there are some, (n,)."""
+        parts = [self._solved(force_n[start : start + CHUNK]) for start in range(0, max(len(force_n), 1), CHUNK)]
+        states, there_are = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return states, there_are
+
+    def _solved(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        found, enough = np.array(force_n, dtype=np.float64), CONVERGED * max(np.abs(force_n).max(initial=0.0), 1.0)
+        misfit, J = self._misfit(force_n, found)
+        damping = np.full(len(found), FIRST_DAMPING)
+        for _ in range(MAX_STEPS):
+            on = np.flatnonzero((np.abs(misfit).max(axis=1) > enough) & (damping < LAST_DAMPING))
+            if not len(on):
+                break
+            Jt = J[on].swapaxes(1, 2)
+            M = Jt @ J[on] + damping[on, None, None] * np.eye(J.shape[1])
+            trial = found[on] + np.linalg.solve(M, Jt @ misfit[on, :, None])[..., 0]
+            after, J_after = self._misfit(force_n[on], trial)
+            better = np.linalg.norm(after, axis=1) < np.linalg.norm(misfit[on], axis=1)
+            found[on[better]], misfit[on[better]], J[on[better]] = trial[better], after[better], J_after[better]
+            damping[on] *= np.where(better, 0.1, 10.0)
+        left = np.sqrt((misfit.reshape(len(misfit), -1, N_AXES) ** 2).mean(axis=1))
+        return found, (left <= BEYOND * self.misfit_n + enough).all(axis=1)
+
+    def _misfit(self, force_n: FloatArray, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Forces less those that act (n, 3 k) [N], and derivatives of the latter (n, 3 k, 3 k)."""
+        values, slopes = self.slopes(state_n)
+        J = np.eye(state_n.shape[1]) + slopes[:, :, :N_AXES].reshape(len(state_n), *[state_n.shape[1]] * 2)
+        return force_n - state_n - values[..., :N_AXES].reshape(state_n.shape), J
+
+    @cached_property
+    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Weights as matrices, of z (126, 9 m), neighbours' o (72, 15 m), their pairs (360, m), first order (82, m)."""
+        own, pressing, alone, first = np.split(self.weights, _ENDS)
+        m = self.weights.shape[1]
+        with_own, with_pressing = (
+            np.ascontiguousarray(part.reshape(-1, size, m).swapaxes(0, 1).reshape(size, -1))
+            for part, size in ((own, _WITH_OWN), (pressing, _WITH_PRESSING))
+        )
+        return with_own, with_pressing, alone, first
+
+    @cached_property
+    def _of_own(self) -> FloatArray:
+        """From o to the derivatives by z, (9, m · 126)."""
+        own = self.weights[: _ENDS[0]].reshape(OWN, _WITH_OWN, -1)
+        return np.ascontiguousarray(own.swapaxes(1, 2).reshape(OWN, -1))
+
+    @cached_property
+    def _of_pressing(self) -> FloatArray:
+        """From pressing pairs to the derivatives by neighbours' o, (15, m · 72)."""
+        pressing = self.weights[_ENDS[0] : _ENDS[1]].reshape(len(_PRESSING), _WITH_PRESSING, -1)
+        return np.ascontiguousarray(pressing.swapaxes(1, 2).reshape(len(_PRESSING), -1))
+
+    @cached_property
+    def _by_force(self) -> FloatArray:
+        """Derivatives of o of a pad and of its neighbours by the state, (k, 81, 3 k)."""
+        k = len(self.near)
+        own = self.own(np.eye(N_AXES * k)).transpose(1, 2, 0)
+        around = np.concatenate([own, np.zeros((1, *own.shape[1:]))])[self.near].reshape(k, 8 * OWN, -1)
+        return np.ascontiguousarray(np.concatenate([own, around], axis=1))
+
+
+def neighbours(rows: int, cols: int) -> NDArray[np.int64]:
+    """Numbers of the eight neighbours of each unit, (rows·cols, 8); rows·cols where there is none.
+
+    >>> neighbours(1, 2).tolist()
+    [[2, 2, 2, 2, 1, 2, 2, 2], [2, 2, 2, 0, 2, 2, 2, 2]]
+    """
+    padded = np.full((rows + 2, cols + 2), rows * cols)
+    padded[1:-1, 1:-1] = np.arange(rows * cols).reshape(rows, cols)
+    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return np.stack([padded[i : i + rows, j : j + cols].reshape(-1) for i, j in shifts], axis=1)

@@ -1,0 +1,98 @@
+"""Drifts of the readings: what a design states is weighed against the loads and carried into every deviation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, simulate
+from dataset.samples import joined
+from decoupler import SampleError, component_named, train
+from decoupler.data.columns import force_columns
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.model_file import read_model, require_same_sensor, write_model
+from geometry.design import Electrics
+from tests.decoupler.synthetic_sensor import response, sensor
+
+DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002}
+SENSOR = sensor(3, 3)
+PLAIN = response(SENSOR)
+STATED = replace(PLAIN, design=replace(SENSOR, electrics=Electrics(**DRIFTS)))
+ALL = component_named("all")
+NET = np.tile([[0.0], [0.0], [1.0]], (9, 1))  #: weights of the net Fz
+
+
+def samples(own, n, seed, **drifts):
+    settings = DatasetSettings(protocol="three-axis", samples=n, seed=seed, noise=1e-3, bits=12, **drifts)
+    return simulate(own, settings).labels()
+
+
+@pytest.fixture(scope="module")
+def test_data():
+    return samples(STATED, 600, 2, **DRIFTS)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return train(samples(STATED, 2000, 1), response=STATED)
+
+
+def least_net_deviation(data):
+    """Of the net Fz [N], of the linear-Gaussian posterior about each load: C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C."""
+    forward = ForwardModel.of(PLAIN, ALL)
+    C = np.cov(force_columns(samples(PLAIN, 5000, 3).force_n, ALL).T)
+    variance = []
+    for force_n in force_columns(data.force_n, ALL)[:200, None]:
+        length, J = forward.jacobian(force_n)
+        ohm = forward.ohm_per_mm2 * length**2
+        J = (2.0 * ohm / length)[0, :, None] * J[0]
+        shared = data.errors.shared(ohm, *data.shape)[0]
+        S = J @ C @ J.T + np.diag(data.errors.deviation(ohm)[0] ** 2) + shared @ shared.T
+        posterior = C - C @ J.T @ np.linalg.solve(S, J @ C)
+        variance.append((NET.T @ posterior @ NET).item())
+    return np.sqrt(np.mean(variance))
+
+
+def test_deviations_hold_units_and_the_net_force_under_drifts(model, test_data):
+    """Data without drifts, a design that states them: 95 % deviations hold 92 % at least, and few errors are avoidable.
+
+    Ratio to the least deviation: at most 1.1.
+    """
+    error_n = model.forces(test_data.resistance_ohm) - test_data.force_n
+    one, two = model.half_widths(test_data.resistance_ohm)
+    assert 0.64 < np.mean(np.abs(error_n) <= one) < 0.76
+    assert np.mean(np.abs(error_n) <= two) >= 0.92
+    net_n = (error_n.reshape(len(error_n), -1) @ NET)[:, 0]
+    _, covariance = model.deviations(test_data.resistance_ohm, NET)
+    assert np.mean(np.abs(net_n) <= 2.0 * np.sqrt(covariance[:, 0, 0])) >= 0.92
+    assert np.sqrt(np.mean(net_n**2)) < 1.1 * least_net_deviation(test_data)
+    assert (model.chi2(test_data.resistance_ohm) > model.load_test.limit).mean() <= 0.01
+
+
+def test_a_decoder_that_knows_no_drift_is_surer_and_wrong(model, test_data):
+    """Its net force errs by several of its deviations, and no load test sees it: the readings are those of a load."""
+    surer = train(samples(PLAIN, 2000, 1), response=PLAIN)
+    net_n, deviation = [], []
+    for one in (model, surer):
+        error_n = (one.forces(test_data.resistance_ohm) - test_data.force_n).reshape(len(test_data), -1)
+        net_n.append(np.sqrt(np.mean((error_n @ NET) ** 2)))
+        deviation.append(np.sqrt(one.deviations(test_data.resistance_ohm, NET)[1][:, 0, 0].mean()))
+    assert net_n[0] < net_n[1]
+    assert deviation[1] < 0.3 * net_n[1]
+    assert deviation[0] > 0.8 * net_n[0]
+
+
+def test_a_model_file_keeps_the_drifts_and_takes_data_of_a_design_that_states_others(model, test_data, tmp_path):
+    path = tmp_path / "model.safetensors"
+    write_model(model, path)
+    again = read_model(path)
+    assert again.uncertainty.errors == model.uncertainty.errors == test_data.errors
+    R = test_data.resistance_ohm[:5]
+    assert np.array_equal(again.half_widths(R), model.half_widths(R))
+    assert np.array_equal(again.deviations(R, NET)[1], model.deviations(R, NET)[1])
+    require_same_sensor(model, samples(PLAIN, 2, 0), path, path)
+
+
+def test_samples_of_other_drifts_are_not_joined():
+    with pytest.raises(SampleError, match="another drift"):
+        joined([samples(PLAIN, 2, 0), samples(PLAIN, 2, 0, drift=0.01)])
