@@ -24,12 +24,6 @@ SETTINGS = ResponseSettings(tolerance=5e-2)
 pytestmark = pytest.mark.usefixtures("shared_cache")
 
 
-@pytest.fixture
-def few_potentials(monkeypatch):
-    """Conduction reduced by two typical samples: at rest it is as exact."""
-    monkeypatch.setattr(finite_samples, "TYPICAL", 2)
-
-
 def test_lengths_volumes_and_wires_are_those_of_four_pillars():
     oblique = 10 * np.sqrt(2)
     assert rest_lengths(UNIT) == pytest.approx([10.0, oblique, 10.0, oblique], rel=1e-14)
