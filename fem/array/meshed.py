@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.cell import CondensedCell, PortModes, condense
-from fem.array.sides import CellSides, Free, Kinds, places
+from fem.array.cell import CellSides, CondensedCell, Free, PortModes, condense
+from fem.array.coupled_cells import Kinds, places
 from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
@@ -29,8 +29,7 @@ from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.mixed import TaylorHood
+from fem.tetrahedra.mixed import Elements, TaylorHood
 from fem.tetrahedra.patch import bonded, patch_integrals
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares

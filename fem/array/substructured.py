@@ -12,12 +12,11 @@ from time import perf_counter
 
 import numpy as np
 
-from fem.array.cell import CondensedCell, PortModes
+from fem.array.cell import CondensedCell, Free, PortModes
 from fem.array.closed_forms import layer_mean_compliance
-from fem.array.coupled_cells import CoupledArray
+from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.response import ArrayResponse
-from fem.array.sides import Free, Kinds
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
