@@ -90,6 +90,9 @@ class SampleSolver:
     unwanted : function, optional
         Displacements (m, k, n_upper, 3) to booleans (m,): of samples that need no answer, such as those far beyond a
         cap of strain. These are given up before they have settled; they are the slowest.
+    typical : SensorDesign, optional
+        Design of the same unit whose `typical_conduction` reads the pillars; default: this one's own, which takes a
+        minute to make.
 
     Raises
     ------
@@ -108,6 +111,7 @@ class SampleSolver:
         influence_mm_per_n: FloatArray | None = None,
         resistance_per_n: FloatArray | None = None,
         unwanted: Unwanted | None = None,
+        typical: SensorDesign | None = None,
     ) -> None:
         if not design.is_homogeneous:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
@@ -119,7 +123,7 @@ class SampleSolver:
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self._resistance_per_n = resistance_per_n
         self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
-        self._reader = PillarReader(design) if design.electrics.is_conduction else None
+        self._reader = PillarReader(design, typical or design) if design.electrics.is_conduction else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces on the pads.
@@ -318,9 +322,9 @@ def _norms(moved: FloatArray) -> FloatArray:
 class PillarReader:
     """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
 
-    def __init__(self, design: SensorDesign) -> None:
+    def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
         self.unit = design.unit
-        self._piezo, self._reduced = _piezoresistivity(design), typical_conduction(design)
+        self._piezo, self._reduced = _piezoresistivity(design), typical_conduction(typical)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         #: places in the pillars where gradients are wanted, (k·n, 3)
         self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
