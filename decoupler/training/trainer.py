@@ -168,8 +168,9 @@ def train(
         else:
             train_all = train_lm if training.trainer == "lm" else train_momentum
             point, outcome = train_all(samples, hidden, output, training, progress)
-    output_weights, matrix = point.output.numpy().copy(), None
-    trained = replace(untrained, hidden_weights=point.hidden.numpy(), output_weights=output_weights)
+    # in the order of a file's, since products round by it
+    hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
+    trained, matrix = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights), None
     if len(given) > ENOUGH:
         sums = sums_over(trained, given, known, counted)
         if n_light:
