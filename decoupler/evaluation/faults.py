@@ -216,7 +216,9 @@ class FaultTest:
     @cached_property
     def _groups(self) -> "list[_Group]":
         singles = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
-        return [_Group.of(self, place, which) for place, which in (*singles, *self._wires)]
+        return [
+            _Group.of(self, place, which) for place, which in (*singles, *self._wires) if len(which) < len(self.pillars)
+        ]
 
     def _likeliest(self, y: FloatArray) -> "_Found | None":
         """The fault that explains readings (n, P) best, of those that are decidedly likelier than none."""
@@ -234,7 +236,7 @@ class FaultTest:
         u, u_bent = y @ self._precision, _bent(y) @ self._precision
         for group in self._groups:
             stuck = group.stuck(y, u) * _news(y[:, group.near[0]])
-            noisy = max(group.noisy(u_bent)) / OVERLAP
+            noisy = group.noisy(u_bent) / OVERLAP
             for kind, ratio in (("stuck", stuck), ("noisy", noisy)):
                 if ratio > enough:
                     yield _Found(kind, group.place, group.which, ratio)
@@ -317,8 +319,11 @@ class _Group:
     by_noise: FloatArray  #: of N, (k,)
     near: tuple[Indices, ...]  #: others: of the same units, of those around, all
     across: FloatArray  #: K_gq, (k, P)
-    scale: FloatArray  #: (P,): deviation of (K y)_q without the group
+    scale: FloatArray  #: (P,): variance of (K y)_q without the group
     noise_share: FloatArray  #: (P,): of its variance, by noise
+    apart: FloatArray  #: what makes residuals independent, under loads and noise alike, (k, k)
+    by_parts: FloatArray  #: variances of the parts by loads, (k,); those by noise are 1
+    own_parts: FloatArray  #: the same by the group's own noise, (k,)
 
     @classmethod
     def of(cls, test: FaultTest, place: str, which: Indices) -> "_Group":
@@ -329,16 +334,23 @@ class _Group:
         scale = np.maximum(without.diagonal(), 1e-12 * K.diagonal())
         share = ((without * test.noise) ** 2).sum(axis=1) / scale
         rows, cols = np.divmod(test.pillars // len(PILLARS), test.cols)
-        apart = np.maximum(np.abs(rows[:, None] - rows[which]), np.abs(cols[:, None] - cols[which])).min(axis=1)
+        far = np.maximum(np.abs(rows[:, None] - rows[which]), np.abs(cols[:, None] - cols[which])).min(axis=1)
         other = ~np.isin(np.arange(len(K)), which)
-        near = [np.flatnonzero(other & (apart <= far)) for far in (0, 1, len(K))]
+        near = [np.flatnonzero(other & (far <= most)) for most in (0, 1, len(K))]
+        N = (mine * test.noise**2) @ mine.T
+        L = np.linalg.inv(np.linalg.cholesky(N))
+        by_parts, U = np.linalg.eigh(L @ V @ L.T)
+        parts = L.T @ U
         return cls(
+            apart=parts,
+            by_parts=np.maximum(by_parts - 1.0, 0.0),
+            own_parts=((parts.T * test.noise[which]) ** 2).sum(axis=1),
             place=place,
             which=which,
             noise=test.noise[which],
             solved=V,
             variance=V.diagonal(),
-            by_noise=((mine * test.noise) ** 2).sum(axis=1),
+            by_noise=N.diagonal(),
             near=tuple(one for one in near if len(one)),
             across=K[which],
             scale=scale,
@@ -346,36 +358,38 @@ class _Group:
         )
 
     def _sizes(self, u: FloatArray, r: FloatArray) -> list[FloatArray]:
-        """a², how large loads are over the usual ones, by each of `near`, (n,)."""
+        """a², how large loads are over the usual ones, by each of `near`, (n, 1)."""
         squares = (u - r @ self.across) ** 2 / self.scale - self.noise_share
         free = 1.0 - self.noise_share
-        return [np.maximum(squares[:, q].sum(axis=1) / free[q].sum(), 0.0) for q in self.near]
-
-    def _log_usual(self, r: FloatArray, sizes: list[FloatArray], times: float = 1.0) -> FloatArray:
-        """Log-density of each residual (n, k) with so many times the stated noise, by the likeliest size of loads."""
-        by_noise = self.by_noise + (times**2 - 1.0) * self.noise**2
-        variances = [size[:, None] * (self.variance - self.by_noise) + by_noise for size in sizes]
-        return np.max([-0.5 * (r**2 / one + np.log(one)) for one in variances], axis=0)
+        return [np.maximum(squares[:, q].sum(axis=1, keepdims=True) / free[q].sum(), 0.0) for q in self.near]
 
     def _total(self, ratio: FloatArray) -> float:
-        """Log-likelihood ratio by those of its pillars in each scan, (n, k): what half of them say, as if it were one.
-
-        Residuals of a wire's pillars go together, so they are not added.
-        """
-        by_pillar = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=0))
-        return float(by_pillar[(len(by_pillar) - 1) // 2])
+        """Log-likelihood ratio by those of its pillars or parts, (n, k): what half of them say, as if it were one."""
+        each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=0))
+        return float(each[(len(each) - 1) // 2])
 
     def stuck(self, y: FloatArray, u: FloatArray) -> float:
         """Log-likelihood ratio of readings that do not move to such that do as usual, n scans of their own loads."""
         r, own = u[:, self.which] @ self.solved, y[:, self.which]
-        still = -0.5 * (own / self.noise) ** 2 - np.log(self.noise)
-        ratio = still - self._log_usual(r, self._sizes(u, r))
+        still = _log_normal(own, self.noise**2)
+        usual = [size * (self.variance - self.by_noise) + self.by_noise for size in self._sizes(u, r)]
+        ratio = still - np.max([_log_normal(r, one) for one in usual], axis=0)
         moved = (own - r) ** 2 > CLEAR**2 * self.by_noise
         return self._total(np.where(moved, ratio, np.minimum(ratio, 0.0)))
 
-    def noisy(self, u: FloatArray) -> list[float]:
-        """Log-likelihood ratio of each of `NOISES` to the stated one, n scans with noise of their own."""
+    def noisy(self, u: FloatArray) -> float:
+        """The largest log-likelihood ratio of `NOISES` to the stated one, n scans with noise of their own.
+
+        Residuals of a wire's pillars go together under loads, so their independent parts are looked at.
+        """
         r = u[:, self.which] @ self.solved
-        sizes = self._sizes(u, r)
-        usual = self._log_usual(r, sizes)
-        return [self._total(self._log_usual(r, sizes, times) - usual) for times in NOISES]
+        parts, usual = r @ self.apart, [size * self.by_parts + 1.0 for size in self._sizes(u, r)]
+        none = np.max([_log_normal(parts, one) for one in usual], axis=0)
+        more = [(times**2 - 1.0) * self.own_parts for times in NOISES]
+        with_more = [np.max([_log_normal(parts, one + extra) for one in usual], axis=0) for extra in more]
+        return max(self._total(one - none) for one in with_more)
+
+
+def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
+    """Log-density of normal values but for a constant, each by itself."""
+    return -0.5 * (values**2 / variance + np.log(variance))
