@@ -149,7 +149,7 @@ class FaultTest:
     def _broken(self, kind: str, is_so: NDArray[np.bool_]) -> list[Fault]:
         """Faults of pillars that are open or shorted, (P,): wires if all of theirs are, and what is left."""
         found, left = [], is_so.copy()
-        for place, wire in self._wires:
+        for place, wire in self.wires:
             if is_so[wire].all():
                 found.append(self._fault(kind, place, wire, math.inf))
                 left[wire] = False
@@ -169,7 +169,7 @@ class FaultTest:
         return f"pillar {PILLARS[number]} of row {row}, col {col}"
 
     @cached_property
-    def _wires(self) -> list[tuple[str, Indices]]:
+    def wires(self) -> list[tuple[str, Indices]]:
         """Name and pillars, as numbers among P, of each wire that has two pillars at least."""
         sent = pillar_of_crossing(self.rows, self.cols)
         wires = crossings(self.rows, self.cols)
@@ -184,7 +184,7 @@ class FaultTest:
         return found
 
     @cached_property
-    def _swaps(self) -> list[tuple[str, Indices]]:
+    def swaps(self) -> list[tuple[str, Indices]]:
         """Name of every exchange of two wires, or of all wires of two rows or columns, and the pillars' order then."""
         shape = (self.rows, self.cols, len(PILLARS))
         at = np.full(shape, -1)
@@ -217,7 +217,7 @@ class FaultTest:
     def _groups(self) -> "list[_Group]":
         singles = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
         return [
-            _Group.of(self, place, which) for place, which in (*singles, *self._wires) if len(which) < len(self.pillars)
+            _Group.of(self, place, which) for place, which in (*singles, *self.wires) if len(which) < len(self.pillars)
         ]
 
     def _likeliest(self, y: FloatArray) -> "_Found | None":
@@ -242,7 +242,7 @@ class FaultTest:
                     yield _Found(kind, group.place, group.which, ratio)
         energy, P = (u * y).sum(axis=1), y.shape[1]
         news = _news(y / np.sqrt(self.covariance.diagonal()))
-        for place, order in self._swaps:
+        for place, order in self.swaps:
             turned = y[:, order]
             other = ((turned @ self._precision) * turned).sum(axis=1)
             ratio = 0.5 * (energy - other)
